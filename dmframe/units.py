@@ -1,0 +1,216 @@
+"""Quantities with a unit, as people write them in a graph: ``90 ms``, ``-90 deg``, ``800 N m s/rad``.
+
+A unit's factors are separated by spaces, and everything after the slash divides: ``N m s/rad`` is N*m*s/rad and
+``J/kg K`` is J/(kg*K). The radian is a base unit here, although SI calls it the number one: a joint velocity given as
+``2 Hz`` would otherwise pass for 2 rad/s, wrong by 2 pi. Conversions are exact until the last step, so that
+``35 ms`` is the float nearest to 0.035.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping
+from decimal import Decimal
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from dmframe.errors import UnitError, ValueFault, nearest
+
+if TYPE_CHECKING:
+    import pint
+
+# pint's own list would accept what nobody means in a graph: "Nm" is a yarn count there, "rads" an absorbed dose.
+_DEFINITIONS = """
+giga- = 1e9 = G-
+mega- = 1e6 = M-
+kilo- = 1e3 = k-
+centi- = 1e-2 = c-
+milli- = 1e-3 = m-
+micro- = 1e-6 = µ- = μ- = u-
+nano- = 1e-9 = n-
+metre = [length] = m = meter
+second = [time] = s
+gram = [mass] = g
+radian = [angle] = rad
+ampere = [current] = A
+kelvin = [temperature] = K
+minute = 60 * second = min
+hour = 3600 * second = h
+degree = 3.14159265358979323846264338327950288419716939937510 / 180 * radian = deg = °
+turn = 360 * degree = rev
+rpm = turn / minute
+hertz = 1 / second = Hz
+newton = kilogram * metre / second ** 2 = N
+pascal = newton / metre ** 2 = Pa
+joule = newton * metre = J
+watt = joule / second = W
+volt = watt / ampere = V
+ohm = volt / ampere = Ω
+percent = 0.01 = %
+"""
+_SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
+
+_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
+_NOT_FINITE = re.compile(r"\s*[+-]?\.?(nan|inf|infinity)\b", re.IGNORECASE)
+_TOKEN = re.compile(r"[^\W\d_]+|[%°]|\^[+-]?\d(?!\d)|[()/]|1(?![\d.])|[\s*·]+")
+_LONGEST = 80  # characters of a unit
+_LARGEST = 400  # decimal exponent or count of digits up to which a number is converted exactly
+
+# the powers of ten that a prefix may show, by the unit's first factor: "kiloseconds" help nobody
+_PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+_LARGE = dict.fromkeys(("N", "J", "W", "V", "A", "Pa"), (-6, 6))
+_PREFIXED = {"m": (-9, 3), "s": (-9, 0), "rad": (-6, 0), "Hz": (0, 6), **_LARGE}
+
+
+def to_unit(value: str | float, unit: str) -> float:
+    """Give `value` as a number of `unit`; a bare number is in `unit` already.
+
+    Raises `UnitError` where a unit is unknown or cannot be converted, `ValueFault` where there is no finite number.
+    """
+    wanted = f"a quantity in {unit}" if unit else "a plain number"
+    expected = f"expected {wanted}, found {shorten(repr(value))}"
+    if isinstance(value, str):
+        return _converted(value, unit, expected)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueFault(f"{expected}: give a number" + (f" or a text such as '1 {unit}'" if unit else ""))
+    return _finite(value, expected)
+
+
+def compatible(unit_a: str, unit_b: str) -> bool:
+    """Whether two units are the same but for their spelling: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
+
+    Raises `UnitError` where either is no unit.
+    """
+    return unit_a == unit_b or _size(unit_a) == _size(unit_b)
+
+
+def plain(value: float, unit: str, digits: int = 3) -> str:
+    """Show a quantity to people, rounded to significant digits, with an SI prefix where that reads well: ``90 ms``."""
+    if not math.isfinite(value):
+        return f"{value} {unit}".rstrip()
+    rounded = Decimal(f"{value:.{digits - 1}e}")
+    first = re.match(r"[^\W\d_]+(?!\^)\b", unit)
+    least, greatest = _PREFIXED.get(first.group(), (0, 0)) if first else (0, 0)
+    power = min(max(rounded.adjusted() // 3 * 3, least), greatest) if rounded else 0
+    return f"{float(rounded.scaleb(-power)):.{max(digits, 6)}g} {_PREFIXES[power]}{unit}".rstrip()
+
+
+def shorten(text: str, most: int = 60) -> str:
+    """Cut a text that a message quotes: what a file holds may be long."""
+    return text if len(text) <= most else text[:most] + "..."
+
+
+def _converted(text: str, unit: str, expected: str) -> float:
+    number = _NUMBER.fullmatch(text)
+    if _NOT_FINITE.match(text):
+        raise ValueFault(f"{expected}: the number must be finite")
+    if number is None:
+        raise ValueFault(f"{expected}: begin with a number")
+    digits, found = number.group(1), number.group(2).strip() or unit
+    try:
+        (scale, dimension), (target_scale, target) = _size(found), _size(unit)
+    except UnitError as fault:
+        raise UnitError(f"{expected}: {fault.text}") from None
+    if dimension != target:
+        raise UnitError(f"{expected}: {_why_not(found, unit, dimension, target)}")
+    # an exact power of ten beyond this would fill the memory before it is found too large
+    huge = len(digits) > _LARGEST or abs(int(digits.lower().partition("e")[2] or 0)) > _LARGEST
+    exact = Fraction(_finite(float(digits), expected)) if huge else Fraction(digits)
+    return _finite(exact * scale / target_scale, expected)
+
+
+def _finite(value: float | Fraction, expected: str) -> float:
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise ValueFault(f"{expected}: the number must be finite")
+    return number
+
+
+def _why_not(found: str, unit: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
+    if {**dimension, "radian": 0} == {**target, "radian": 0}:
+        return f"{found} and {unit or 'a plain number'} differ by an angle; write out rad, deg or turn"
+    return f"{found} cannot be converted to {unit or 'a plain number'}"
+
+
+@functools.cache
+def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
+    """The factor to base units, and their exponents."""
+    scale, dimension = Fraction(1), Counter[str]()
+    for name, exponent in _factors(unit).items():
+        factor, base = _base(name)
+        scale *= factor**exponent
+        for key, power in base.items():
+            dimension[key] += power * exponent
+    return scale, {key: power for key, power in dimension.items() if power}
+
+
+@functools.cache
+def _base(name: str) -> tuple[Fraction, dict[str, int]]:
+    if not _known(name):
+        pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
+        glued = next((pair for pair in pairs if all(map(_known, pair))), None)
+        hint = f"did you mean {glued[0]} {glued[1]}?" if glued else nearest(name, _SPELLINGS)
+        raise UnitError(f"unknown unit {name}; {hint}")
+    root: Any = _registry().Quantity(1, name).to_root_units()
+    return Fraction(root.magnitude), {key: int(power) for key, power in root.unit_items()}
+
+
+def _known(name: str) -> bool:
+    # without an ending: pint would read the plural "Ns" as newtons where newton seconds are meant
+    return any(not ending for _, _, ending in _registry().parse_unit_name(name))
+
+
+@functools.cache
+def _registry() -> pint.UnitRegistry[Any]:
+    import pint
+
+    return pint.UnitRegistry(_DEFINITIONS.strip().splitlines(), non_int_type=Fraction)
+
+
+def _factors(unit: str) -> Counter[str]:
+    """Read ``N m s/rad`` as ``{N: 1, m: 1, s: 1, rad: -1}``."""
+    text = unit.replace("**", "^").strip()
+    tokens = [token.strip(" *·\t\n") for token in _TOKEN.findall(text)]
+    readable = len(text) <= _LONGEST and not _TOKEN.sub("", text)
+    waiting = [token for token in reversed(tokens) if token]
+    factors = _quotient(waiting) if readable and waiting else Counter[str]()
+    if not readable or factors is None or waiting:
+        raise UnitError(
+            f"cannot read {text[:_LONGEST]!r} as a unit; write it like N m s/rad or m/s^2: "
+            "spaces multiply, everything after the one slash divides"
+        )
+    return factors
+
+
+def _quotient(waiting: list[str]) -> Counter[str] | None:
+    """Take ``product[/product]`` from the end of `waiting`; None where that is not what waits there."""
+    factors = _product(waiting)
+    if factors is not None and waiting and waiting[-1] == "/":
+        waiting.pop()
+        below = _product(waiting)
+        if below is None:
+            return None
+        factors.subtract(below)
+    return factors
+
+
+def _product(waiting: list[str]) -> Counter[str] | None:
+    product, empty = Counter[str](), True
+    while waiting and waiting[-1] not in {"/", ")"}:
+        token, empty = waiting.pop(), False
+        if token == "(":
+            inner = _quotient(waiting)
+            if inner is None or not waiting or waiting.pop() != ")":
+                return None
+            product.update(inner)
+        elif token.startswith("^"):
+            return None
+        elif token != "1":
+            product[token] += int(waiting.pop()[1:]) if waiting and waiting[-1].startswith("^") else 1
+    return None if empty else product
