@@ -1,0 +1,253 @@
+"""A serial chain of one-degree joints, its numbers rational and its rotations exactly orthogonal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.errors import ValueFault
+from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
+from dmframe.robot.urdf import read_urdf
+
+AXES = ("x", "y", "z", "xy", "xz", "yz", "xyz")
+TOOL_FRAME = "dmframe_tool"
+# What a quarter turn written with ten digits leaves of a translation that is meant as 0. [m]
+NOTHING = 1e-11
+
+
+@final
+@dataclass(frozen=True)
+class Joint:
+    """One joint: its frame at q = 0 in its parent's, its axis in its own frame, and the maker's limits.
+
+    `rotation` carries this frame's coordinates to the parent's, as Pinocchio's `jointPlacements` do. Limits in rad,
+    rad/s and N m (m, m/s and N for a prismatic joint); infinite where the robot states none.
+    """
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    axis: Vector
+    rotation: Matrix
+    translation: Vector
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+
+
+@final
+@dataclass(frozen=True)
+class SerialChain:
+    """A robot whose free joints form one chain; held joints are merged into the links before them.
+
+    Attributes
+    ----------
+    joints : n joints, from the base to the tool
+    tool : (3,), m
+        The tool point in the last joint's frame.
+    inertia : n rows of 10
+        m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the joint frame's origin: Pinocchio's order.
+    gravity : (3,), m/s^2
+    axes : "xyz", "xy", ...
+        Which coordinates of the tool's position are the task.
+    rotation_change : largest change of an entry of a rotation or an axis by making it rational
+    model, model_tool : the reduced `pin.Model` and the tool's frame in it, the oracle
+    friction_velocity : rad/s
+        Where smooth Coulomb friction reaches tanh(1).
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    tool: Vector
+    inertia: tuple[Vector, ...]
+    gravity: Vector
+    axes: str
+    rotation_change: float
+    friction_velocity: float
+    model: Any = field(compare=False, repr=False)
+    model_tool: int = field(compare=False, repr=False)
+
+    @property
+    def n(self) -> int:
+        """The number of joints."""
+        return len(self.joints)
+
+    @property
+    def m(self) -> int:
+        """The number of task coordinates."""
+        return len(self.axes)
+
+    @property
+    def k(self) -> int:
+        """The number of kinematic parameters: a translation a joint, and the tool's."""
+        return 3 * (self.n + 1)
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The free joints' names, from the base to the tool."""
+        return tuple(joint.name for joint in self.joints)
+
+    @classmethod
+    def from_urdf(
+        cls,
+        path: str | Path,
+        *,
+        free: Sequence[str] | None = None,
+        hold: Mapping[str, float] | None = None,
+        tool: str | Sequence[float] | None = None,
+        axes: str = "xyz",
+        name: str | None = None,
+        friction_velocity: float = 0.005,
+    ) -> SerialChain:
+        """The chain of a URDF file; see :meth:`from_model` for the arguments.
+
+        Raises
+        ------
+        MissingError, RobotError
+            No such file, or not a URDF: see :func:`dmframe.robot.urdf.read_urdf`.
+        """
+        model, mimics = read_urdf(Path(path))
+        return cls.from_model(
+            model,
+            free=free,
+            hold=hold,
+            tool=tool,
+            axes=axes,
+            name=name,
+            friction_velocity=friction_velocity,
+            mimics=mimics,
+        )
+
+    @classmethod
+    def from_model(
+        cls,
+        model: Any,
+        *,
+        free: Sequence[str] | None = None,
+        hold: Mapping[str, float] | None = None,
+        tool: str | Sequence[float] | None = None,
+        axes: str = "xyz",
+        name: str | None = None,
+        friction_velocity: float = 0.005,
+        mimics: frozenset[str] = frozenset(),
+    ) -> SerialChain:
+        """The chain of a `pin.Model`.
+
+        Parameters
+        ----------
+        free : joint names, in any order
+            All others are locked, at `hold` or at 0. Default: the joints on the way to the tool that `hold` lacks.
+        hold : joint name to angle, rad (m for a prismatic joint)
+        tool : frame name, or (3,) in m in the last free joint's frame
+            Default: the last body frame of the only chain.
+        axes : one of x, y, z, xy, xz, yz, xyz
+        mimics : joints that follow another; they may be held, not free
+
+        Raises
+        ------
+        UnknownNameError
+            A joint or a frame that the robot has not.
+        ValueFault
+            An argument out of range.
+        RobotError
+            Free joints that are no chain of revolute and prismatic joints, or a robot without inertia.
+        """
+        from dmframe.robot.reduction import check_inertia, reduce_model
+
+        name = name or model.name
+        _check_numbers(name, axes, friction_velocity)
+        reduced, tool_frame = reduce_model(model, name, free=free, hold=hold or {}, tool=tool, mimics=mimics)
+        check_inertia(reduced, name)
+        built = [_joint(reduced, i) for i in range(1, reduced.njoints)]
+        return cls(
+            name=name,
+            joints=tuple(joint for joint, _ in built),
+            tool=_translation(reduced.frames[tool_frame].placement),
+            inertia=tuple(_decimals(body.toDynamicParameters()) for body in list(reduced.inertias)[1:]),
+            gravity=_decimals(reduced.gravity.linear),
+            axes=axes,
+            rotation_change=max(change for _, change in built),
+            friction_velocity=float(friction_velocity),
+            model=reduced,
+            model_tool=tool_frame,
+        )
+
+
+def pin_configuration(chain: SerialChain, q: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """The configuration of `chain.model` at joint angles q; Pinocchio keeps an unbounded angle as cosine and sine."""
+    return model_configuration(chain.model, dict(zip(chain.joint_names, np.asarray(q, dtype=float), strict=True)))
+
+
+def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.float64]:
+    """The neutral configuration of `model`, with the one-degree joints of `angles` at their values."""
+    import pinocchio as pin
+
+    configuration = np.array(pin.neutral(model), dtype=float)
+    for name, angle in angles.items():
+        joint = model.joints[model.getJointId(name)]
+        value = (math.cos(angle), math.sin(angle)) if joint.nq == 2 else (angle,)
+        configuration[joint.idx_q : joint.idx_q + joint.nq] = value
+    return configuration
+
+
+def _check_numbers(name: str, axes: str, friction_velocity: float) -> None:
+    if axes not in AXES:
+        raise ValueFault(
+            f"robot {name}: expected axes to be one of {', '.join(AXES)}; found {axes!r}", path=("robot", "axes")
+        )
+    if not (math.isfinite(friction_velocity) and friction_velocity > 0):
+        raise ValueFault(
+            f"robot {name}: expected a friction velocity > 0 in rad/s, found {friction_velocity}",
+            path=("robot", "friction_velocity"),
+        )
+
+
+def _joint(model: Any, index: int) -> tuple[Joint, float]:
+    """A joint of a reduced model, and the largest change that rational numbers made to it."""
+    joint, placement = model.joints[index], model.jointPlacements[index]
+    subspace = motion_subspace(joint)
+    revolute = bool(np.any(subspace[3:]))
+    axis = subspace[3:] if revolute else subspace[:3]
+    exact_axis, exact_rotation = rational_axis(axis), rational_rotation(placement.rotation)
+    change = max(
+        float(np.max(np.abs(np.array(exact_axis, dtype=float) - axis))),
+        float(np.max(np.abs(np.array(exact_rotation, dtype=float) - placement.rotation))),
+    )
+    bounded = joint.nq == 1
+    return Joint(
+        name=model.names[index],
+        kind="revolute" if revolute else "prismatic",
+        axis=exact_axis,
+        rotation=exact_rotation,
+        translation=_translation(placement),
+        lower=_limit(model.lowerPositionLimit[joint.idx_q]) if bounded else -math.inf,
+        upper=_limit(model.upperPositionLimit[joint.idx_q]) if bounded else math.inf,
+        velocity=_limit(model.velocityLimit[joint.idx_v]),
+        effort=_limit(model.effortLimit[joint.idx_v]),
+    ), change
+
+
+def motion_subspace(joint: Any) -> NDArray[np.float64]:
+    """The six-vector (linear, angular) of a one-degree joint's unit velocity, in its own frame."""
+    subspace = joint.createData().S
+    return np.array(subspace if isinstance(subspace, np.ndarray) else subspace.vector, dtype=float).reshape(-1)
+
+
+def _limit(value: float) -> float:
+    """A limit, infinite where Pinocchio's largest double says that there is none."""
+    return float(value) if abs(value) < 1e300 else math.copysign(math.inf, value)
+
+
+def _translation(placement: Any) -> Vector:
+    return tuple(Fraction(0) if abs(x) < NOTHING else decimal(x) for x in placement.translation)
+
+
+def _decimals(values: NDArray[np.float64]) -> Vector:
+    return tuple(decimal(x) for x in values)

@@ -1,0 +1,55 @@
+r"""Symmetric linear systems in field operations only, so that exact arithmetic can follow every step."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+
+def ldl(A: Any) -> tuple[Any, list[Any]]:
+    r"""The unrolled factors of a symmetric positive definite matrix, :math:`A = L \,\mathrm{diag}(d)\, L^\top`.
+
+    Parameters
+    ----------
+    A : SX (n, n)
+        Only the lower triangle is read.
+
+    Returns
+    -------
+    L : SX (n, n), unit lower triangular
+    d : list of n SX scalars
+    """
+    n = A.shape[0]
+    L = ca.SX.eye(n)
+    d: list[Any] = []
+    for j in range(n):
+        # column[i] = L[i, j] d[j], kept before the division: n reciprocals for the whole factorisation.
+        column = [A[i, j] - sum(L[i, k] * d[k] * L[j, k] for k in range(j)) for i in range(j, n)]
+        d.append(column[0])
+        for i in range(j + 1, n):
+            L[i, j] = column[i - j] / d[j]
+    return L, d
+
+
+def solve_spd(A: Any, b: Any) -> Any:
+    r"""Solve :math:`A x = b` for a symmetric positive definite A, by :math:`L D L^\top` without a square root.
+
+    Parameters
+    ----------
+    A : SX (n, n)
+        Only the lower triangle is read.
+    b : SX (n, columns)
+    """
+    L, d = ldl(A)
+    n = A.shape[0]
+    x = ca.SX(b)
+    for i in range(n):
+        for j in range(i):
+            x[i, :] -= L[i, j] * x[j, :]
+    for i in range(n):
+        x[i, :] /= d[i]
+    for i in reversed(range(n)):
+        for j in range(i + 1, n):
+            x[i, :] -= L[j, i] * x[j, :]
+    return x

@@ -1,0 +1,206 @@
+"""From a robot with any joints to the one chain of free joints that a graph drives."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dmframe.errors import RobotError, UnknownNameError, ValueFault
+from dmframe.robot.chain import TOOL_FRAME, model_configuration, motion_subspace
+
+
+def reduce_model(
+    model: Any,
+    name: str,
+    *,
+    free: Sequence[str] | None,
+    hold: Mapping[str, float],
+    tool: str | Sequence[float] | None,
+    mimics: frozenset[str],
+) -> tuple[Any, int]:
+    """The model with all but its free joints locked, and the index of the tool's frame in it.
+
+    Raises
+    ------
+    UnknownNameError, ValueFault, RobotError
+        See :meth:`dmframe.robot.chain.SerialChain.from_model`.
+    """
+    import pinocchio as pin
+
+    where = f"robot {name}"
+    names = list(model.names)[1:]
+    _check_names(where, names, free, hold)
+    for joint in names:
+        # Pinocchio's reduction crashes on a joint without a frame, which a model built by hand may have.
+        if not model.existFrame(joint):
+            raise RobotError(f"{where}: joint {joint} has no frame in the model; call model.addJointFrame on it")
+    if isinstance(tool, str):
+        _frame(model, tool, where)
+    kept = set(free) if free is not None else _on_the_way(model, where, tool) - set(hold)
+    if not kept:
+        raise RobotError(f"{where}: no free joint is left; hold fewer joints", path=("robot", "free"))
+    _check_kinds(model, where, kept, hold, mimics)
+    locked = [model.getJointId(joint) for joint in names if joint not in kept]
+    reduced = pin.buildReducedModel(model, locked, model_configuration(model, hold))
+    _check_chain(reduced, where)
+    return reduced, _tool_frame(reduced, tool, where)
+
+
+def _check_names(where: str, names: Sequence[str], free: Sequence[str] | None, hold: Mapping[str, float]) -> None:
+    for key, given in (("free", list(free or ())), ("hold", list(hold))):
+        for joint in given:
+            if joint not in names:
+                raise UnknownNameError(f"{where}: {key}: {joint}", "joint", joint, names, path=("robot", key))
+            if given.count(joint) > 1:
+                raise ValueFault(f"{where}: free names joint {joint} twice", path=("robot", "free"))
+    for joint, angle in hold.items():
+        if free is not None and joint in free:
+            raise RobotError(f"{where}: joint {joint} is both free and held; choose one", path=("robot", "hold"))
+        if not math.isfinite(angle):
+            raise ValueFault(
+                f"{where}: expected a finite angle to hold {joint} at, found {angle}", path=("robot", "hold")
+            )
+
+
+def _check_kinds(model: Any, where: str, kept: set[str], hold: Mapping[str, float], mimics: frozenset[str]) -> None:
+    for index in range(1, model.njoints):
+        joint, name = model.joints[index], model.names[index]
+        if name not in kept and name not in hold:
+            continue
+        kind = joint.shortname().removeprefix("JointModel")
+        if name in kept and (name in mimics or kind.startswith("Mimic")):
+            raise RobotError(
+                f"{where}: joint {name} mimics another joint; it can be held, not free", path=("robot", "free")
+            )
+        if joint.nv != 1:
+            use = "a free joint to be" if name in kept else "a held joint to be"
+            raise RobotError(
+                f"{where}: joint {name} is of type {kind}; expected {use} revolute or prismatic",
+                path=("robot", "free" if name in kept else "hold"),
+            )
+        subspace = motion_subspace(joint)
+        if name in kept and np.any(subspace[:3]) and np.any(subspace[3:]):
+            raise RobotError(
+                f"{where}: joint {name} is of type {kind}; expected a free joint to be revolute or prismatic",
+                path=("robot", "free"),
+            )
+        if name in kept and model.armature[joint.idx_v] != 0:
+            raise RobotError(
+                f"{where}: joint {name} has an armature; expected none: add the rotor's inertia to its link",
+                path=("robot", "model"),
+            )
+
+
+def _on_the_way(model: Any, where: str, tool: str | Sequence[float] | None) -> set[str]:
+    """The joints between the base and the tool's frame, or of the only chain."""
+    if isinstance(tool, str):
+        index = model.frames[_frame(model, tool, where)].parentJoint
+    else:
+        leaves = [i for i in range(1, model.njoints) if i not in set(model.parents)]
+        if len(leaves) > 1:
+            ends = ", ".join(model.names[i] for i in leaves)
+            raise RobotError(
+                f"{where}: has {len(leaves)} chains, which end in {ends}; name a tool or the free joints",
+                path=("robot", "tool"),
+            )
+        index = leaves[0] if leaves else 0
+    return {model.names[i] for i in model.supports[index] if i}
+
+
+def _check_chain(model: Any, where: str) -> None:
+    for parent in range(model.njoints):
+        children = [model.names[i] for i in range(1, model.njoints) if model.parents[i] == parent]
+        if len(children) > 1:
+            fork = f"joint {model.names[parent]}" if parent else "the base"
+            raise RobotError(
+                f"{where}: expected the free joints to form one chain; at {fork} it branches into "
+                f"{' and '.join(children)}: hold all branches but one",
+                path=("robot", "free"),
+            )
+
+
+def _frame(model: Any, frame: str, where: str) -> int:
+    """The index of a frame, a body's rather than a joint's of the same name."""
+    import pinocchio as pin
+
+    found = [i for i, candidate in enumerate(model.frames) if candidate.name == frame]
+    if not found:
+        names = {candidate.name for candidate in model.frames if candidate.type != pin.FrameType.JOINT}
+        raise UnknownNameError(f"{where}: tool: {frame}", "frame", frame, names, path=("robot", "tool"))
+    return next((i for i in found if model.frames[i].type == pin.FrameType.BODY), found[0])
+
+
+def _tool_frame(model: Any, tool: str | Sequence[float] | None, where: str) -> int:
+    import pinocchio as pin
+
+    last = model.njoints - 1
+    if isinstance(tool, str):
+        index = _frame(model, tool, where)
+        if model.frames[index].parentJoint != last:
+            moving = model.names[model.frames[index].parentJoint]
+            raise RobotError(
+                f"{where}: tool {tool} moves with {moving}, not with the last free joint {model.names[last]}; "
+                "hold the joints behind the tool",
+                path=("robot", "tool"),
+            )
+        return index
+    if tool is None:
+        bodies = [i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY and f.parentJoint == last]
+        tool, start = ((0.0, 0.0, 0.0), last) if not bodies else (None, bodies[-1])
+        if tool is None:
+            return start
+    point = np.asarray(tool, dtype=float)
+    if point.shape != (3,) or not np.all(np.isfinite(point)):
+        raise ValueFault(
+            f"{where}: expected the tool as a frame's name or 3 finite numbers in m, found {list(tool)}",
+            path=("robot", "tool"),
+        )
+    placement = pin.SE3(np.eye(3), point)
+    return int(model.addFrame(pin.Frame(TOOL_FRAME, last, 0, placement, pin.FrameType.OP_FRAME)))
+
+
+def check_inertia(model: Any, name: str) -> None:
+    """Refuse a chain that no torque could move lawfully: a bad mass, or a joint that carries no inertia.
+
+    Raises
+    ------
+    RobotError
+        Names the joint.
+    """
+    import pinocchio as pin
+
+    where = f"robot {name}"
+    for index in range(1, model.njoints):
+        parameters = model.inertias[index].toDynamicParameters()
+        if not np.all(np.isfinite(parameters)) or parameters[0] < 0:
+            raise RobotError(
+                f"{where}: expected a finite mass >= 0 and a finite inertia behind joint {model.names[index]}, "
+                f"found mass {parameters[0]:g}",
+                path=("robot", "model"),
+            )
+    data = model.createData()
+    for angle in (0.0, 0.7, -1.9):
+        angles = {joint: angle * (1 + 0.3 * i) for i, joint in enumerate(list(model.names)[1:])}
+        pin.crba(model, data, model_configuration(model, angles))
+        upper = np.triu(data.M)
+        joint = _weak_joint(upper + np.triu(upper, 1).T)
+        if joint is not None:
+            raise RobotError(
+                f"{where}: the mass matrix is not positive definite: nothing behind joint {model.names[joint + 1]} has "
+                "enough mass or inertia; give its link an inertia, or hold it",
+                path=("robot", "model"),
+            )
+
+
+def _weak_joint(M: Any) -> int | None:
+    """The joint that a mass matrix fails to be positive definite in, up to rounding; None where it is."""
+    diagonal = np.diag(M)
+    if np.min(diagonal) <= 0:
+        # The last one: a joint without inertia behind it, rather than those before, which may borrow from it.
+        return int(np.flatnonzero(diagonal <= 0)[-1])
+    scale = 1 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(M * np.outer(scale, scale))
+    return int(np.argmax(np.abs(vectors[:, 0]))) if values[0] < 1e-10 else None

@@ -1,0 +1,348 @@
+r"""A serial robot's equations of motion as CasADi expressions that exact arithmetic can follow.
+
+The robot's numbers enter as symbols that carry a rational value: CasADi folds floating-point constants, which would
+break exact certificates. Only 0, 1, -1 and 1/2 stand as literals; only + - * /, and sin and cos of single joint angles
+occur (and tanh in the friction law).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.rational import Matrix, Vector, decimal
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Constant:
+    """Numbers of the robot under one name: a column of symbols, and the rational value of each."""
+
+    name: str
+    symbol: Any
+    values: Vector
+    unit: str
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Link:
+    """One joint and the body behind it, at q: what every recursion needs.
+
+    `rotation` carries the joint frame's coordinates to the parent's; `offset` is the joint frame's origin there.
+    """
+
+    revolute: bool
+    axis: Any
+    rotation: Any
+    offset: Any
+
+
+def skew(v: Any) -> Any:
+    r"""The matrix :math:`[v]_\times` of the cross product with v."""
+    return ca.skew(v)
+
+
+@final
+class SymbolicRobot:
+    r"""Kinematics and dynamics of a :class:`SerialChain`, each quantity one method.
+
+    n joints, m task coordinates, k = 3 (n + 1) kinematic parameters: the translation of each joint in its parent and
+    the tool's in the last joint. The 10 n inertial parameters follow Pinocchio's order, joint by joint. Angles in rad,
+    lengths in m, torques in N m (forces in N at prismatic joints).
+
+    Attributes
+    ----------
+    constants : the robot's numbers, each a column of symbols with its rational values
+        `inertia` (10 n), `a_k` (k), `gravity` and `rotations` (the entries that are not 0 or +-1), `friction_velocity`.
+    inertia : SX (10 n), the symbols of the inertial parameters
+    a_k : SX (k), the symbols of the kinematic parameters, with a literal 0 where the value is 0
+    gravity : SX (3), likewise
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (1) to (5).
+    """
+
+    def __init__(self, chain: SerialChain, prefix: str = "robot") -> None:
+        self.chain = chain
+        self.n, self.m, self.k = chain.n, chain.m, chain.k
+        flatten = itertools.chain.from_iterable
+        kinematic = tuple(x for joint in chain.joints for x in joint.translation) + chain.tool
+        self._inertia = _constant(f"{prefix}.inertia", tuple(flatten(chain.inertia)), "")
+        self._a_k = _constant(f"{prefix}.a_k", kinematic, "m")
+        self._gravity = _constant(f"{prefix}.gravity", _nonzero(chain.gravity), "m/s^2")
+        odd = [x for joint in chain.joints for x in (*flatten(joint.rotation), *joint.axis) if x not in (0, 1, -1)]
+        self._rotations = _constant(f"{prefix}.rotations", tuple(odd), "")
+        self._friction = _constant(f"{prefix}.friction_velocity", (decimal(chain.friction_velocity),), "rad/s")
+        everything = (self._inertia, self._a_k, self._gravity, self._rotations, self._friction)
+        self.constants: tuple[Constant, ...] = tuple(constant for constant in everything if constant.values)
+
+        symbols = iter(ca.vertsplit(self._rotations.symbol) if odd else [])
+        self._placements = []
+        for joint in chain.joints:
+            rotation = [[_entry(x, symbols) for x in row] for row in joint.rotation]
+            axis = [_entry(x, symbols) for x in joint.axis]
+            self._placements.append((_matrix(rotation), ca.vertcat(*axis)))
+        symbols = iter(ca.vertsplit(self._gravity.symbol) if self._gravity.values else [])
+        self.gravity = ca.vertcat(*(ca.SX(0) if x == 0 else next(symbols) for x in chain.gravity))
+        pairs = zip(ca.vertsplit(self._a_k.symbol), kinematic, strict=True)
+        self.a_k = ca.vertcat(*(ca.SX(0) if value == 0 else symbol for symbol, value in pairs))
+        self.inertia = self._inertia.symbol
+
+    def values(self) -> dict[str, NDArray[np.float64]]:
+        """The numeric value of each constant, by name."""
+        return {constant.name: np.array([float(x) for x in constant.values]) for constant in self.constants}
+
+    # Kinematics
+
+    def position(self, q: Any, a_k: Any = None) -> Any:
+        """The task position x = f(q), eq. (1): the tool's coordinates `axes` in the base frame, SX (m)."""
+        offsets = self._offsets(a_k)
+        point = offsets[-1]
+        for link in reversed(self._links(q, a_k)):
+            point = link.offset + link.rotation @ point
+        return self._task(point)
+
+    def jacobian(self, q: Any, a_k: Any = None) -> Any:
+        r"""The task Jacobian J(q), eq. (2), SX (m, n): columns :math:`z_i \times (x - o_i)`; :math:`z_i` if prismatic."""
+        rotation, origin = ca.SX.eye(3), ca.SX(3, 1)
+        axes, origins = [], []
+        for link in self._links(q, a_k):
+            origin = origin + rotation @ link.offset
+            rotation = rotation @ link.rotation
+            axes.append(rotation @ link.axis)
+            origins.append(origin)
+        tool = origin + rotation @ self._offsets(a_k)[-1]
+        columns = [
+            ca.cross(axis, tool - origin) if joint.kind == "revolute" else axis
+            for joint, axis, origin in zip(self.chain.joints, axes, origins, strict=True)
+        ]
+        return self._task(ca.horzcat(*columns))
+
+    def kinematic_regressor(self, q: Any, psi: Any) -> Any:
+        r"""Y_k(q, psi) of :math:`J(q)\psi = Y_k(q, \psi) a_k + J_p(q)\psi`, eq. (4), SX (m, k).
+
+        :math:`J_p`, the part that no parameter scales, comes from prismatic joints alone; with revolute joints
+        :math:`J(q)\psi = Y_k a_k`.
+        """
+        a_k = ca.SX.sym("a_k", self.k)
+        return ca.jacobian(self.jacobian(q, a_k) @ psi, a_k)
+
+    # Dynamics
+
+    def inverse_dynamics(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any, inertia: Any = None) -> Any:
+        r"""The torque :math:`M(q)\ddot q_{ref} + C(q,\dot q)\dot q_{ref} + g(q)`, eqs. (3) and (5), SX (n).
+
+        The Newton-Euler recursion with every product of two velocities polarised,
+        :math:`\tfrac12 (p(\dot q) r(\dot q_{ref}) + p(\dot q_{ref}) r(\dot q))`, because :math:`C(q,a)b` with the
+        Christoffel C is the symmetric bilinear form of the velocity terms. One O(n) pass, linear in the inertial
+        parameters.
+
+        Parameters
+        ----------
+        q, dq, dq_ref, ddq_ref : SX (n)
+        inertia : SX (10 n), default the robot's own
+
+        References
+        ----------
+        [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
+        """
+        links = self._links(q)
+        h = _bodies(self.inertia if inertia is None else inertia, self.n)
+        omega = nu = dnu = ca.SX(3, 1)
+        acceleration = -self.gravity
+        A = ca.SX(3, 3)
+        forces = []
+        for i, link in enumerate(links):
+            R_t, a = link.rotation.T, link.axis
+            acceleration = R_t @ (acceleration + A @ link.offset)
+            omega, nu, dnu = R_t @ omega, R_t @ nu, R_t @ dnu
+            if link.revolute:
+                dnu += a * ddq_ref[i] + ca.cross(omega * _half(dq_ref[i]) + nu * _half(dq[i]), a)
+                omega, nu = omega + a * dq[i], nu + a * dq_ref[i]
+            else:
+                acceleration += a * ddq_ref[i] + ca.cross(omega * dq_ref[i] + nu * dq[i], a)
+            A, B = _acceleration_field(omega, nu, dnu)
+            forces.append(h[i].wrench(acceleration, dnu, A, B))
+        return _project(links, forces)
+
+    def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
+        r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's Jacobian in the inertia."""
+        return ca.jacobian(self.inverse_dynamics(q, dq, dq_ref, ddq_ref), self.inertia)
+
+    def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
+        r"""M(q), SX (n, n), by composite bodies; symmetric by construction.
+
+        References
+        ----------
+        [Featherstone2008]_ section 6.2.
+        """
+        links = self._links(q)
+        composites = _bodies(self.inertia if inertia is None else inertia, self.n)
+        M = ca.SX(self.n, self.n)
+        for i in reversed(range(self.n)):
+            force, moment = composites[i].momentum(links[i])
+            for j in range(i, -1, -1):
+                link = links[j]
+                M[i, j] = M[j, i] = ca.dot(link.axis, moment if link.revolute else force)
+                force, moment = _carry(link, force, moment)
+            if i:
+                composites[i - 1] = composites[i - 1] + composites[i].in_parent(links[i])
+        return ca.densify(M)
+
+    def coriolis(self, q: Any, dq: Any, inertia: Any = None) -> Any:
+        r"""The Christoffel matrix C(q, dq), SX (n, n): the Jacobian of :math:`C(q, \dot q) b` in b."""
+        b = ca.SX.sym("b", self.n)
+        zero = ca.SX(self.n, 1)
+        return ca.densify(ca.jacobian(self.inverse_dynamics(q, dq, b, zero, inertia), b))
+
+    def gravity_torque(self, q: Any, inertia: Any = None) -> Any:
+        """The torque g(q) that holds the robot still, SX (n)."""
+        zero = ca.SX(self.n, 1)
+        return self.inverse_dynamics(q, zero, zero, zero, inertia)
+
+    def coulomb(self, dq: Any) -> Any:
+        r"""The smooth sign :math:`\varphi(\dot q) = \tanh(\dot q / v_0)` of Coulomb friction, SX (n).
+
+        :math:`v_0` is `friction_velocity` [rad/s]; the function is odd and increasing, which is what the proofs need.
+        """
+        return ca.tanh(dq / self._friction.symbol)
+
+    def _task(self, rows: Any) -> Any:
+        return ca.densify(rows[["xyz".index(letter) for letter in self.chain.axes], :])
+
+    def _offsets(self, a_k: Any) -> list[Any]:
+        return list(ca.vertsplit(self.a_k if a_k is None else a_k, 3))
+
+    def _links(self, q: Any, a_k: Any = None) -> list[Link]:
+        """Each joint's transform at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
+        links = []
+        placed = zip(self.chain.joints, self._placements, self._offsets(a_k)[:-1], ca.vertsplit(q), strict=True)
+        for joint, (R, a), offset, angle in placed:
+            if joint.kind == "prismatic":
+                links.append(Link(False, a, R, offset + R @ a * angle))
+                continue
+            along = a @ a.T
+            turn = along + ca.cos(angle) * (ca.SX.eye(3) - along) + ca.sin(angle) * skew(a)
+            links.append(Link(True, a, ca.sparsify(R @ turn), offset))
+        return links
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Ten inertial parameters in a joint's frame: mass, first moment (3), inertia about the frame's origin (3, 3)."""
+
+    mass: Any
+    moment: Any
+    inertia: Any
+
+    def __add__(self, other: Body) -> Body:
+        return Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
+
+    def wrench(self, acceleration: Any, dnu: Any, A: Any, B: Any) -> tuple[Any, Any]:
+        r"""Force and moment about the origin that the motion takes, linear in the ten parameters.
+
+        A point r of the body accelerates by :math:`\dot v + A r`, so with :math:`\Sigma = \int r r^\top dm` the force
+        is :math:`m \dot v + A h` and the moment :math:`h \times \dot v + \mathrm{vee}(A \Sigma - \Sigma A^\top)`. Below,
+        :math:`\Sigma` is written in the entries of I, in which the antisymmetric part of A gives :math:`I \dot\nu`.
+        """
+        J = self.inertia
+        turning = [
+            dnu[i] * J[i, i]
+            + A[j, i] * J[k, i]
+            - A[k, i] * J[j, i]
+            + (B[j, j] - B[k, k]) * J[j, k]
+            + B[j, k] * (J[k, k] - J[j, j])
+            for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
+        ]
+        force = self.mass * acceleration + A @ self.moment
+        return force, ca.vertcat(*turning) + ca.cross(self.moment, acceleration)
+
+    def momentum(self, link: Link) -> tuple[Any, Any]:
+        """Linear momentum, and angular about the origin, of a unit velocity of the body's joint."""
+        if link.revolute:
+            return ca.cross(link.axis, self.moment), self.inertia @ link.axis
+        return self.mass * link.axis, ca.cross(self.moment, link.axis)
+
+    def in_parent(self, link: Link) -> Body:
+        r"""The same body in the parent's frame: :math:`I_p = R I R^\top - [p][R h] - [R h][p] - m [p][p]`."""
+        R, p = link.rotation, link.offset
+        h = R @ self.moment
+        shift = skew(p)
+        # -[p][h] - [h][p] - m [p]^2 = -[p][h + m p / 2] - its transpose: symmetric, one product.
+        product = shift @ skew(h + self.mass * p * 0.5)
+        turned = R @ self.inertia @ R.T
+        return Body(self.mass, h + self.mass * p, _symmetric(turned - product - product.T))
+
+
+def _bodies(parameters: Any, n: int) -> list[Body]:
+    bodies = []
+    for m, x, y, z, xx, xy, yy, xz, yz, zz in (ca.vertsplit(row) for row in ca.vertsplit(parameters, 10)):
+        inertia = _matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        bodies.append(Body(m, ca.vertcat(x, y, z), inertia))
+    return bodies
+
+
+def _acceleration_field(omega: Any, nu: Any, dnu: Any) -> tuple[Any, Any]:
+    r"""A and its symmetric part B: a point r of the body accelerates, relative to the origin, by A r.
+
+    :math:`A = [\dot\nu]_\times + B`,
+    :math:`B r = \tfrac12(\omega \times (\nu \times r) + \nu \times (\omega \times r))`.
+    """
+    wx, wy, wz = (omega[i] * nu[i] for i in range(3))
+    xy, xz, yz = ((omega[i] * nu[j] + omega[j] * nu[i]) * 0.5 for i, j in ((0, 1), (0, 2), (1, 2)))
+    B = _matrix([[-wy - wz, xy, xz], [xy, -wx - wz, yz], [xz, yz, -wx - wy]])
+    return skew(dnu) + B, B
+
+
+def _carry(link: Link, force: Any, moment: Any) -> tuple[Any, Any]:
+    """A wrench about a joint's origin, taken to its parent's origin and frame."""
+    carried = link.rotation @ force
+    return carried, link.rotation @ moment + ca.cross(link.offset, carried)
+
+
+def _project(links: Sequence[Link], wrenches: Sequence[tuple[Any, Any]]) -> Any:
+    """Joint torques of each body's own wrench: sum from the tool to the base, project on each axis."""
+    torques = []
+    force = moment = ca.SX(3, 1)
+    for link, (own_force, own_moment) in zip(reversed(links), reversed(wrenches), strict=True):
+        force, moment = force + own_force, moment + own_moment
+        torques.append(ca.dot(link.axis, moment if link.revolute else force))
+        force, moment = _carry(link, force, moment)
+    return ca.vertcat(*reversed(torques))
+
+
+def _half(x: Any) -> Any:
+    return x * 0.5
+
+
+def _constant(name: str, values: Vector, unit: str) -> Constant:
+    return Constant(name, ca.SX.sym(name, len(values)), values, unit)
+
+
+def _nonzero(values: Vector) -> Vector:
+    return tuple(value for value in values if value != 0)
+
+
+def _entry(value: Fraction, symbols: Any) -> Any:
+    """A literal where the value is 0 or +-1, else the next symbol."""
+    return ca.SX(int(value)) if value in (0, 1, -1) else next(symbols)
+
+
+def _matrix(rows: Matrix | Sequence[Sequence[Any]]) -> Any:
+    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
+
+
+def _symmetric(A: Any) -> Any:
+    """The lower triangle of A on both sides, so that equal entries are one expression."""
+    return ca.tril(A) + ca.tril(A, False).T
