@@ -1,0 +1,1 @@
+"""From the text of a graph file to checked data."""

@@ -1,0 +1,314 @@
+"""Read a YAML text into plain data that knows its line and column.
+
+Scalars are those of YAML 1.2's core schema, read here rather than by the library, which is more generous: ``on`` and
+``yes`` are texts, ``1e-3`` is a number, and ``1_000`` is a text. Tags, directives and merge keys are refused; anchors
+are allowed, within bounds.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias, final
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+
+from dmframe.config.syntax import plain_words
+from dmframe.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all
+from dmframe.units import shorten
+
+Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
+Scalar: TypeAlias = "str | int | float | bool | None"
+Steps: TypeAlias = tuple[str | int, ...]
+
+_MOST_BYTES = 1_000_000
+_DEEPEST = 50
+_MOST_NODES = 100_000  # aliases counted as often as they are used
+
+_WORDS: dict[str, Scalar] = dict.fromkeys(("", "~", "null", "Null", "NULL"))
+_WORDS |= {form: form.lower() == "true" for form in ("true", "True", "TRUE", "false", "False", "FALSE")}
+_INTEGER = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+_FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+@final
+@dataclass(frozen=True)
+class Node:
+    """A value and where it stands; `size` counts what it holds, each alias in full."""
+
+    line: int
+    column: int
+    value: Scalar | list[Node] | dict[str, tuple[Node, Node]]
+    size: int = 1
+
+
+@final
+@dataclass(frozen=True)
+class Document:
+    """A YAML mapping as plain data; `name` is what messages call the text."""
+
+    name: str
+    data: dict[str, Any]
+    root: Node = field(repr=False, compare=False)
+
+    def locate(self, path: Sequence[str | int], key: bool = False) -> str:
+        """``graph.yaml:9:31``, where the value at `path` stands, or its key.
+
+        Where nothing stands at `path`, the place of the nearest ancestor's key: that is where to add it.
+        """
+        node, named = self.root, self.root
+        for step in path:
+            held = node.value
+            if isinstance(held, dict) and isinstance(step, str) and step in held:
+                named, node = held[step]
+            elif isinstance(held, list) and isinstance(step, int) and 0 <= step < len(held):
+                named = node = held[step]
+            else:
+                key = True
+                break
+        place = named if key else node
+        return f"{self.name}:{place.line}:{place.column}"
+
+
+def read_file(path: Path | str) -> Document:
+    """Read a graph file.
+
+    Raises `MissingError` where there is no such file, `DocumentError` where it cannot be read, and what
+    `read_document` raises.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_MOST_BYTES + 1)
+    except FileNotFoundError:
+        near = nearest(path.name, _neighbours(path.parent))
+        raise MissingError(f"expected a graph file, found none; {near}", location=str(path)) from None
+    except IsADirectoryError:
+        raise DocumentError("expected a graph file, found a folder; name a file in it", location=str(path)) from None
+    except OSError as fault:
+        reason = (fault.strerror or str(fault)).lower()
+        raise DocumentError(f"cannot read this file: {reason}", location=str(path)) from None
+    _check_size(len(raw), str(path))
+    try:
+        text = raw.decode("utf-8")
+    except UnicodeDecodeError as fault:
+        before = raw[: fault.start].decode("utf-8")
+        place = _place(str(path), before, len(before))
+        raise DocumentError(
+            f"expected text in UTF-8, found the byte 0x{raw[fault.start]:02x}; save the file as UTF-8", location=place
+        ) from None
+    return read_document(text, str(path))
+
+
+def read_document(text: str, name: str) -> Document:
+    """Read a YAML text that holds one mapping.
+
+    Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several of them as `Faults`.
+    """
+    text = text.removeprefix("\ufeff")
+    _check_size(len(text.encode("utf-8", "surrogatepass")), name)
+    strange = _UNPRINTABLE.search(text)
+    if strange:
+        raise DocumentError(
+            f"expected readable text, found the control character U+{ord(strange.group()):04X}; remove it",
+            location=_place(name, text, strange.start()),
+        )
+    reader = _Reader(name)
+    root: Node | None = None
+    try:
+        root = reader.document(text)
+    except MarkedYAMLError as fault:
+        problem, index = plain_words(fault, text)
+        reader.faults.append(DocumentError(problem, location=_place(name, text, index)))
+    except DocumentError as fault:
+        reader.faults.append(fault)
+    raise_all(reader.faults)
+    if root is None or root.value is None:
+        raise DocumentError("expected a graph, found nothing; a graph begins with dmframe: 1", location=f"{name}:1:1")
+    if not isinstance(root.value, dict):
+        raise DocumentError(
+            f"expected a graph, keys with their values, found {_kind(root.value)}; a graph begins with dmframe: 1",
+            location=f"{name}:{root.line}:{root.column}",
+        )
+    return Document(name, {key: _plain(value) for key, (_, value) in root.value.items()}, root)
+
+
+def _check_size(count: int, name: str) -> None:
+    if count > _MOST_BYTES:
+        raise DocumentError("a graph is at most 1 MB; is this the right file?", location=name)
+
+
+def _place(name: str, text: str, index: int) -> str:
+    start = text.rfind("\n", 0, index) + 1
+    return f"{name}:{text.count(chr(10), 0, index) + 1}:{index - start + 1}"
+
+
+def _neighbours(folder: Path) -> list[str]:
+    try:
+        return [item.name for item in folder.iterdir() if item.suffix in {".yaml", ".yml"}]
+    except OSError:
+        return []
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, dict):
+        return "a mapping"
+    return "a list" if isinstance(value, list) else f"the value {shorten(str(value), 30)}"
+
+
+def _plain(node: Node) -> Plain:
+    """Fresh dictionaries and lists, also for an alias: two places in the data never share one."""
+    if isinstance(node.value, dict):
+        return {key: _plain(value) for key, (_, value) in node.value.items()}
+    if isinstance(node.value, list):
+        return [_plain(item) for item in node.value]
+    return node.value
+
+
+class _Reader:
+    """Builds nodes from the parser's events and gathers the faults that do not stop the reading."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.faults: list[DmframeError] = []
+        self._count = 0
+        self._anchors: dict[str, Node | None] = {}  # None while the anchor's own value is being read
+
+    def document(self, text: str) -> Node | None:
+        # a stream: a text of one line that names a file must not be opened
+        events: Iterator[Any] = YAML(typ="safe", pure=True).parse(io.StringIO(text))
+        root: Node | None = None
+        for event in events:
+            if isinstance(event, DocumentStartEvent):
+                if root is not None:
+                    raise self._fault("a second document begins here; a graph file holds one", event)
+                if event.version or event.tags:
+                    self._note("directives (%) are not used in a graph; remove the lines that begin with %", event)
+                root = self._node(next(events), events, ())
+        return root
+
+    def _node(self, event: Any, events: Iterator[Any], path: Steps) -> Node:
+        if len(path) > _DEEPEST:
+            raise self._fault(f"nested deeper than {_DEEPEST} levels; a graph needs about four", event, path)
+        self._count += 1
+        self._bound(self._count, event, path)
+        if isinstance(event, AliasEvent):
+            return self._alias(event, path)
+        anchor, mark = event.anchor, event.start_mark
+        if anchor:
+            self._anchors[anchor] = None
+        value = self._value(event, events, path)
+        node = Node(mark.line + 1, mark.column + 1, value, self._size(value, event, path))
+        if anchor:
+            self._anchors[anchor] = node
+        return node
+
+    def _value(self, event: Any, events: Iterator[Any], path: Steps) -> Scalar | list[Node] | dict[str, Any]:
+        if event.tag is not None:
+            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            self._note(f"tags such as {shorten(tag)} are not used in a graph; write the value alone", event, path)
+        if isinstance(event, SequenceStartEvent):
+            items: list[Node] = []
+            while not isinstance(inner := next(events), SequenceEndEvent):
+                items.append(self._node(inner, events, (*path, len(items))))
+            return items
+        if isinstance(event, MappingStartEvent):
+            return self._mapping(events, path)
+        return self._scalar(event, path)
+
+    def _mapping(self, events: Iterator[Any], path: Steps) -> dict[str, tuple[Node, Node]]:
+        entries: dict[str, tuple[Node, Node]] = {}
+        while not isinstance(event := next(events), MappingEndEvent):
+            key = self._node(event, events, (*path, "?"))
+            name = key.value if isinstance(key.value, str) else str(getattr(event, "value", "?"))
+            if not isinstance(key.value, str):
+                written = f'; write "{shorten(name, 30)}" in quotes' if isinstance(event, ScalarEvent) else ""
+                self._note(f"a key is a text, found {self._named(key, event)}{written}", event, path)
+            elif name == "<<" and getattr(event, "style", None) is None:
+                self._note("merge keys (<<) are not part of YAML 1.2; write the keys out", event, path)
+            value = self._node(next(events), events, (*path, name))
+            if name in entries:
+                first = entries[name][0]
+                self._note(
+                    f"{'.'.join(map(str, (*path, shorten(name))))} stands twice, first at "
+                    f"{self.name}:{first.line}:{first.column}; keep one of them",
+                    event,
+                    (*path, name),
+                )
+            else:
+                entries[name] = (key, value)
+        return entries
+
+    def _named(self, key: Node, event: Any) -> str:
+        return f"the value {shorten(event.value, 30)}" if isinstance(event, ScalarEvent) else _kind(key.value)
+
+    def _scalar(self, event: Any, path: Steps) -> Scalar:
+        text: str = event.value
+        if event.style is not None:
+            return text
+        if text in _WORDS:
+            return _WORDS[text]
+        number: float = math.nan if _NOT_FINITE.fullmatch(text) else 0.0
+        try:
+            if _INTEGER.fullmatch(text):
+                return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
+            if _FLOAT.fullmatch(text):
+                number = float(text)
+            elif number == 0.0:
+                return text
+        except ValueError:  # Python refuses integers of thousands of digits
+            number = math.inf
+        if not math.isfinite(number):
+            where = ".".join(map(str, path))
+            found = f"{where}: expected a finite number, found {shorten(text, 30)}"
+            self.faults.append(ValueFault(found, path=path, location=self._at(event)))
+        return number
+
+    def _alias(self, event: Any, path: Steps) -> Node:
+        name = str(event.anchor)
+        node = self._anchors.get(name)
+        if node is not None:
+            return node
+        if name in self._anchors:
+            raise self._fault(f"the alias *{name} stands inside the value that it repeats; write it out", event, path)
+        self._note(f"the alias *{name} repeats no anchor; {nearest(name, self._anchors)}", event, path)
+        return Node(event.start_mark.line + 1, event.start_mark.column + 1, None)
+
+    def _size(self, value: object, event: Any, path: Steps) -> int:
+        inner: list[Node] = []
+        if isinstance(value, list):
+            inner = value
+        elif isinstance(value, dict):
+            inner = [node for pair in value.values() for node in pair]
+        size = 1 + sum(node.size for node in inner)
+        self._bound(size, event, path)
+        return size
+
+    def _bound(self, count: int, event: Any, path: Steps) -> None:
+        if count > _MOST_NODES:
+            raise self._fault(f"more than {_MOST_NODES} values, aliases written out; shorten the graph", event, path)
+
+    def _at(self, event: Any) -> str:
+        return f"{self.name}:{event.start_mark.line + 1}:{event.start_mark.column + 1}"
+
+    def _fault(self, text: str, event: Any, path: Steps = ()) -> DocumentError:
+        return DocumentError(text, path=path, location=self._at(event))
+
+    def _note(self, text: str, event: Any, path: Steps = ()) -> None:
+        self.faults.append(self._fault(text, event, path))

@@ -1,0 +1,49 @@
+"""Say in plain words why a text is no YAML, and where to look."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+_START = re.compile(r"found character '(.+)' that cannot start any token")
+_CONTENT = re.compile(r"expected the node content, but found '(.+)'")
+_TAB = re.compile(r"^ *\t[ \t]*[^\s#]", re.MULTILINE)
+
+
+def plain_words(fault: Any, text: str) -> tuple[str, int]:
+    """The reason and the index in `text` where it begins, for a fault of ruamel's scanner or parser.
+
+    The parser complains where it gives up, often lines below the culprit: an open bracket or quote is blamed where it
+    opens, and a tab in the indentation before anything else.
+    """
+    problem, context = str(fault.problem or fault), str(fault.context or "")
+    here = fault.problem_mark or fault.context_mark
+    end = here.index if here else 0
+    begin = fault.context_mark.index if fault.context_mark else end
+    line_end = text.find("\n", end)
+    tab = _TAB.search(text, 0, line_end if line_end >= 0 else len(text))
+    if tab and "quoted" not in context:
+        return "a tab indents this line; YAML indents with spaces", text.index("\t", tab.start())
+    if text[end : end + 1] == "\t":
+        return "a tab stands here; write spaces", end
+    if content := _CONTENT.search(problem):
+        found = "the end of the text" if "end" in content.group(1) else content.group(1)
+        return f"expected a value, found {found}; check the brackets, or put the value in quotes", end
+    if "unknown escape character" in problem:
+        return "in double quotes a backslash begins an escape; put the text in single quotes", end - 1
+    if "flow sequence" in context:
+        return "this list is not closed, or lacks a comma; check its [ ... , ... ]", begin
+    if "flow mapping" in context:
+        return "this mapping is not closed, or lacks a comma; check its { ... , ... }", begin
+    if "found unexpected end of stream" in problem:
+        return "this quote is never closed", begin
+    if "could not find expected ':'" in problem:
+        return "expected a colon and a space after this key", begin
+    if problem.startswith(("mapping values", "sequence entries")):
+        sign = "colon" if problem.startswith("mapping") else "dash"
+        return f"a {sign} cannot stand here; check the indentation, or put the text in quotes", end
+    if "expected <block end>" in problem:
+        return "this does not fit what stands before it; check indentation, quotes and brackets", end
+    if start := _START.search(problem):
+        return f"a value cannot begin with {start.group(1)}; put it in quotes", end
+    return f"not readable as YAML ({problem})", end
