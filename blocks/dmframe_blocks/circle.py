@@ -1,0 +1,60 @@
+"""A circle in the task space."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.parameter import Real, Scalar, Vector
+from dmframe.port import TIME, Port, Side
+
+
+@final
+class Circle(AbstractBlock):
+    r"""The tool's path is a circle, run through at a constant rate.
+
+    .. math::
+
+        x_d(t) = c + r\,(e_1 \sin(\omega t + \varphi) + e_2 \cos(\omega t + \varphi))   \tag{1}
+
+    with :math:`e_1, e_2` the two axes of `plane`; a task of two coordinates has only the one plane.
+
+    Parameters
+    ----------
+    center : (m,), m
+        c, the middle of the circle.
+    radius : scalar, m
+        r. At 0 the path is a point.
+    rate : scalar, rad/s
+        omega. The speed along the path is r times as much.
+    phase : scalar, rad
+        phi, where on the circle the path begins.
+    plane : xy, xz or yz
+        The plane in which the circle lies.
+
+    References
+    ----------
+    [WangTAC2020]_ Section V.
+    """
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m"),)
+
+    center: Vector = Real("m", "m", spread=False)
+    radius: Scalar = Real("", "m")
+    rate: Scalar = Real("", "rad/s")
+    phase: Scalar = Real("", "rad", default=0.0)
+    plane: Literal["xy", "xz", "yz"] = "xy"
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        m = p.center.numel()
+        first, second = ("xyz".index(axis) for axis in self.plane) if m == 3 else (0, 1)
+        angle = p.rate * u.t + p.phase
+        x_d = ca.SX(p.center)
+        x_d[first] += p.radius * ca.sin(angle)
+        x_d[second] += p.radius * ca.cos(angle)
+        return Equations(outputs={"x_d": x_d})

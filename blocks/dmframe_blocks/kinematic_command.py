@@ -1,0 +1,39 @@
+"""The baseline that everybody uses today: command the reference velocity."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.port import Access, Port
+
+
+@final
+class KinematicCommand(AbstractBlock):
+    r"""Trusts the servo to follow at once.
+
+    .. math::
+
+        \dot q_c = \dot q_{ref}   \tag{1}
+
+    It has no certificate: that the servo follows is what it assumes.
+
+    Parameters
+    ----------
+    None.
+
+    Notes
+    -----
+    Not for: a servo whose lag matters. It is here to be compared with.
+
+    References
+    ----------
+    [WangTAC2020]_ Section V, the comparison.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        return Equations(outputs={"dq_c": u.dq_ref})

@@ -1,0 +1,47 @@
+"""The Jacobian of known kinematics."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.port import Port
+
+
+@final
+class Kinematics(AbstractBlock):
+    r"""The task Jacobian of the robot's own geometry, and the task velocity that follows from it.
+
+    .. math::
+
+        J(q) &= \partial f(q) / \partial q   \tag{1} \\
+        \dot x &= J(q) \dot q                \tag{2}
+
+    The task velocity is computed, never measured; derived references such as the reference acceleration use it.
+
+    Parameters
+    ----------
+    None; the geometry is the robot's.
+
+    Notes
+    -----
+    Not for: a tool or links whose lengths are uncertain.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (1), (2).
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq", "n", "rad/s"), Port("x", "m", "m"))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("J", "m n", "m/rad"), Port("dx", "m", "m/s", derivative_of="x"))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        J = p.robot.jacobian(u.q)
+        return Equations(outputs={"J": J, "dx": J @ u.dq})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored."""
+        return Certificate()

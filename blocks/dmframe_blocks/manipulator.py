@@ -1,0 +1,104 @@
+"""A rigid serial manipulator with motor constants and joint friction."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Lemma, Square
+from dmframe.robot.linalg import solve_spd
+from dmframe.parameter import Diagonal, NonNegative, Positive
+from dmframe.port import Access, Port, Side, State
+
+
+@final
+class Manipulator(AbstractBlock):
+    r"""The robot: rigid links, motors that turn voltage into torque, friction at the joints.
+
+    .. math::
+
+        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g(q) = K u, \quad x = f(q)   \tag{1}
+
+    :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0` is the robot's `friction_velocity`,
+    the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
+
+    .. math::
+
+        S &= \tfrac12 \sigma^\top M \sigma   \tag{2} \\
+        \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
+                  - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
+
+    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + g`; the last term
+    of (3) is not positive, since the friction does not decrease with velocity.
+
+    Parameters
+    ----------
+    viscous : diagonal (n,), N m s/rad, >= 0
+        B.
+    coulomb : diagonal (n,), N m, >= 0
+        D.
+    K : diagonal (n,), N m/V, > 0
+        Torque a volt.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (1), (3), properties P2 and P3; Section V for the friction.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad", Access.MEASURED),
+        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Port("x", "m", "m", Access.MEASURED),
+        Port("ddq", "n", "rad/s^2", derivative_of="dq"),
+        Port("g", "n", "N m"),
+        Port("K", "n", "N m/V"),
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+    )
+    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("sigma", "n", "rad/s"),
+        Port("dq_ref", "n", "rad/s"),
+        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    )
+
+    viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
+    coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
+    K: Diagonal = Positive("n", "N m/V", default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        robot = p.robot
+        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n))
+        friction = p.viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
+        ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
+        return Equations(
+            outputs={
+                "q": x.q,
+                "dq": x.dq,
+                "x": robot.position(x.q),
+                "ddq": ddq,
+                "g": robot.gravity_torque(x.q),
+                "K": p.K,
+                "B": p.viscous,
+                "D": p.coulomb,
+            },
+            rates={"q": x.dq, "dq": ddq},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(2) and (3)."""
+        robot, sigma = p.robot, truth.sigma
+        reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref)
+        friction = p.viscous * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        slip = robot.coulomb(x.dq) - robot.coulomb(truth.dq_ref)
+        return Certificate(
+            storage=(Square("sigma", sigma, robot.mass_matrix(x.q)),),
+            dissipation=(Lemma("monotone friction", ca.dot(sigma, p.coulomb * slip)),),
+            supply=ca.dot(sigma, p.K * u.u - p.viscous * sigma - reference - friction),
+        )

@@ -1,0 +1,112 @@
+"""Adaptive inverse of a PI velocity servo."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Square
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.port import Access, Port, State
+
+
+@final
+class PiInverse(AbstractBlock):
+    r"""Turns a reference velocity and a torque into the velocity command of a PI servo that nobody can open.
+
+    .. math::
+
+        \dot q_c &= \dot q_{ref} + w_I q_r + w \tau_{dc} - w_I q_c, \quad \dot q_r = \dot q_{ref}  \tag{1} \\
+        \dot w   &= -\Lambda\, \tau_{dc} \sigma                                                    \tag{2} \\
+        \dot w_I &= \Lambda_I (q_c - q_r) \sigma                                                   \tag{3}
+
+    products element by element. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. With
+    the servo's integrator i and :math:`e = i + q_c - q_r`, so that :math:`\dot e = \sigma`:
+
+    .. math::
+
+        S &= \tfrac12 |e|^2_{K K_I} + \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda}
+             + \tfrac12 |w_I - K_I/K_P|^2_{K_\star/\Lambda_I}                                      \tag{4} \\
+        \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)     \tag{5}
+
+    Parameters
+    ----------
+    Lambda : diagonal (n,), > 0
+        Adaptation gain of the scale w. Larger learns the servo's stiffness faster and passes more velocity noise.
+    Lambda_I : diagonal (n,), > 0
+        Adaptation gain of the ratio w_I.
+    w, w_I : (n,), rad/(N m s), 1/s
+        The estimates at the start.
+    w_box, w_I_box : [lower, upper]
+        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
+
+    Notes
+    -----
+    Not for: a PID position servo; see `pid_inverse`.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (12), (14), (16).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("q_c", "n", "rad"),
+        Port("dq_ref", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+        Port("tau_dc", "n", "N m"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("q_r", "n", "rad"),
+        State("w", "n", "rad/(N m s)", box="w_box"),
+        State("w_I", "n", "1/s", box="w_I_box"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("K", "n", "N m/V"),
+        Port("K_P", "n", "V s/rad"),
+        Port("K_I", "n", "V/rad"),
+        Port("B", "n", "N m s/rad"),
+        Port("i", "n", "rad"),
+        Port("u", "n", "V"),
+    )
+
+    Lambda: Diagonal = Positive("n", "rad^2/(N^2 m^2 s)")
+    Lambda_I: Diagonal = Positive("n", "1/(rad^2 s)")
+    w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
+    w_I: Diagonal = Real("n", "1/s", default=0.0)
+    w_box: Box = Interval("n", "rad/(N m s)")
+    w_I_box: Box = Interval("n", "1/s")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1), (2) and (3)."""
+        dq_c = u.dq_ref + x.w_I * x.q_r + x.w * u.tau_dc - x.w_I * u.q_c
+        return Equations(
+            outputs={"dq_c": dq_c},
+            rates={
+                "q_r": u.dq_ref,
+                "w": -p.Lambda * u.tau_dc * u.sigma,
+                "w_I": p.Lambda_I * (u.q_c - x.q_r) * u.sigma,
+            },
+        )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The reference starts at the measured pose."""
+        return {"q_r": u.q}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(4) and (5)."""
+        K_star = truth.K * truth.K_P
+        e = truth.i + u.q_c - x.q_r
+        return Certificate(
+            storage=(
+                Square("i + q_c - q_r", e, truth.K * truth.K_I),
+                Square("w - 1/K_star", x.w - 1 / K_star, K_star / p.Lambda),
+                Square("w_I - K_I/K_P", x.w_I - truth.K_I / truth.K_P, K_star / p.Lambda_I),
+            ),
+            dissipation=(Square("sigma", u.sigma, K_star + truth.B),),
+            supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma),
+        )

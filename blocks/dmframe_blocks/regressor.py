@@ -1,0 +1,73 @@
+"""The dynamic regressor along the reference motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.port import Port
+
+
+@final
+class Regressor(AbstractBlock):
+    r"""The matrix in which the robot's dynamics is linear in its dynamic parameters.
+
+    .. math::
+
+        Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
+                    + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
+
+    :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
+    elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
+
+    Parameters
+    ----------
+    friction : list of viscous, coulomb
+        Friction that the compensator estimates along with the inertial parameters.
+
+    Notes
+    -----
+    The full set of parameters and an orthonormal base set move a gradient adaptation with a scalar gain alike.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (5), and Section V for the friction.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("dq_ref", "n", "rad/s"),
+        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("B", "n", "N m s/rad"), Port("D", "n", "N m"))
+
+    friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """p: ten a link, and one a joint for each kind of friction."""
+        return {"p": (10 + len(set(self.friction))) * robot.n}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
+        if "viscous" in self.friction:
+            columns.append(ca.diag(u.dq_ref))
+        if "coulomb" in self.friction:
+            columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
+        return Equations(outputs={"Y_d": ca.horzcat(*columns)})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored; the true a_d."""
+        parts = [p.robot.inertia]
+        if "viscous" in self.friction:
+            parts.append(truth.B)
+        if "coulomb" in self.friction:
+            parts.append(truth.D)
+        return Certificate(truth={"a_d": ca.vertcat(*parts)})

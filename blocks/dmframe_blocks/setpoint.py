@@ -1,0 +1,49 @@
+"""A constant goal."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.parameter import Real, Vector
+from dmframe.port import Port, Side
+
+
+@final
+class Setpoint(AbstractBlock):
+    r"""A constant goal, in the task or at the joints.
+
+    .. math::
+
+        x_d(t) = x_d \quad\text{or}\quad q_d(t) = q_d   \tag{1}
+
+    Parameters
+    ----------
+    x_d : (m,), m
+        The goal of the tool. Give this one or `q_d`.
+    q_d : (n,), rad
+        The goal of the joints.
+
+    Notes
+    -----
+    Not for: a step while the robot moves; the reference would jump.
+    """
+
+    side: ClassVar[Side] = Side.SOURCE
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True))
+
+    x_d: Vector | None = Real("m", "m", default=None, spread=False)
+    q_d: Vector | None = Real("n", "rad", default=None, spread=False)
+
+    @model_validator(mode="after")
+    def _one_goal(self) -> Setpoint:
+        if (self.x_d is None) == (self.q_d is None):
+            raise ValueError("expected one of x_d and q_d, found " + ("neither" if self.x_d is None else "both"))
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        return Equations(outputs={name: ca.SX(getattr(p, name)) for name in ("x_d", "q_d") if name in p})

@@ -1,0 +1,45 @@
+"""Sinusoids, one an element."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.parameter import Diagonal, Real, Vector
+from dmframe.port import TIME, Port, Side
+
+
+@final
+class Sinusoid(AbstractBlock):
+    r"""Each joint swings about its middle.
+
+    .. math::
+
+        q_{d,i}(t) = c_i + a_i \sin(\omega_i t + \varphi_i)   \tag{1}
+
+    Parameters
+    ----------
+    center : (n,), rad
+        c, the middle of the swing.
+    amplitude : (n,), rad
+        a.
+    rate : (n,), rad/s
+        omega. Rates without a common measure excite more dynamic parameters.
+    phase : (n,), rad
+        phi.
+    """
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("q_d", "n", "rad"),)
+
+    center: Vector = Real("n", "rad", spread=False)
+    amplitude: Diagonal = Real("n", "rad")
+    rate: Diagonal = Real("n", "rad/s")
+    phase: Diagonal = Real("n", "rad", default=0.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        return Equations(outputs={"q_d": p.center + p.amplitude * ca.sin(p.rate * u.t + p.phase)})

@@ -1,0 +1,76 @@
+"""Reference for tracking in the task space, kinematics known."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.robot.linalg import solve_spd
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class TaskTracking(AbstractBlock):
+    r"""Joint reference that leads the tool onto its path.
+
+    .. math::
+
+        \dot q_{ref} &= J^\top (J J^\top)^{-1} \dot x_d - \gamma J^\top (x - x_d)   \tag{1} \\
+        \sigma       &= \dot q - \dot q_{ref}                                       \tag{2}
+
+    With :math:`\Delta x = x - x_d` and :math:`b = J^\top \Delta x` it is a cascade on the servo level, of which it
+    consumes :math:`|\sigma|^2 / \gamma`:
+
+    .. math::
+
+        S &= \tfrac12 |\Delta x|^2   \tag{3} \\
+        \dot S &= - \tfrac34 \gamma |b|^2 - \gamma |\tfrac12 b - \sigma / \gamma|^2 + \tfrac1\gamma |\sigma|^2 \tag{4}
+
+    Parameters
+    ----------
+    gamma : scalar, rad^2/(m^2 s), > 0
+        Task gain. Larger closes the error faster and asks more of the servo and of the sampling period.
+
+    Notes
+    -----
+    Not for: a singular Jacobian, or kinematics that are uncertain.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (30), with J for its estimate, as in Section V.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("x", "m", "m"),
+        Port("x_d", "m", "m"),
+        Port("dx_d", "m", "m/s", derivative_of="x_d"),
+        Port("J", "m n", "m/rad"),
+        Port("dq", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"), Port("sigma", "n", "rad/s"))
+
+    gamma: Scalar = Positive("", "rad^2/(m^2 s)")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        dq_ref = u.J.T @ (solve_spd(u.J @ u.J.T, u.dx_d) - p.gamma * (u.x - u.x_d))
+        return Equations(outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4); of the supply, dx is J dq."""
+        x_err = u.x - u.x_d
+        sigma = self.equations(u, x, p).outputs["sigma"]
+        b = u.J.T @ x_err
+        return Certificate(
+            storage=(Square("x - x_d", x_err, ca.SX(1)),),
+            dissipation=(
+                Square("J'(x - x_d)", b, 3 * p.gamma / 4),
+                Square("J'(x - x_d)/2 - sigma/gamma", b / 2 - sigma / p.gamma, p.gamma),
+            ),
+            supply=ca.dot(sigma, sigma) / p.gamma,
+            consumes=1 / p.gamma,
+        )

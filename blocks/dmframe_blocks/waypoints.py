@@ -1,0 +1,73 @@
+"""A path through points, at rest in each."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, ClassVar, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.parameter import Real, Rows, Table, Vector
+from dmframe.port import TIME, Port, Side
+
+
+@final
+class Waypoints(AbstractBlock):
+    r"""Straight lines from point to point, each with the least jerk that starts and ends at rest.
+
+    .. math::
+
+        x_d(t) &= x_0 + \sum_i (x_{i+1} - x_i)\, s(\tau_i), \quad
+        \tau_i = \min(\max(\tfrac{t - t_i}{t_{i+1} - t_i}, 0), 1)          \tag{1} \\
+        s(\tau) &= 10 \tau^3 - 15 \tau^4 + 6 \tau^5                        \tag{2}
+
+    Twice continuously differentiable; it stays at the last point.
+
+    Parameters
+    ----------
+    times : list, s
+        When each point is reached, increasing.
+    x_d : one row a time, (m,), m
+        Points of the tool. Give these or `q_d`.
+    q_d : one row a time, (n,), rad
+        Points of the joints.
+
+    References
+    ----------
+    [Flash1985]_ for (2).
+    """
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True))
+
+    times: Vector = Real("*", "s", spread=False)
+    x_d: Table | None = Rows("m", "m", default=None)
+    q_d: Table | None = Rows("n", "rad", default=None)
+
+    @model_validator(mode="after")
+    def _one_path(self) -> Waypoints:
+        if (self.x_d is None) == (self.q_d is None):
+            raise ValueError("expected one of x_d and q_d, found " + ("neither" if self.x_d is None else "both"))
+        rows = len(self.x_d or self.q_d or ())
+        if rows != len(self.times) or rows < 2:
+            raise ValueError(f"expected as many points as times and at least 2, found {rows} and {len(self.times)}")
+        if any(later <= earlier for earlier, later in pairwise(self.times)):
+            raise ValueError(f"expected increasing times, found {list(self.times)}")
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        name = "x_d" if "x_d" in p else "q_d"
+        points, times = ca.vertsplit(getattr(p, name)), ca.vertsplit(p.times)
+        desired = points[0].T
+        for (start, end), (begins, ends) in zip(pairwise(points), pairwise(times), strict=True):
+            desired += (end - start).T * _least_jerk(ca.fmin(ca.fmax((u.t - begins) / (ends - begins), 0), 1))
+        return Equations(outputs={name: desired})
+
+
+def _least_jerk(tau: Any) -> Any:
+    """(2)."""
+    return tau * tau * tau * (10 + tau * (6 * tau - 15))

@@ -1,0 +1,133 @@
+"""Finds block types and packaged graphs: in the packages registered for it, and in a user's own files.
+
+A package joins by an entry point in the group ``dmframe.blocks`` whose value names it. Every public module of it holds
+one block: ``pid_inverse.py`` holds ``PidInverse``, of ``type: pid_inverse``. Its folder ``graphs`` holds graph files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import pkgutil
+import sys
+import traceback
+from collections.abc import Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+from dmframe.block import AbstractBlock
+from dmframe.errors import BlockError, MissingError, UnknownNameError
+
+GROUP = "dmframe.blocks"
+
+
+def packages() -> Iterator[ModuleType]:
+    """The registered block packages. Raises `BlockError` for one that cannot be imported, or where there is none."""
+    found = sorted(entry_points(group=GROUP), key=lambda point: point.value)
+    if not found:
+        raise BlockError(f"no package is registered under the entry-point group {GROUP}; install dmframe first")
+    for point in found:
+        try:
+            yield importlib.import_module(point.value)
+        except ImportError as error:
+            raise BlockError(f"the block package {point.value} ({point.name}) cannot be imported: {error}") from error
+
+
+def block_modules() -> dict[str, str]:
+    """Block types with the modules that hold them, ``{"circle": "dmframe_blocks.circle"}``."""
+    modules = dict[str, str]()
+    for package in packages():
+        for module in pkgutil.iter_modules(package.__path__):
+            if module.name.startswith("_") or module.ispkg:
+                continue
+            name = f"{package.__name__}.{module.name}"
+            if module.name in modules:
+                raise BlockError(f"two packages hold a block {module.name}: {modules[module.name]} and {name}")
+            modules[module.name] = name
+    return dict(sorted(modules.items()))
+
+
+def block_types() -> dict[str, type[AbstractBlock]]:
+    """All registered blocks."""
+    return {name: _class_of(module, name) for name, module in block_modules().items()}
+
+
+def find_block(name: str, base: Path | None = None, where: str = "type") -> type[AbstractBlock]:
+    """The block of a type, or of ``file.py:Class`` beside the graph (`base` is the graph's folder)."""
+    file, colon, class_name = name.rpartition(":")
+    if colon and file.endswith(".py"):
+        return _from_file((base or Path()) / file, class_name, where)
+    modules = block_modules()
+    if name not in modules:
+        raise UnknownNameError(f"{where}: {name}", "block type", name, modules)
+    return _class_of(modules[name], name)
+
+
+def _class_of(module_name: str, name: str) -> type[AbstractBlock]:
+    module = importlib.import_module(module_name)
+    class_name = "".join(word.capitalize() for word in name.split("_"))
+    found = getattr(module, class_name, None)
+    if not _is_block(found):
+        raise BlockError(f"{module_name}: expected a block class {class_name}, the file's name in CamelCase, found none")
+    return found  # type: ignore[no-any-return]
+
+
+def _is_block(found: object) -> bool:
+    return inspect.isclass(found) and issubclass(found, AbstractBlock) and not inspect.isabstract(found)
+
+
+def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
+    if not path.is_file():
+        raise MissingError(f"{where}: the file {path} does not exist; it is looked for beside the graph")
+    module = _load(path, where)
+    found = getattr(module, class_name, None)
+    if _is_block(found):
+        return found  # type: ignore[no-any-return]
+    if found is not None:
+        raise BlockError(f"{where}: {path.name}:{class_name} is no block; expected a subclass of AbstractBlock")
+    choices = [name for name, item in vars(module).items() if _is_block(item) and item.__module__ == module.__name__]
+    raise UnknownNameError(f"{where}: {path.name}:{class_name}", "class", class_name, choices)
+
+
+def _load(path: Path, where: str) -> ModuleType:
+    """A user's file as a module of its own name, so that it can shadow nothing; loaded once."""
+    digest = hashlib.sha256(str(path.resolve()).encode() + path.read_bytes()).hexdigest()[:16]
+    name = f"dmframe_file_{path.stem}_{digest}"
+    if name in sys.modules:
+        return sys.modules[name]
+    spec = importlib.util.spec_from_file_location(name, path)
+    if spec is None or spec.loader is None:
+        raise BlockError(f"{where}: {path} cannot be read as a Python file")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file raises is told with its line, and nothing else is lost
+        del sys.modules[name]
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = error.lineno if isinstance(error, SyntaxError) else (lines or [0])[-1]
+        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {error}") from error
+    return module
+
+
+def graphs() -> dict[str, Path]:
+    """Packaged graphs by name."""
+    found = dict[str, Path]()
+    for package in packages():
+        for folder in package.__path__:
+            found |= {path.stem: path for path in sorted(Path(folder, "graphs").glob("*.yaml"))}
+    return dict(sorted(found.items()))
+
+
+def find_graph(name: str) -> Path:
+    """The file of a graph: a path, or the name of a packaged one."""
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml") or path.is_file():
+        return path
+    known = graphs()
+    if name not in known:
+        raise UnknownNameError(name, "graph", name, known)
+    return known[name]

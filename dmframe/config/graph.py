@@ -1,0 +1,317 @@
+"""A graph file: its grammar, and the way from text to a diagram."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, final
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from dmframe.block import AbstractBlock
+from dmframe.catalogue import find_block, find_graph
+from dmframe.config.document import Document, read_document, read_file
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.simulate import Solver
+from dmframe.simulate.step import Method
+from dmframe.units import to_unit
+
+
+def _quantity(unit: str, *, positive: bool = False) -> Any:
+    def read(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise ValueError(f"expected a number in {unit}, found {value!r}")
+        try:
+            number = to_unit(value, unit)
+        except DmframeError as error:
+            raise ValueError(error.text) from None
+        if not math.isfinite(number) or (positive and number <= 0):
+            raise ValueError(f"expected a {'positive ' if positive else ''}number in {unit}, found {value!r}")
+        return number
+
+    return Annotated[float, BeforeValidator(read)]
+
+
+def _clock(value: Any) -> Any:
+    return None if value == "continuous" else value
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@final
+class RobotSection(_Section):
+    """Which robot, and which of its joints move."""
+
+    model: str = Field(description="name of a robot, or a path to a URDF file")
+    free: tuple[str, ...] | None = Field(None, description="joints that move, by name; all those on the way to the tool")
+    hold: dict[str, _quantity("rad")] = Field({}, description="joints held still, with their angles")  # type: ignore[misc]
+    tool: str | tuple[_quantity("m"), _quantity("m"), _quantity("m")] | None = Field(  # type: ignore[misc]
+        None, description="frame of the tool, or its offset in the last link"
+    )
+    axes: str | None = Field(None, description="task coordinates: xyz, xy, ...")
+    friction_velocity: _quantity("rad/s", positive=True) = Field(  # type: ignore[valid-type]
+        0.005, description="v_0 of Coulomb friction, tanh(dq / v_0)"
+    )
+
+
+@final
+class SolverSection(_Section):
+    """How the continuous part is integrated."""
+
+    method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
+    step: _quantity("s", positive=True) = Field(0.002, description="longest step of rk4")  # type: ignore[valid-type]
+    output: _quantity("s", positive=True) = Field(  # type: ignore[valid-type]
+        0.01, description="with a continuous clock, how often a result is kept"
+    )
+    tolerance: _quantity("1", positive=True) = Field(1e-9, description="of cvodes, relative")  # type: ignore[valid-type]
+
+
+@final
+class GraphFile(_Section):
+    """The keys of a graph file."""
+
+    dmframe: Literal[1] = Field(description="version of this format")
+    title: str = Field("", description="one line that a reader understands")
+    robot: RobotSection | None = None
+    clock: Annotated[_quantity("s", positive=True) | None, BeforeValidator(_clock)] = Field(  # type: ignore[valid-type]
+        description="sampling period of the controller, or continuous"
+    )
+    duration: _quantity("s", positive=True) = Field(description="simulated time")  # type: ignore[valid-type]
+    start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}; or near: a pose to start close to")
+    solver: SolverSection = SolverSection()
+    blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
+    wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
+
+
+@final
+@dataclass(frozen=True)
+class Graph:
+    """A graph file that has been read and checked, with its blocks made.
+
+    Parameters
+    ----------
+    name
+        The file's name without its ending.
+    data
+        The file as plain data, after overrides: what `run` writes beside its results.
+    """
+
+    name: str
+    file: GraphFile
+    data: Mapping[str, Any]
+    document: Document
+    blocks: Mapping[str, AbstractBlock]
+    robot: Any
+    start: Mapping[str, Any]
+
+    @property
+    def solver(self) -> Solver:
+        """The solver that the file asks for."""
+        section = self.file.solver
+        return Solver(section.method, section.step, section.output, section.tolerance)
+
+    def diagram(self) -> Diagram:
+        """Wire and flatten it; faults carry their place in the file."""
+        try:
+            return Diagram.build(self.blocks, self.file.wires, self.robot)
+        except DmframeError as error:
+            raise placed(error, self.document) from None
+
+    def with_duration(self, duration: float) -> Graph:
+        """The same graph, run for another time [s]."""
+        file = self.file.model_copy(update={"duration": duration})
+        return replace(self, file=file, data={**self.data, "duration": duration})
+
+
+def placed(error: DmframeError, document: Document) -> DmframeError:
+    """The fault, or each of several, with ``file:line:column``."""
+    faults = error.faults if isinstance(error, Faults) else (error,)
+    for fault in faults:
+        if not fault.location:
+            fault.location = document.locate(fault.path, key=isinstance(fault, UnknownNameError))
+    return Faults(faults) if isinstance(error, Faults) else error
+
+
+def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
+    """Read a graph file or a packaged graph.
+
+    Parameters
+    ----------
+    source
+        A path, or the name of a packaged graph.
+    overrides
+        ``block.parameter=value`` or ``key=value``, ``clock=4 ms``; the value as in YAML.
+
+    Raises
+    ------
+    DmframeError
+        All faults of the file at once, each with its line and column.
+    """
+    path = find_graph(str(source))
+    return parse_graph(read_file(path), path, overrides)
+
+
+def parse_graph(text: str, path: Path, overrides: Sequence[str] = ()) -> Graph:
+    """A graph from its text; `path` names it in messages, and files are looked for beside it."""
+    document = read_document(text, path.name)
+    data = overridden(document.data, overrides)
+    faults = list[DmframeError]()
+    try:
+        file = GraphFile.model_validate(data)
+    except ValidationError as error:
+        faults += [_fault(detail, data) for detail in error.errors(include_url=False)]
+        file = None
+    blocks = _blocks(data.get("blocks"), path.parent, faults)
+    robot = _robot(file.robot, path.parent, faults) if file else None
+    start = _start(file.start, faults) if file else {}
+    try:
+        raise_all(faults)
+    except DmframeError as error:
+        raise placed(error, document) from None
+    assert file is not None  # a file that is not valid left a fault
+    return Graph(path.stem, file, data, document, blocks, robot, start)
+
+
+def overridden(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """The file's data with ``--set`` values put in; the file's own data is not touched."""
+    result = _copy(data)
+    for text in overrides:
+        key, equals, value = text.partition("=")
+        keys = key.strip().split(".")
+        if not equals or not all(keys):
+            raise ValueFault(f"--set {text}: expected block.parameter=value")
+        if len(keys) == 2 and keys[0] in (result.get("blocks") or {}):
+            keys = ["blocks", *keys]
+        elif keys[0] not in GraphFile.model_fields:
+            choices = [*(result.get("blocks") or {}), *GraphFile.model_fields]
+            raise UnknownNameError(f"--set {text}", "block or key", keys[0], choices)
+        place = result
+        for part in keys[:-1]:
+            if not isinstance(place.setdefault(part, {}), dict):
+                raise ValueFault(f"--set {text}: {part} holds no keys")
+            place = place[part]
+        place[keys[-1]] = read_document(f"value: {value.strip()}\n", f"--set {text}").data["value"]
+    return result
+
+
+def _copy(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {key: _copy(value) for key, value in data.items()}
+    return [_copy(value) for value in data] if isinstance(data, list) else data
+
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def _blocks(section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
+    made = dict[str, AbstractBlock]()
+    for name, spec in section.items() if isinstance(section, dict) else ():
+        where, path = f"blocks.{name}", ("blocks", name)
+        if not NAME.fullmatch(name) or name == "robot":
+            faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
+        elif isinstance(spec, dict) and "type" not in spec:
+            faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
+        elif isinstance(spec, dict):
+            try:
+                made[name] = _block(name, spec, base)
+            except DmframeError as error:
+                for fault in error.faults if isinstance(error, Faults) else (error,):
+                    faults.append(fault)
+    if isinstance(section, dict) and not section:
+        faults.append(MissingError("blocks: expected at least one block, found none", path=("blocks",)))
+    return made
+
+
+def _block(name: str, spec: Mapping[str, Any], base: Path) -> AbstractBlock:
+    path: tuple[str | int, ...] = ("blocks", name)
+    try:
+        kind = find_block(str(spec["type"]), base, f"blocks.{name}.type")
+    except DmframeError as error:
+        error.path = (*path, "type")
+        raise
+    values = {key: value for key, value in spec.items() if key != "type"}
+    try:
+        return kind(**values)
+    except DmframeError as error:
+        own = kind.__name__
+        for fault in error.faults if isinstance(error, Faults) else (error,):
+            fault.path = (*path, *fault.path)
+            fault.text = f"blocks.{name}" + fault.text.removeprefix(_snake(own))
+        raise
+
+
+def _snake(name: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+
+
+def _robot(section: RobotSection | None, base: Path, faults: list[DmframeError]) -> Any:
+    if section is None:
+        return None
+    from dmframe.robot.library import load
+
+    try:
+        return load(
+            section.model,
+            base=base,
+            free=section.free,
+            hold=section.hold,
+            tool=section.tool,
+            axes=section.axes,
+            friction_velocity=section.friction_velocity,
+        )
+    except DmframeError as error:
+        for fault in error.faults if isinstance(error, Faults) else (error,):
+            fault.path = fault.path or ("robot", "model")
+            faults.append(fault)
+        return None
+
+
+def _start(section: Mapping[str, Any], faults: list[DmframeError]) -> dict[str, Any]:
+    """Start values as numbers; angles may carry a unit."""
+    values = dict[str, Any]()
+    for key, value in section.items():
+        items = value if isinstance(value, list) else [value]
+        try:
+            numbers = [to_unit(item, "rad") if isinstance(item, str) else float(item) for item in items]
+        except (DmframeError, TypeError, ValueError) as error:
+            text = error.text if isinstance(error, DmframeError) else f"expected numbers, found {value!r}"
+            faults.append(ValueFault(f"start.{key}: {text}", path=("start", key)))
+            continue
+        values[key] = numbers if isinstance(value, list) else numbers[0]
+    return values
+
+
+def _fault(detail: Any, data: Any) -> DmframeError:
+    path = tuple(part for part in detail["loc"] if not (isinstance(part, str) and "[" in part))
+    where, found = ".".join(str(part) for part in path), detail["input"]
+    match detail["type"]:
+        case "extra_forbidden":
+            choices = _keys(path[:-1])
+            return UnknownNameError(where, "key", str(path[-1]), choices, path=path)
+        case "missing":
+            return MissingError(f"{where}: this key is missing", path=path)
+        case "literal_error":
+            return ValueFault(f"{where}: expected {detail['ctx']['expected']}, found {found!r}", path=path)
+        case "value_error":
+            return ValueFault(f"{where}: {detail['msg'].removeprefix('Value error, ')}", path=path)
+        case _:
+            kind = {"dict_type": "keys with values", "string_type": "a text", "tuple_type": "a list"}
+            kind |= {"model_type": "keys with values", "model_attributes_type": "keys with values"}
+            expected = kind.get(detail["type"], detail["msg"])
+            shown = repr(found) if len(repr(found)) < 40 else f"a {type(found).__name__}"
+            return ValueFault(f"{where}: expected {expected}, found {shown}", path=path)
+
+
+def _keys(path: tuple[str | int, ...]) -> list[str]:
+    sections: dict[tuple[str | int, ...], type[BaseModel]] = {
+        (): GraphFile,
+        ("robot",): RobotSection,
+        ("solver",): SolverSection,
+    }
+    return list(sections[path].model_fields) if path in sections else []

@@ -1,0 +1,6 @@
+"""Blocks wired into a diagram, checked, and flattened to one closed loop."""
+
+from dmframe.diagram.closed_loop import ClosedLoop, Parameter, Variable
+from dmframe.diagram.diagram import Diagram
+
+__all__ = ["ClosedLoop", "Diagram", "Parameter", "Variable"]

@@ -1,0 +1,129 @@
+"""A diagram: blocks, sizes, wires and, from them, the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.diagram.closed_loop import ClosedLoop, Parameter, flatten
+from dmframe.diagram.model import BlockModel, model_block
+from dmframe.diagram.resolve import Resolver
+from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
+from dmframe.diagram.wiring import End, Outputs, Source, check_wires, wire_blocks
+from dmframe.errors import DmframeError, MissingError, raise_all
+
+
+@final
+@dataclass(frozen=True)
+class Diagram:
+    """Checked and wired blocks with their closed loop.
+
+    Parameters
+    ----------
+    blocks
+        By name, in the order of the file.
+    sources
+        What drives each input.
+    models
+        Each block's equations on symbols.
+    sizes
+        What the letters of the shapes are bound to.
+    robot
+        The `dmframe.robot.SerialChain`, where there is one.
+    loop
+        Everything flattened.
+    """
+
+    blocks: Mapping[str, AbstractBlock]
+    sources: Mapping[End, Source]
+    models: Mapping[str, BlockModel]
+    sizes: Sizes
+    robot: Any
+    loop: ClosedLoop
+    resolver: Resolver = field(repr=False)
+
+    @classmethod
+    def build(
+        cls, blocks: Mapping[str, AbstractBlock], wires: Mapping[str, str] | None = None, robot: Any = None
+    ) -> Diagram:
+        """Wire and flatten blocks.
+
+        Parameters
+        ----------
+        blocks
+            The blocks by name.
+        wires
+            ``{"task.x": "observer.x_o"}``: the input takes this output. An input not named here takes the one output of
+            its own name.
+        robot
+            A `dmframe.robot.SerialChain`, needed where a block uses one.
+
+        Raises
+        ------
+        DmframeError
+            Every fault that can be found, together: `Faults` where there are several.
+        """
+        if not blocks:
+            raise MissingError("blocks: expected at least one block, found none", path=("blocks",))
+        sizes, faults = bind_sizes(blocks, robot)
+        values = dict[str, Any]()
+        if not faults:
+            for name, block in blocks.items():
+                values[name], wrong = parameter_arrays(name, block, sizes)
+                faults += wrong
+        if faults:
+            _, more = wire_blocks(blocks, _declared(blocks), wires or {})
+            raise_all([*faults, *more])
+        symbolic = _symbolic(robot)
+        models = {name: model_block(name, block, values[name], sizes, symbolic) for name, block in blocks.items()}
+        produced = _produced(models)
+        sources, faults = wire_blocks(blocks, produced, wires or {})
+        faults += check_wires(blocks, produced, sources, sizes, wires or {})
+        raise_all(faults)
+        resolver = Resolver(models, sources)
+        loop = flatten(resolver, _parameters(models, symbolic))
+        raise_all(resolver.faults)
+        return cls(dict(blocks), sources, models, sizes, robot, loop, resolver)
+
+    def type_of(self, name: str) -> str:
+        """The type of a block, as graph files write it."""
+        return type_name(type(self.blocks[name]))
+
+
+def _symbolic(robot: Any) -> Any:
+    if robot is None:
+        return None
+    from dmframe.robot.symbolic import SymbolicRobot
+
+    return SymbolicRobot(robot)
+
+
+def _declared(blocks: Mapping[str, AbstractBlock]) -> Outputs:
+    return {name: {port.name: port for port in block.outputs if not port.optional} for name, block in blocks.items()}
+
+
+def _produced(models: Mapping[str, BlockModel]) -> Outputs:
+    return {
+        name: {port.name: port for port in model.block.outputs if port.name in model.equations.outputs}
+        for name, model in models.items()
+    }
+
+
+def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]:
+    from dmframe.parameter import specs
+
+    found = list[Parameter]()
+    for name, model in models.items():
+        units = {key: spec.unit for key, spec in specs(type(model.block)).items()}
+        found += [
+            Parameter(f"{name}.{key}", leaf, model.values[key], units[key]) for key, leaf in model.parameters.items()
+        ]
+    if robot is not None:
+        values = robot.values()
+        found += [Parameter(c.name, c.symbol, values[c.name], c.unit) for c in robot.constants]
+    return found
+
+
+__all__ = ["Diagram", "DmframeError"]

@@ -1,0 +1,101 @@
+"""One block of a diagram with its symbols: inputs local to it, states and parameters named for the whole diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.diagram.sizes import Sizes
+from dmframe.errors import BlockError, nearest
+from dmframe.port import Port, State
+
+
+@final
+@dataclass(frozen=True)
+class BlockModel:
+    """A block's equations, evaluated once on symbols."""
+
+    name: str
+    block: AbstractBlock
+    inputs: Mapping[str, SX]
+    states: Mapping[str, SX]
+    parameters: Mapping[str, SX]
+    values: Mapping[str, np.ndarray]
+    robot: Any
+    equations: Equations
+
+    def signals(self) -> tuple[Signals, Signals, Signals]:
+        """u, x, p as the block's methods take them."""
+        return signals_of(self.name, self.inputs, self.states, self.parameters, self.robot)
+
+    def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
+        """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
+        used = symbols_in(expressions)
+        return tuple(name for name, symbol in self.inputs.items() if used & hashes(symbol))
+
+
+def hashes(symbol: SX) -> set[int]:
+    """Identities of the scalar symbols in a column or matrix of symbols."""
+    return {element.element_hash() for element in ca.vertsplit(ca.vec(ca.densify(symbol)))} if symbol.numel() else set()
+
+
+def symbols_in(expressions: Sequence[SX]) -> set[int]:
+    """Identities of the scalar symbols on which expressions depend."""
+    return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
+
+
+def symbol(name: str, size: tuple[int, ...]) -> SX:
+    """A symbol of that size: () a scalar, (n,) a column, (n, p) a matrix."""
+    return ca.SX.sym(name, *(size or (1,)))
+
+
+def signals_of(
+    name: str, inputs: Mapping[str, SX], states: Mapping[str, SX], parameters: Mapping[str, SX], robot: Any
+) -> tuple[Signals, Signals, Signals]:
+    """Wrap symbols for a block's methods."""
+    given = {**parameters, "robot": robot} if robot is not None else parameters
+    return Signals(name, "inputs", inputs), Signals(name, "states", states), Signals(name, "parameters", given)
+
+
+def model_block(name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any) -> BlockModel:
+    """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
+    states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
+    parameters = {key: symbol(f"{name}.{key}", value.shape) for key, value in values.items() if key not in states}
+    inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
+    mine = robot if block.uses_robot else None
+    stated = block.equations(*signals_of(name, inputs, states, parameters, mine))
+    if not isinstance(stated, Equations):
+        raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
+    outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
+    rates = _checked(name, "rate", block.states, stated.rates, sizes)
+    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates))
+
+
+def _checked(
+    name: str, kind: str, declared: Sequence[Port | State], stated: Mapping[str, SX], sizes: Sizes
+) -> dict[str, SX]:
+    known = {item.name: item for item in declared}
+    for key in stated:
+        if key not in known:
+            raise BlockError(f"{name}: equations state the {kind} of {key}, undeclared; {nearest(key, known)}")
+    checked = {}
+    for key, item in known.items():
+        if key not in stated:
+            if isinstance(item, Port) and item.optional:
+                continue
+            raise BlockError(f"{name}: equations leave out the {kind} of {key}")
+        expression, size = ca.SX(stated[key]), sizes.of(item.shape)
+        expected = (*size, 1, 1)[:2]
+        if expression.shape != expected:
+            raise BlockError(
+                f"{name}: expected the {kind} of {key} to have the shape {sizes.explain(item.shape)}, "
+                f"found {expression.shape[0]} x {expression.shape[1]}"
+            )
+        checked[key] = expression
+    return checked

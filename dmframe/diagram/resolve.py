@@ -1,0 +1,205 @@
+"""From wired blocks to one set of expressions: outputs, rates and derived time derivatives, each resolved on demand.
+
+Expressions stand in *leaves*: the states, the parameters, what crosses the wall between controller and plant, and the
+desired trajectories with their derivatives. The two sides meet only in `closed_loop`, so that the controller can be
+had alone, as code, and the trajectories can be left free, as a theorem does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.diagram.model import BlockModel, hashes, symbol, symbols_in
+from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
+from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError
+from dmframe.port import Access, Side
+
+
+@final
+@dataclass(frozen=True)
+class Leaf:
+    """A signal cut out of the expressions: `name` is ``block.port``, `expression` what it stands for."""
+
+    name: str
+    side: Side
+    symbol: SX
+    expression: SX
+
+
+@final
+@dataclass(frozen=True)
+class Projection:
+    """A projected state: its rate is `nominal` plus a correction that is zero inside the box."""
+
+    name: str
+    state: SX
+    nominal: SX
+    correction: SX
+    lower: SX
+    upper: SX
+
+
+@final
+class Resolver:
+    """Resolves each signal of a diagram once; faults are collected, so that all can be told together."""
+
+    def __init__(self, models: Mapping[str, BlockModel], sources: Mapping[End, Source]) -> None:
+        self.models, self.sources = models, sources
+        self.time = ca.SX.sym("t")
+        self.trajectories = dict[tuple[str, str, int], Leaf]()
+        self.crossings = dict[End, Leaf]()
+        self.projections = dict[End, Projection]()
+        self.faults = list[DmframeError]()
+        self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
+        self._open = list[str]()
+
+    def output(self, block: str, port: str) -> SX:
+        """An output in the leaves of its own side."""
+        end = (block, port)
+        if end not in self._outputs:
+            expression = self.models[block].equations.outputs[port]
+            with self._entered(f"{block}.{port}") as free:
+                self._outputs[end] = self.expand(block, expression) if free else _unknown(end, expression)
+        return self._outputs[end]
+
+    def rate(self, block: str, state: str) -> SX:
+        """The rate of a state; a projected one carries its correction."""
+        end = (block, state)
+        if end not in self._rates:
+            model = self.models[block]
+            stated = model.equations.rates[state]
+            with self._entered(f"d{block}.{state}/dt") as free:
+                rate = self.expand(block, stated) if free else _unknown(end, stated)
+            self._rates[end] = self._projected(model, state, rate)
+        return self._rates[end]
+
+    def input(self, block: str, port: str) -> SX:
+        """An input, in the leaves of the block's side."""
+        source, model = self.sources[block, port], self.models[block]
+        match source:
+            case Time():
+                return self.time
+            case Wire():
+                return self._across(source, model.block.side)
+            case Derived():
+                with self._entered(f"{block}.{port}") as free:
+                    held = self.input(block, source.of)
+                    return self.derivative(held, f"{block}.{port}") if free else _unknown((block, port), held)
+            case _:
+                return ca.SX.zeros(*model.inputs[port].shape)
+
+    def expand(self, block: str, expression: SX) -> SX:
+        """An expression in a block's own symbols, its inputs replaced by what drives them."""
+        model = self.models[block]
+        needed = model.needs([expression])
+        if not needed:
+            return expression
+        own = [ca.vec(model.inputs[name]) for name in needed]
+        driven = [ca.vec(ca.densify(self.input(block, name))) for name in needed]
+        return ca.substitute([expression], [ca.vertcat(*own)], [ca.vertcat(*driven)])[0]
+
+    def derivative(self, expression: SX, wanted_by: str) -> SX:
+        """The total time derivative along the equations of the expression's own side."""
+        moving = [(leaf, rate) for leaf, rate in self._moving(symbols_in([expression]), wanted_by)]
+        if not moving:
+            return ca.SX.zeros(*expression.shape)
+        leaves, rates = (ca.vertcat(*(ca.vec(ca.densify(item)) for item in column)) for column in zip(*moving, strict=True))
+        return ca.jtimes(expression, leaves, rates)
+
+    def _moving(self, used: set[int], wanted_by: str) -> Iterator[tuple[SX, SX]]:
+        if self.time.element_hash() in used:
+            yield self.time, ca.SX(1)
+        for name, model in self.models.items():
+            for state, leaf in model.states.items():
+                if used & hashes(leaf):
+                    yield leaf, self.rate(name, state)
+        for key, trajectory in list(self.trajectories.items()):
+            if used & hashes(trajectory.symbol):
+                yield trajectory.symbol, self.trajectory(key[0], key[1], key[2] + 1).symbol
+        for end, crossing in list(self.crossings.items()):
+            if used & hashes(crossing.symbol):
+                yield crossing.symbol, self._rate_across(end, wanted_by)
+
+    def _rate_across(self, end: End, wanted_by: str) -> SX:
+        """The rate of a signal from across the wall: measured itself, or computed by a block that says it knows."""
+        block, port = end
+        for other in self.models[block].block.outputs:
+            if other.derivative_of == port and other.access is Access.MEASURED:
+                return self._crossing((block, other.name)).symbol
+        for name, model in self.models.items():
+            for known in model.block.outputs:
+                if known.derivative_of and self.sources.get((name, known.derivative_of)) == Wire(block, port):
+                    return self.output(name, known.name)
+        fault = DerivativeError(
+            f"{wanted_by} is a time derivative and needs the rate of {block}.{port}, which is neither measured nor "
+            "computed by any block; a controller may use only what the robot hands out",
+            path=("blocks", wanted_by.partition(".")[0]),
+        )
+        if not any(str(known) == str(fault) for known in self.faults):
+            self.faults.append(fault)
+        return ca.SX.zeros(*self._crossing(end).symbol.shape)
+
+    def _across(self, wire: Wire, side: Side) -> SX:
+        origin = self.models[wire.block].block.side
+        if origin is Side.SOURCE:
+            return self.trajectory(wire.block, wire.port, 0).symbol
+        if origin is side:
+            return self.output(wire.block, wire.port)
+        return self._crossing((wire.block, wire.port)).symbol
+
+    def _crossing(self, end: End) -> Leaf:
+        if end not in self.crossings:
+            name, model = ".".join(end), self.models[end[0]]
+            leaf = symbol(name, model.equations.outputs[end[1]].shape)
+            self.crossings[end] = Leaf(name, model.block.side, leaf, leaf)
+        return self.crossings[end]
+
+    def trajectory(self, block: str, port: str, order: int) -> Leaf:
+        """A source's output, or a time derivative of it, as a leaf."""
+        key = (block, port, order)
+        if key not in self.trajectories:
+            if order == 0:
+                expression = self.output(block, port)
+            else:
+                expression = ca.jtimes(self.trajectory(block, port, order - 1).expression, self.time, ca.SX(1))
+            name = f"{block}.{'d' * order}{port}"
+            self.trajectories[key] = Leaf(name, Side.SOURCE, symbol(name, expression.shape), expression)
+        return self.trajectories[key]
+
+    def _projected(self, model: BlockModel, state: str, rate: SX) -> SX:
+        declared = next(item for item in model.block.states if item.name == state)
+        if declared.box not in model.parameters:
+            return rate
+        name, leaf, box = f"{model.name}.{state}", model.states[state], model.parameters[declared.box]
+        correction = symbol(f"{name}.correction", leaf.shape)
+        lower, upper = ca.horzsplit(box)
+        self.projections[model.name, state] = Projection(name, leaf, rate, correction, lower, upper)
+        return rate + correction
+
+    @contextmanager
+    def _entered(self, node: str) -> Iterator[bool]:
+        """False where the node is already being resolved: an algebraic loop, recorded once."""
+        if node in self._open:
+            loop = self._open[self._open.index(node) :]
+            if not any(isinstance(fault, AlgebraicLoopError) and set(fault.ports) >= set(loop) for fault in self.faults):
+                self.faults.append(AlgebraicLoopError([*loop, node], REMEDY))
+            yield False
+            return
+        self._open.append(node)
+        try:
+            yield True
+        finally:
+            self._open.pop()
+
+
+REMEDY = "break it with a block whose output depends on its states alone, such as a filter or an integrator"
+
+
+def _unknown(end: End, like: SX) -> SX:
+    return symbol(".".join(end), like.shape)

@@ -1,0 +1,100 @@
+"""Binding the letters of shapes: one number a letter, for the whole diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, final
+
+import numpy as np
+
+from dmframe.block import AbstractBlock
+from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError
+from dmframe.parameter import array, specs
+
+
+@final
+class Sizes:
+    """What each letter is, and who said so first."""
+
+    def __init__(self) -> None:
+        self.bound: dict[str, tuple[int, str]] = {}
+
+    def bind(self, letter: str, size: int, by: str, path: tuple[str, ...] = ()) -> ShapeError | None:
+        """Bind a letter, or return the fault where it is bound to another number."""
+        known, first = self.bound.setdefault(letter, (size, by))
+        if known == size:
+            return None
+        return ShapeError(f"{by}: expected {letter} = {known} (bound by {first}), found {size}", path=path)
+
+    def of(self, shape: str) -> tuple[int, ...]:
+        """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
+        return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
+
+    def explain(self, shape: str) -> str:
+        """``(n p) with n = 3 (bound by robot ur10), p = 36 (bound by model)``."""
+        letters = [word for word in dict.fromkeys(shape.split()) if not word.isdigit()]
+        reasons = [f"{letter} = {self.bound[letter][0]} (bound by {self.bound[letter][1]})" for letter in letters]
+        return f"({shape})" + (" with " + ", ".join(reasons) if reasons else "")
+
+
+def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, list[DmframeError]]:
+    """Bind all letters from the robot, from the blocks that know a size, and from parameters written out in full."""
+    sizes, faults = Sizes(), list[DmframeError | None]()
+    if robot is not None:
+        for letter in "nmk":
+            faults.append(sizes.bind(letter, getattr(robot, letter), f"robot {robot.name}"))
+    for name, block in blocks.items():
+        if block.uses_robot and robot is None:
+            faults.append(MissingError(f"{name}: this block needs a robot; add the key robot: {{model: ...}}", path=("blocks", name)))
+            continue
+        faults += [sizes.bind(letter, size, name) for letter, size in block.sizes(robot).items()]
+    for name, block in blocks.items():
+        faults += _from_parameters(name, block, sizes)
+    faults += [_unbound(name, letter) for name, letter in _unbound_letters(blocks, sizes)]
+    return sizes, [fault for fault in faults if fault is not None]
+
+
+def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[DmframeError | None]:
+    for parameter, spec in specs(type(block)).items():
+        value, letters = getattr(block, parameter), spec.shape.split()
+        if value is None or not letters:
+            continue
+        ends = value if spec.form == "box" else (value,)
+        for end in ends:
+            shape = np.shape(end)
+            if shape and len(shape) == len(letters) and letters[-1] != "*" and not letters[-1].isdigit():
+                yield sizes.bind(letters[-1], shape[-1], f"{name}.{parameter}", ("blocks", name, parameter))
+
+
+def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Iterable[tuple[str, str]]:
+    for name, block in blocks.items():
+        used = [*block.inputs, *(port for port in block.outputs if not port.optional), *block.states]
+        words = {word for item in used for word in item.shape.split() if not word.isdigit()}
+        yield from ((name, letter) for letter in sorted(words - sizes.bound.keys()))
+
+
+def _unbound(name: str, letter: str) -> DmframeError:
+    return MissingError(
+        f"{name}: nothing says how large {letter} is; add a robot, or write a parameter of that size as a list",
+        path=("blocks", name),
+    )
+
+
+def parameter_arrays(
+    name: str, block: AbstractBlock, sizes: Sizes
+) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
+    """The block's numeric parameters as arrays of their bound sizes."""
+    values, faults = dict[str, np.ndarray](), list[DmframeError]()
+    for parameter, spec in specs(type(block)).items():
+        value = getattr(block, parameter)
+        if value is None:
+            continue
+        try:
+            words = spec.shape.split()
+            size = (len(value), *sizes.of(" ".join(words[1:]))) if words[:1] == ["*"] else sizes.of(spec.shape)
+            values[parameter] = array(value, spec, size)
+        except ValueError as error:
+            faults.append(ShapeError(f"{name}.{parameter}: {error}", path=("blocks", name, parameter)))
+        except KeyError as error:
+            raise BlockError(f"{name}.{parameter}: the shape {spec.shape!r} uses the unbound letter {error}") from None
+    return values, faults

@@ -1,0 +1,162 @@
+"""Which output drives which input: by name, or as the graph file says; and whether it may."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+from dmframe.block import AbstractBlock
+from dmframe.diagram.sizes import Sizes
+from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
+from dmframe.port import TIME, Access, Port, Side
+from dmframe.units import compatible
+
+End = tuple[str, str]
+"""A block's name and a port's."""
+
+
+@final
+@dataclass(frozen=True)
+class Wire:
+    """The input takes this output."""
+
+    block: str
+    port: str
+
+
+@final
+@dataclass(frozen=True)
+class Derived:
+    """The input is the time derivative of another input of its block."""
+
+    of: str
+
+
+@final
+@dataclass(frozen=True)
+class Time:
+    """The input is the time t."""
+
+
+@final
+@dataclass(frozen=True)
+class Zero:
+    """The optional input that nobody drives."""
+
+
+Source = Wire | Derived | Time | Zero
+Outputs = Mapping[str, Mapping[str, Port]]
+
+
+def wire_blocks(
+    blocks: Mapping[str, AbstractBlock], outputs: Outputs, wires: Mapping[str, str]
+) -> tuple[dict[End, Source], list[DmframeError]]:
+    """A source for every input; the wires of the graph file win over names."""
+    chosen, faults = _explicit(blocks, outputs, wires)
+    sources = dict[End, Source]()
+    for name, block in blocks.items():
+        for port in block.inputs:
+            end = (name, port.name)
+            if end in chosen:
+                sources[end] = chosen[end]
+                continue
+            found = _by_name(name, port, outputs)
+            if isinstance(found, DmframeError):
+                faults.append(found)
+            else:
+                sources[end] = found
+    return sources, faults
+
+
+def _explicit(
+    blocks: Mapping[str, AbstractBlock], outputs: Outputs, wires: Mapping[str, str]
+) -> tuple[dict[End, Source], list[DmframeError]]:
+    chosen, faults = dict[End, Source](), list[DmframeError]()
+    inputs = {f"{name}.{port.name}": (name, port.name) for name, block in blocks.items() for port in block.inputs}
+    drives = {f"{name}.{port}": Wire(name, port) for name, ports in outputs.items() for port in ports}
+    for target, origin in wires.items():
+        path = ("wires", target)
+        if target not in inputs:
+            faults.append(UnknownNameError(f"wires.{target}", "input", target, inputs, path=path))
+        elif origin not in drives:
+            faults.append(UnknownNameError(f"wires.{target}: {origin}", "output", origin, drives, path=path))
+        else:
+            chosen[inputs[target]] = drives[origin]
+    return chosen, faults
+
+
+def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
+    if port == TIME:
+        return Time()
+    found = [Wire(other, port.name) for other, ports in outputs.items() if other != name and port.name in ports]
+    if len(found) == 1:
+        return found[0]
+    end = f"{name}.{port.name}"
+    if found:
+        ends = ", ".join(f"{wire.block}.{wire.port}" for wire in found)
+        return WiringError(
+            f"{end}: expected one output of that name, found {len(found)}: {ends}; "
+            f"say which under wires, for example {end}: {found[0].block}.{found[0].port}",
+            path=("blocks", name),
+        )
+    if port.derivative_of:
+        return Derived(port.derivative_of)
+    if port.optional:
+        return Zero()
+    known = {key for ports in outputs.values() for key in ports}
+    return WiringError(
+        f"{end}: expected an output of that name in another block, found none; "
+        f"add a block that has it, or a wire ({nearest(port.name, known)})",
+        path=("blocks", name),
+    )
+
+
+def check_wires(
+    blocks: Mapping[str, AbstractBlock],
+    outputs: Outputs,
+    sources: Mapping[End, Source],
+    sizes: Sizes,
+    wires: Mapping[str, str],
+) -> list[DmframeError]:
+    """Access, shape and unit of every wire."""
+    faults = list[DmframeError | None]()
+    ports = {(name, port.name): port for name, block in blocks.items() for port in block.inputs}
+    for (name, port), source in sources.items():
+        if isinstance(source, Wire):
+            out, into = outputs[source.block][source.port], ports[name, port]
+            text = f"wire {source.block}.{source.port} -> {name}.{port}"
+            path = ("wires", f"{name}.{port}") if f"{name}.{port}" in wires else ("blocks", name)
+            faults.append(_access(source, out, blocks[source.block].side, (name, port), blocks[name].side, path))
+            faults.append(_shape(text, out, into, sizes, path))
+            if not compatible(out.unit, into.unit):
+                found = out.unit or "a plain number"
+                faults.append(UnitError(f"{text}: expected {into.unit or 'a plain number'}, found {found}", path=path))
+    return [fault for fault in faults if fault is not None]
+
+
+def _access(
+    source: Wire, out: Port, origin: Side, end: End, target: Side, path: tuple[str, ...]
+) -> DmframeError | None:
+    reader, signal = f"{end[0]}.{end[1]}", f"{source.block}.{source.port}"
+    if target is not Side.PLANT and origin is Side.PLANT and out.access is not Access.MEASURED:
+        return AccessError(f"{signal} is hidden: {reader} cannot read it (the robot's architecture is closed)", path=path)
+    if target is Side.PLANT and origin is Side.CONTROLLER and out.access is not Access.COMMANDED:
+        return AccessError(
+            f"{signal} cannot be commanded: {reader} takes only joint velocities and positions "
+            "(the robot's architecture is closed)",
+            path=path,
+        )
+    if target is Side.SOURCE:
+        return AccessError(f"{reader} is an input of a source, which reads nothing but the time", path=path)
+    return None
+
+
+def _shape(text: str, out: Port, into: Port, sizes: Sizes, path: tuple[str, ...]) -> DmframeError | None:
+    try:
+        found, expected = sizes.of(out.shape), sizes.of(into.shape)
+    except KeyError:
+        return None
+    if found == expected:
+        return None
+    return ShapeError(f"{text}: expected shape {sizes.explain(into.shape)}, found {found}", path=path)

@@ -1,0 +1,166 @@
+"""Parameters of blocks: numbers with shape, unit and sign, read from a graph file or from Python.
+
+A block declares ``Gamma: Diagonal = Positive("p")``. The number stays a named symbol, ``dynamics.Gamma``, in every
+expression that comes out of the diagram; the value only enters a run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, final
+
+import numpy as np
+from pydantic import BaseModel, Field
+from pydantic.fields import FieldInfo
+
+from dmframe.units import to_unit
+
+Scalar = float
+"""One number."""
+Diagonal = float | tuple[float, ...]
+"""A positive diagonal matrix, or a column: one number stands for all its elements."""
+Vector = tuple[float, ...]
+"""A column whose elements are all written out."""
+Table = tuple[tuple[float, ...], ...]
+"""Rows of numbers."""
+Box = tuple[Diagonal, Diagonal] | None
+"""An interval, lower and upper end, for each element; none means no bound."""
+
+KEY = "x-dmframe"
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Spec:
+    """What a parameter is: shape and unit as of a port, the sign it must have, and how it is written."""
+
+    shape: str
+    unit: str
+    sign: str = ""
+    form: str = "diagonal"
+
+
+def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:  # noqa: N802 - reads as a type
+    """A parameter of any sign. `spread`: one number may stand for all elements."""
+    return _field(Spec(shape, unit, "", "diagonal" if spread else "vector"), default)
+
+
+def Positive(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+    """A parameter whose elements are above zero."""
+    return _field(Spec(shape, unit, "> 0"), default)
+
+
+def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+    """A parameter whose elements are zero or above."""
+    return _field(Spec(shape, unit, ">= 0"), default)
+
+
+def Interval(shape: str = "", unit: str = "") -> Any:  # noqa: N802 - reads as a type
+    """A box ``[lower, upper]`` for a state of this shape; left out, the state is not bounded."""
+    return _field(Spec(shape, unit, "", "box"), None)
+
+
+def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+    """Rows of numbers, each as long as the letter says; their count is free."""
+    return _field(Spec(f"* {columns}", unit, "", "table"), default)
+
+
+def _field(spec: Spec, default: Any) -> Any:
+    return Field(default, json_schema_extra={KEY: asdict(spec)}, validate_default=False)
+
+
+def spec_of(field: FieldInfo) -> Spec | None:
+    """The `Spec` of a pydantic field, or None where it is no number (an option, a name)."""
+    extra = field.json_schema_extra
+    return Spec(**extra[KEY]) if isinstance(extra, dict) and KEY in extra else None  # type: ignore[arg-type]
+
+
+def specs(block: type[BaseModel]) -> dict[str, Spec]:
+    """All numeric parameters of a block class."""
+    found = {name: spec_of(field) for name, field in block.model_fields.items()}
+    return {name: spec for name, spec in found.items() if spec is not None}
+
+
+def read(value: Any, spec: Spec) -> Any:
+    """A parameter's value in its own unit, from numbers, texts such as ``"90 ms"`` and lists of them.
+
+    Raises `ValueError` with what was expected and found.
+    """
+    if value is None and spec.form == "box":
+        return None
+    numbers = _numbers(value, spec)
+    depth = _depth(numbers)
+    if spec.form == "box":
+        return _box(numbers)
+    wanted = {"diagonal": (0, 1) if spec.shape else (0,), "vector": (1,), "table": (2,)}[spec.form]
+    if depth not in wanted:
+        raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
+    return numbers
+
+
+def _numbers(value: Any, spec: Spec) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        if not value:
+            raise ValueError(f"expected {_form(spec)}, found an empty list")
+        return tuple(_numbers(item, spec) for item in value)
+    if isinstance(value, bool) or not isinstance(value, int | float | str | np.floating | np.integer):
+        raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
+    try:
+        number = to_unit(value if isinstance(value, str) else float(value), spec.unit)
+    except OverflowError:
+        raise ValueError(f"expected a finite number, found {_shown(value)}") from None
+    if not math.isfinite(number):
+        raise ValueError(f"expected a finite number, found {_shown(value)}")
+    if (spec.sign == "> 0" and number <= 0) or (spec.sign == ">= 0" and number < 0):
+        raise ValueError(f"expected a number {spec.sign}, found {_shown(value)}")
+    return number
+
+
+def _box(numbers: Any) -> tuple[Any, Any]:
+    if not isinstance(numbers, tuple) or len(numbers) != 2:
+        raise ValueError("expected an interval [lower, upper], found " + _shown(numbers))
+    lower, upper = numbers
+    if np.any(np.asarray(lower) > np.asarray(upper)):
+        raise ValueError(f"expected lower <= upper, found {_shown([lower, upper])}")
+    return lower, upper
+
+
+def _depth(value: Any) -> int:
+    if not isinstance(value, tuple):
+        return 0
+    depths = {_depth(item) for item in value}
+    return 1 + depths.pop() if len(depths) == 1 else -1
+
+
+def _form(spec: Spec) -> str:
+    unit = f" in {spec.unit}" if spec.unit else ""
+    if spec.form == "box":
+        return f"an interval [lower, upper]{unit}"
+    if spec.form == "table":
+        return f"a list of rows of numbers{unit}"
+    if spec.form == "vector":
+        return f"a list of numbers{unit}"
+    return f"a number{unit}" + (" or a list of numbers" if spec.shape else "")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else text[:37] + "..."
+
+
+def array(value: Any, spec: Spec, size: Sequence[int]) -> np.ndarray:
+    """The value as an array of the size that the diagram has bound; one number fills it.
+
+    A box gains a last axis of two, lower and upper end. Raises `ValueError` where the size does not fit.
+    """
+    if spec.form == "box":
+        ends = [array(end, Spec(spec.shape, spec.unit), size) for end in value]
+        return np.stack(ends, axis=-1)
+    numbers = np.asarray(value, dtype=float)
+    if numbers.ndim and numbers.shape != tuple(size):
+        raise ValueError(f"expected {list(size)} numbers, found {list(numbers.shape)}")
+    return np.broadcast_to(numbers, tuple(size)).copy() if numbers.ndim == 0 else numbers

@@ -1,0 +1,93 @@
+"""What a block shows of itself: ports and states, with shape, unit and access."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import final
+
+
+@final
+class Access(StrEnum):
+    """Who may read an output.
+
+    A closed robot hands out what it measures and takes what may be commanded; all else stays on its own side of the
+    wall between controller and plant.
+    """
+
+    INTERNAL = "internal"
+    """A signal of the controller: other controller blocks may read it, the plant may not."""
+    COMMANDED = "commanded"
+    """A signal of the controller that the robot accepts: a joint velocity or position."""
+    MEASURED = "measured"
+    """A signal of the plant that its maker hands out."""
+    HIDDEN = "hidden"
+    """A signal of the plant that only the plant and the analysis may read."""
+
+
+@final
+class Side(StrEnum):
+    """Where a block stands."""
+
+    SOURCE = "source"
+    """A function of time alone: a desired trajectory."""
+    CONTROLLER = "controller"
+    """Runs on the graph's clock, reads what is measured, writes what is commanded."""
+    PLANT = "plant"
+    """Continuous time, closed: the maker's servo and the robot."""
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class Port:
+    """An input or an output of a block.
+
+    Parameters
+    ----------
+    name
+        The signal's name in the equations.
+    shape
+        Letters that the diagram binds, or numbers: ``""`` a scalar, ``"n"`` a column, ``"n p"`` a matrix
+        (n joints, m task coordinates, p dynamic parameters, k kinematic parameters).
+    unit
+        Factors separated by blanks, ``"N m s/rad"``; for a prismatic joint read m for rad and N for N m.
+    access
+        Of an output: who may read it. An output of a plant is hidden unless it says otherwise.
+    derivative_of
+        The port of the same block whose time derivative this one is. Nobody needs to drive such an input: the diagram
+        derives it. Such an output is what the chain rule takes for the rate of the other output, or of the signal that
+        drives the other input.
+    optional
+        An input that is zero when nobody drives it; an output that a block may leave out.
+    """
+
+    name: str
+    shape: str = ""
+    unit: str = ""
+    access: Access = Access.INTERNAL
+    derivative_of: str = ""
+    optional: bool = False
+
+
+@final
+@dataclass(frozen=True, slots=True)
+class State:
+    """A quantity that a block integrates.
+
+    A parameter of the same name, if the block has one, is the state's start; else it starts at zero or where the
+    block's `start` says.
+
+    Parameters
+    ----------
+    box
+        Name of the parameter that holds the interval onto which the state is projected, where there is one.
+    """
+
+    name: str
+    shape: str = ""
+    unit: str = ""
+    box: str = ""
+
+
+TIME = Port("t", "", "s")
+"""The input that every block may declare without anyone driving it."""

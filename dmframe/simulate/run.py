@@ -1,0 +1,237 @@
+"""A simulation: from a diagram to recorded signals."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import Signal, Variable, stack
+from dmframe.errors import EngineError
+from dmframe.simulate.start import start_state
+from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
+
+CHUNK = 256
+"""Ticks computed in one call; between calls progress is told and Ctrl-C is heard."""
+
+Progress = Callable[[float], None]
+"""Called with the simulated time [s] that is done."""
+
+
+@final
+@dataclass(frozen=True)
+class Divergence:
+    """Where a run left the finite numbers first."""
+
+    block: str
+    state: str
+    element: int
+    time: float
+
+    def __str__(self) -> str:
+        return f"{self.block}.{self.state}[{self.element}] is no longer finite at t = {self.time:.6g} s"
+
+
+@final
+@dataclass(frozen=True)
+class Run:
+    """What a simulation recorded, up to its end or to where it diverged or was stopped.
+
+    Parameters
+    ----------
+    time
+        (N,) [s].
+    states, outputs
+        By label ``block.name``: (N, rows) arrays.
+    """
+
+    diagram: Diagram
+    clock: float | None
+    duration: float
+    solver: Solver
+    time: np.ndarray
+    states: Mapping[str, np.ndarray]
+    outputs: Mapping[str, np.ndarray]
+    divergence: Divergence | None
+    interrupted: bool
+    wall_time: float
+    engine: str
+    notices: tuple[str, ...] = field(default=())
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated seconds a second."""
+        return float(self.time[-1]) / self.wall_time if self.wall_time > 0 else float("inf")
+
+    def __getitem__(self, label: str) -> np.ndarray:
+        return self.outputs[label] if label in self.outputs else self.states[label]
+
+
+def simulate(
+    diagram: Diagram,
+    duration: float,
+    *,
+    clock: float | None = None,
+    solver: Solver | None = None,
+    start: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Run a closed loop.
+
+    Parameters
+    ----------
+    duration
+        Simulated time [s]; it is rounded to whole ticks.
+    clock
+        Sampling period of the controller [s]; None for continuous time.
+    solver
+        How the plant is integrated.
+    start
+        Start values by state name, ``{"q": [...]}``, or ``{"near": [...]}``; see `start_state`.
+
+    Raises
+    ------
+    StartError, EngineError
+        A start pose that cannot be reached; an integrator that fails at once.
+    """
+    solver = solver or Solver()
+    loop = diagram.loop
+    recorded = _recorded(diagram)
+    step = build_step(loop, clock, solver, stack(signal.expression for signal in recorded))
+    state, p = start_state(diagram, start or {}), loop.p_values
+    notices = _stiffness(diagram, step, solver, state, p)
+    ticks = max(1, round(duration / step.period))
+    begin = time.perf_counter()
+    history, interrupted = _march(step, state, p, ticks, progress)
+    count = _finite(history)
+    times = np.arange(count) * step.period
+    outputs = _outputs(step, history[:, :count], times, p, recorded)
+    wall = time.perf_counter() - begin
+    variables = (*loop.controller, *loop.plant)
+    divergence = _divergence(variables, history, count, step.period) if count < history.shape[1] else None
+    return Run(
+        diagram=diagram,
+        clock=clock,
+        duration=ticks * step.period,
+        solver=solver,
+        time=times,
+        states=_split(variables, history[:, :count]),
+        outputs=outputs,
+        divergence=divergence,
+        interrupted=interrupted,
+        wall_time=wall,
+        engine="interpreted",
+        notices=notices,
+    )
+
+
+def _recorded(diagram: Diagram) -> list[Signal]:
+    """Outputs worth keeping: columns that move, and that are not states already."""
+    loop = diagram.loop
+    states = {variable.label for variable in (*loop.controller, *loop.plant)}
+    moving = stack([loop.time, loop.state, *(leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))])
+    return [
+        signal
+        for signal in loop.outputs
+        if signal.label not in states and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
+    ]
+
+
+def _march(
+    step: Step, state: np.ndarray, p: np.ndarray, ticks: int, progress: Progress | None
+) -> tuple[np.ndarray, bool]:
+    """States at every tick, (size, ticks + 1), cut short where they stop being finite or at Ctrl-C."""
+    history = np.empty((state.size, ticks + 1), order="F")
+    history[:, 0] = state
+    done, chunks = 0, dict[int, Any]()
+    try:
+        while done < ticks:
+            size = min(CHUNK, ticks - done)
+            if size not in chunks:
+                chunks[size] = step.tick.mapaccum(f"ticks_{size}", size)
+            many = chunks[size](history[:, done], np.arange(done, done + size)[None, :], p)
+            history[:, done + 1 : done + size + 1] = many.full()
+            done += size
+            if progress is not None:
+                progress(done * step.period)
+            if not np.all(np.isfinite(history[:, done])):
+                break
+    except KeyboardInterrupt:
+        return history[:, : done + 1], True
+    except RuntimeError as error:
+        if done == 0:
+            raise EngineError(f"solver: the integrator failed in the first {size} ticks: {_last_line(error)}") from None
+        history[:, done + 1] = np.nan
+        return history[:, : done + 2], False
+    return history[:, : done + 1], False
+
+
+def _last_line(error: RuntimeError) -> str:
+    return str(error).strip().splitlines()[-1]
+
+
+def _finite(history: np.ndarray) -> int:
+    """How many leading columns are finite."""
+    bad = np.flatnonzero(~np.all(np.isfinite(history), axis=0))
+    return int(bad[0]) if bad.size else history.shape[1]
+
+
+def _divergence(
+    variables: tuple[Variable, ...], history: np.ndarray, at: int, period: float
+) -> Divergence:
+    row = int(np.flatnonzero(~np.isfinite(history[:, at]))[0])
+    for variable in variables:
+        if row < variable.symbol.numel():
+            return Divergence(variable.block, variable.name, row, at * period)
+        row -= variable.symbol.numel()
+    raise EngineError("a state outside the diagram diverged")
+
+
+def _split(items: tuple[Variable, ...] | list[Signal], rows: np.ndarray) -> dict[str, np.ndarray]:
+    parts, first = dict[str, np.ndarray](), 0
+    for item in items:
+        size = (item.symbol if isinstance(item, Variable) else item.expression).numel()
+        parts[item.label] = rows[first : first + size].T
+        first += size
+    return parts
+
+
+def _outputs(
+    step: Step, history: np.ndarray, times: np.ndarray, p: np.ndarray, recorded: list[Signal]
+) -> dict[str, np.ndarray]:
+    """Outputs at every tick, from the recorded states and the same equations."""
+    rows = np.empty((step.outputs.size1_out(0), times.size), order="F")
+    mapped = dict[int, Any]()
+    for first in range(0, times.size, CHUNK):
+        part = slice(first, min(first + CHUNK, times.size))
+        size = part.stop - part.start
+        if size not in mapped:
+            mapped[size] = step.outputs.map(size)
+        rows[:, part] = mapped[size](history[:, part], times[None, part], np.tile(p[:, None], size)).full()
+    return _split(recorded, rows)
+
+
+def _stiffness(diagram: Diagram, step: Step, solver: Solver, state: np.ndarray, p: np.ndarray) -> tuple[str, ...]:
+    """Is the plant too stiff, at the start, for a fixed-step method? At rest the friction law is steepest."""
+    if solver.method != "rk4" or not diagram.loop.plant:
+        return ()
+    size = stack(v.symbol for v in diagram.loop.plant).numel()
+    jacobian = step.rate.jacobian()(state, 0, p, 0)[0].full()[:, -size:]
+    h = step.period / step.substeps
+    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian)))) if np.all(np.isfinite(jacobian)) else np.inf
+    if fastest > RK4_STABLE:
+        return (
+            f"the plant is too stiff for rk4 at {h * 1e3:.3g} ms: h |lambda| = {fastest:.2f} exceeds {RK4_STABLE}; "
+            f"take a step below {h * 1e3 * RK4_STABLE / fastest:.2g} ms, or solver method cvodes",
+        )
+    if fastest > 0.7 * RK4_STABLE:
+        return (
+            f"the plant is stiff for rk4 at {h * 1e3:.3g} ms: h |lambda| = {fastest:.2f}, and rk4 is stable up to "
+            f"{RK4_STABLE}; halve the step to see whether results change",
+        )
+    return ()

@@ -1,0 +1,181 @@
+"""The state in which a run begins: at rest, on the path, commands where the robot is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dmframe.diagram import ClosedLoop, Diagram, Variable
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.view import view
+from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.port import Side
+
+NEAR = "near"
+"""The key under `start` that picks a branch of the inverse kinematics."""
+
+REACHED = 1e-9
+"""A start pose is on the path if it is this close [m or rad]."""
+
+
+def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
+    """Every state at t = 0, the controller's first, as one column.
+
+    A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
+    parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
+    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero.
+    """
+    loop = diagram.loop
+    variables = (*loop.controller, *loop.plant)
+    values = _given(diagram, variables, given)
+    for variable in variables:
+        model = diagram.models[variable.block]
+        if variable.label not in values and variable.name in model.values:
+            values[variable.label] = model.values[variable.name]
+    _onto_path(diagram, values, given.get(NEAR))
+    for variable in loop.plant:
+        if not _has_start(diagram, variable):
+            values.setdefault(variable.label, np.zeros(variable.symbol.shape))
+    _as_blocks_say(diagram, values)
+    return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
+
+
+def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    values, faults = dict[str, np.ndarray](), list[DmframeError]()
+    plant_first = sorted(variables, key=lambda v: diagram.blocks[v.block].side is not Side.PLANT)
+    for key, value in given.items():
+        if key == NEAR:
+            continue
+        found = next((v for v in plant_first if key in (v.label, v.name)), None)
+        if found is None:
+            choices = [NEAR, *(v.label for v in variables)]
+            faults.append(UnknownNameError(f"start.{key}", "state", key, choices, path=("start", key)))
+            continue
+        numbers = np.asarray(value, dtype=float)
+        rows = found.symbol.shape[0]
+        if numbers.shape not in ((), (rows,)):
+            text = f"start.{key}: expected {rows} numbers, found {numbers.size}"
+            faults.append(ValueFault(text, path=("start", key)))
+            continue
+        values[found.label] = np.broadcast_to(numbers, (rows,)).copy()
+        faults += _outside_limits(diagram, found, values[found.label], key)
+    raise_all(faults)
+    return values
+
+
+def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: str) -> list[DmframeError]:
+    if diagram.robot is None or variable.name != "q" or diagram.blocks[variable.block].side is not Side.PLANT:
+        return []
+    return [
+        StartError(
+            f"start.{key}: expected {joint.name} between {joint.lower:.4g} and {joint.upper:.4g}, found {angle:.6g}",
+            path=("start", key),
+        )
+        for joint, angle in zip(diagram.robot.joints, q, strict=True)
+        if not joint.lower <= angle <= joint.upper
+    ]
+
+
+def goals(loop: ClosedLoop) -> list[tuple[str, str, Any, Any]]:
+    """Pairs (s_d, s) of a trajectory and the plant's output that should follow it, with their expressions."""
+    desired = {leaf.name.split(".")[1]: leaf for leaf in loop.trajectories}
+    plant = {variable.block for variable in loop.plant}
+    return [
+        (desired[f"{signal.name}_d"].name, signal.label, desired[f"{signal.name}_d"].symbol, signal.expression)
+        for signal in loop.outputs
+        if signal.block in plant and f"{signal.name}_d" in desired
+    ]
+
+
+def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any) -> None:
+    loop = diagram.loop
+    open_states = [v for v in loop.plant if v.label not in values and not _has_start(diagram, v)]
+    for desired, label, wanted, actual in goals(loop):
+        used = [v for v in open_states if ca.depends_on(ca.vec(actual), ca.vec(v.symbol))]
+        if len(used) != 1:
+            continue
+        (unknown,) = used
+        goal = evaluate(loop, loop_trajectories(loop, wanted), {})
+        residual = ca.Function("residual", [unknown.symbol, loop.p], [actual])
+        values[unknown.label] = _solve(diagram, residual, goal, near, f"{desired}(0)", label)
+        open_states.remove(unknown)
+
+
+def loop_trajectories(loop: ClosedLoop, expression: Any) -> Any:
+    """An expression with its trajectories replaced by what they are as functions of time."""
+    leaves = stack(leaf.symbol for leaf in loop.trajectories)
+    return ca.substitute(expression, leaves, stack(leaf.expression for leaf in loop.trajectories))
+
+
+def _solve(diagram: Diagram, residual: Any, goal: np.ndarray, near: Any, desired: str, label: str) -> np.ndarray:
+    from scipy.optimize import least_squares
+
+    p, size = diagram.loop.p_values, residual.size1_in(0)
+    jacobian = residual.jacobian()
+    lower, upper = _limits(diagram, size)
+    middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
+    rng = np.random.default_rng(0)
+    seeds = [np.broadcast_to(np.asarray(near, dtype=float), (size,))] if near is not None else [middle + 0.3]
+    seeds += [rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi)) for _ in range(20)]
+    best = None
+    for seed in seeds:
+        found = least_squares(
+            lambda q: residual(q, p).full().ravel() - goal,
+            np.clip(seed, lower + 1e-9, upper - 1e-9),
+            jac=lambda q: jacobian(q, p, 0)[0].full(),
+            bounds=(lower, upper),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        if best is None or found.cost < best.cost:
+            best = found
+        if np.linalg.norm(best.fun) < REACHED:
+            return np.asarray(best.x)
+    assert best is not None  # there is always a seed
+    shown = ", ".join(f"{number:.4g}" for number in goal)
+    raise StartError(
+        f"start: {label} cannot reach {desired} = [{shown}]; the nearest pose is {np.linalg.norm(best.fun):.3g} away; "
+        "move the path, or give the pose under start: {q: [...]}",
+        path=("start",),
+    )
+
+
+def _limits(diagram: Diagram, size: int) -> tuple[np.ndarray, np.ndarray]:
+    if diagram.robot is None or diagram.robot.n != size:
+        return np.full(size, -np.inf), np.full(size, np.inf)
+    joints = diagram.robot.joints
+    return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
+
+
+def _has_start(diagram: Diagram, variable: Variable) -> bool:
+    seen = view(diagram, variable.block)
+    return variable.name in diagram.blocks[variable.block].start(seen.u, seen.p, seen.truth)
+
+
+def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray]) -> None:
+    """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
+    loop = diagram.loop
+    for variable in (*loop.controller, *loop.plant):
+        if variable.label in values:
+            continue
+        seen = view(diagram, variable.block)
+        said = diagram.blocks[variable.block].start(seen.u, seen.p, seen.truth)
+        expression = said.get(variable.name)
+        if expression is None:
+            values[variable.label] = np.zeros(variable.symbol.shape)
+            continue
+        (joined,) = loop.joined([loop_trajectories(loop, expression)])
+        values[variable.label] = evaluate(loop, joined, values)
+
+
+def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """An expression of states and parameters at t = 0."""
+    known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
+    inputs = [loop.time, loop.p, *(v.symbol for v in known)]
+    function = ca.Function("at_start", inputs, [ca.vec(expression)])
+    values_now = function(0, loop.p_values, *(values[v.label] for v in known))
+    return np.asarray(values_now.full().ravel())

@@ -1,0 +1,215 @@
+"""One tick of the closed loop as one CasADi function: the sampled controller over the continuous plant.
+
+Within a tick from t_k = k T to t_{k+1}, in this order, with a sampled clock:
+
+1. the trajectories and what the plant measures are read at t_k;
+2. the controller's outputs follow from them and from its states at t_k;
+3. its states advance by one explicit Euler step of length T, and are then projected onto their boxes;
+4. the plant runs to t_{k+1} with the commands held (zero-order hold).
+
+With a continuous clock controller and plant are integrated together, and a tick only says how often to log.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.diagram import ClosedLoop
+from dmframe.diagram.closed_loop import columns, stack
+from dmframe.errors import EngineError
+from dmframe.port import Side
+
+Method = Literal["rk4", "cvodes"]
+"""Fixed-step fourth-order Runge-Kutta, or SUNDIALS' variable-step backward differentiation."""
+
+RK4_STABLE = 2.785
+"""Classical RK4 is stable on the negative real axis for h |lambda| below this [Hairer1996]_."""
+
+
+@final
+@dataclass(frozen=True)
+class Solver:
+    """How the continuous part is integrated.
+
+    Parameters
+    ----------
+    method
+        ``rk4`` or ``cvodes``.
+    step
+        Of rk4, the longest step [s]; a tick is divided into equal ones.
+    output
+        With a continuous clock, how often a result is kept [s].
+    tolerance
+        Of cvodes, relative; absolute is a thousandth of it.
+    """
+
+    method: Method = "rk4"
+    step: float = 0.002
+    output: float = 0.01
+    tolerance: float = 1e-9
+
+
+@final
+@dataclass(frozen=True)
+class Step:
+    """The tick's functions, all with the parameters p as a column.
+
+    Parameters
+    ----------
+    tick
+        (state, k, p) -> state at (k + 1) T; the state holds the controller's part first.
+    outputs
+        (state, t, p) -> all recorded outputs as one column.
+    rate
+        (state, t, p) -> the plant's rate with the commands of that instant.
+    period
+        T [s].
+    substeps
+        Integrator steps in a tick.
+    """
+
+    tick: Any
+    outputs: Any
+    rate: Any
+    period: float
+    substeps: int
+
+
+def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX) -> Step:
+    """The tick of a closed loop on a clock, or in continuous time where `clock` is None."""
+    period = clock if clock is not None else solver.output
+    substeps = max(1, math.ceil(round(period / solver.step, 9))) if solver.method == "rk4" else 1
+    trajectory = _trajectory(loop)
+    outputs = _function("outputs", loop, [loop.state], [recorded])
+    measured = _plant_rate(loop)
+    if clock is None:
+        tick = _continuous_tick(loop, trajectory, solver, period, substeps)
+    else:
+        tick = _sampled_tick(loop, trajectory, solver, period, substeps)
+    state, t, p = _symbols(loop)
+    w = trajectory(t, p)
+    return Step(
+        tick=tick,
+        outputs=ca.Function("recorded", [state, t, p], [outputs(state, w, p)]),
+        rate=ca.Function("rate", [state, t, p], [measured(state, w, p)]),
+        period=period,
+        substeps=substeps,
+    )
+
+
+def _symbols(loop: ClosedLoop) -> tuple[Any, Any, Any]:
+    return ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
+
+
+def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[SX]) -> Any:
+    """Joined expressions as a function of (inputs..., trajectories, p); projections act as their law says."""
+    joined = project(loop, loop.joined(expressions))
+    w = stack(leaf.symbol for leaf in loop.trajectories)
+    return ca.Function(name, [*inputs, w, loop.p], ca.cse(joined))
+
+
+def project(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
+    """Put in each projection's correction: it stops a rate that leads out of the box at the box's end."""
+    for projection in reversed(loop.projections):
+        nominal, state = projection.nominal, projection.state
+        out = ca.logic_or(
+            ca.logic_and(state <= projection.lower, nominal < 0), ca.logic_and(state >= projection.upper, nominal > 0)
+        )
+        correction = loop.joined([ca.if_else(out, -nominal, 0)])[0]
+        expressions = list(ca.substitute(expressions, [projection.correction], [correction]))
+    return expressions
+
+
+def _trajectory(loop: ClosedLoop) -> Any:
+    _, meanings = columns(loop.trajectories)
+    return ca.Function("trajectory", [loop.time, loop.p], [meanings])
+
+
+def _plant_rate(loop: ClosedLoop) -> Any:
+    return _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
+
+
+def _clip(loop: ClosedLoop) -> Any:
+    """(state, p) -> the state projected onto its boxes."""
+    state, inside = loop.state, loop.state
+    for projection in loop.projections:
+        held = ca.fmin(ca.fmax(projection.state, projection.lower), projection.upper)
+        inside = ca.substitute(inside, projection.state, held)
+    return ca.Function("clip", [state, loop.p], [inside])
+
+
+def _sampled_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: float, substeps: int) -> Any:
+    z, x = stack(v.symbol for v in loop.controller), stack(v.symbol for v in loop.plant)
+    commands = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
+    held, command = columns(commands)
+    rates = stack(variable.rate for variable in loop.controller)
+    control = _function("control", loop, [loop.state], [rates, command])
+    rate = _held_rate(loop, x, held)
+    state, k = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("k")
+    p = ca.MX.sym("p", loop.p.numel())
+    t = k * period
+    dz, u = control(state, trajectory(t, p), p)
+    advanced = state[: z.numel()] + period * dz
+    plant = state[z.numel() :]
+    plant = _integrate(rate, plant, t, u, p, trajectory, solver, period, substeps)
+    return ca.Function("tick", [state, k, p], [_clip(loop)(ca.vertcat(advanced, plant), p)])
+
+
+def _continuous_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: float, substeps: int) -> Any:
+    rates = [stack(variable.rate for variable in (*loop.controller, *loop.plant))]
+    field = _function("field", loop, [loop.state], rates)
+    state, k = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("k")
+    p, none = ca.MX.sym("p", loop.p.numel()), ca.MX.sym("none", 0)
+    w = ca.MX.sym("w", field.size1_in(1))
+    rate = ca.Function("rate", [state, none, w, p], [field(state, w, p)])
+    after = _integrate(rate, state, k * period, ca.MX(0, 1), p, trajectory, solver, period, substeps)
+    return ca.Function("tick", [state, k, p], [_clip(loop)(after, p)])
+
+
+def _held_rate(loop: ClosedLoop, x: SX, held: SX) -> Any:
+    """(x, u, w, p) -> the plant's rate under held commands."""
+    rates = stack(variable.rate for variable in loop.plant)
+    w = stack(leaf.symbol for leaf in loop.trajectories)
+    return ca.Function("plant", [x, held, w, loop.p], ca.cse([rates]))
+
+
+def _integrate(
+    rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float, substeps: int
+) -> Any:
+    if solver.method == "cvodes":
+        return _cvodes(rate, x, t, u, p, trajectory, solver, period)
+    h = period / substeps
+    moved = rate.jac_sparsity(0, 2).nnz() > 0  # do trajectories act on what is integrated?
+    still = ca.MX.zeros(rate.size1_in(2))
+
+    def at(x: Any, t: Any) -> Any:
+        return rate(x, u, trajectory(t, p) if moved else still, p)
+
+    for j in range(substeps):
+        now = t + j * h
+        k1 = at(x, now)
+        k2 = at(x + h / 2 * k1, now + h / 2)
+        k3 = at(x + h / 2 * k2, now + h / 2)
+        k4 = at(x + h * k3, now + h)
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return x
+
+
+def _cvodes(
+    rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float
+) -> Any:
+    if not ca.has_integrator("cvodes"):
+        raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose method: rk4")
+    state, since = ca.MX.sym("x", rate.size1_in(0)), ca.MX.sym("since")
+    held = ca.MX.sym("held", rate.size1_in(1) + 1 + p.numel())
+    commands, start, numbers = ca.vertsplit(held, [0, rate.size1_in(1), rate.size1_in(1) + 1, held.numel()])
+    ode = rate(state, commands, trajectory(start + since, numbers), numbers)
+    problem = {"x": state, "t": since, "p": held, "ode": ode}
+    options = {"reltol": solver.tolerance, "abstol": solver.tolerance * 1e-3, "max_num_steps": 100_000}
+    integrator = ca.integrator("integrator", "cvodes", problem, 0, period, options)
+    return integrator(x0=x, p=ca.vertcat(u, t, p))["xf"]
