@@ -154,8 +154,9 @@ def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
 def _base(name: str) -> tuple[Fraction, dict[str, int]]:
     if not _known(name):
         pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
-        glued = next((pair for pair in pairs if all(map(_known, pair))), None)
-        hint = f"did you mean {glued[0]} {glued[1]}?" if glued else nearest(name, _SPELLINGS)
+        right = [spelling for spelling in _SPELLINGS if spelling.lower() == name.lower()]
+        right += [" ".join(pair) for pair in pairs if all(map(_known, pair))]
+        hint = f"did you mean {right[0]}?" if right else nearest(name, _SPELLINGS)
         raise UnitError(f"unknown unit {name}; {hint}")
     root: Any = _registry().Quantity(1, name).to_root_units()
     return Fraction(root.magnitude), {key: int(power) for key, power in root.unit_items()}

@@ -138,7 +138,7 @@ def read_document(text: str, name: str) -> Document:
         reader.faults.append(DocumentError(problem, location=_place(name, text, index)))
     except DocumentError as fault:
         reader.faults.append(fault)
-    raise_all(reader.faults)
+    raise_all(sorted(reader.faults, key=_order))
     if root is None or root.value is None:
         raise DocumentError("expected a graph, found nothing; a graph begins with dmframe: 1", location=f"{name}:1:1")
     if not isinstance(root.value, dict):
@@ -157,6 +157,11 @@ def _check_size(count: int, name: str) -> None:
 def _place(name: str, text: str, index: int) -> str:
     start = text.rfind("\n", 0, index) + 1
     return f"{name}:{text.count(chr(10), 0, index) + 1}:{index - start + 1}"
+
+
+def _order(fault: DmframeError) -> tuple[int, int]:
+    line, column = fault.location.split(":")[-2:]
+    return int(line), int(column)
 
 
 def _neighbours(folder: Path) -> list[str]:

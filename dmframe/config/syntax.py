@@ -46,4 +46,5 @@ def plain_words(fault: Any, text: str) -> tuple[str, int]:
         return "this does not fit what stands before it; check indentation, quotes and brackets", end
     if start := _START.search(problem):
         return f"a value cannot begin with {start.group(1)}; put it in quotes", end
-    return f"not readable as YAML ({problem})", end
+    ended = problem.replace(r"'\x00'", "the end of the text")
+    return f"not readable as YAML ({ended})", end
