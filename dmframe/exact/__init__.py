@@ -1,0 +1,28 @@
+"""Exact identity testing: expressions evaluated in a prime field, with no rounding and no tolerance."""
+
+from __future__ import annotations
+
+from dmframe.exact.identity import Witness, ZeroTest, zero_test
+from dmframe.exact.linear import Echelon, NoRationalError, null_space, rank, rational_reconstruction, reduced_echelon
+from dmframe.exact.primes import MERSENNE_127, is_prime, random_prime
+from dmframe.exact.tape import Bound, Tape
+from dmframe.exact.trial import Trial, ZeroDivision
+
+__all__ = [
+    "MERSENNE_127",
+    "Bound",
+    "Echelon",
+    "NoRationalError",
+    "Tape",
+    "Trial",
+    "Witness",
+    "ZeroDivision",
+    "ZeroTest",
+    "is_prime",
+    "null_space",
+    "random_prime",
+    "rank",
+    "rational_reconstruction",
+    "reduced_echelon",
+    "zero_test",
+]

@@ -1,0 +1,111 @@
+"""Linear algebra over a prime field: ranks and null spaces without a threshold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import final
+
+from dmframe.errors import ShapeError
+
+
+class NoRationalError(ArithmeticError):
+    """No fraction with small numerator and denominator has this residue."""
+
+
+@final
+class Echelon:
+    """A row space that grows, kept in reduced echelon form.
+
+    Each kept row is 1 in its pivot column, where all others are 0, and 0 left of it.
+    """
+
+    def __init__(self, prime: int, columns: int) -> None:
+        self.prime = prime
+        self.columns = columns
+        self._rows: dict[int, list[int]] = {}
+
+    @property
+    def pivots(self) -> tuple[int, ...]:
+        """The pivot columns, ascending: the first columns that no combination of earlier ones gives."""
+        return tuple(sorted(self._rows))
+
+    @property
+    def rows(self) -> list[list[int]]:
+        """The reduced rows, in the order of their pivots."""
+        return [list(self._rows[pivot]) for pivot in self.pivots]
+
+    def add(self, row: Sequence[int]) -> bool:
+        """Take one more row; True if the row space has grown. Raises `ShapeError` for a row of another length."""
+        if len(row) != self.columns:
+            raise ShapeError(f"row of an echelon form: expected {self.columns} elements, found {len(row)}")
+        p = self.prime
+        rest = [value % p for value in row]
+        for pivot, kept in self._rows.items():
+            if rest[pivot]:
+                rest = _minus(rest, rest[pivot], kept, p)
+        if not any(rest):
+            return False
+        pivot = next(column for column, value in enumerate(rest) if value)
+        scale = pow(rest[pivot], -1, p)
+        new = [value * scale % p for value in rest]
+        for other, kept in self._rows.items():
+            if kept[pivot]:
+                self._rows[other] = _minus(kept, kept[pivot], new, p)
+        self._rows[pivot] = new
+        return True
+
+    def null_space(self) -> list[list[int]]:
+        """One vector for each column that is no pivot: 1 there, 0 in the other such columns."""
+        basis = []
+        for free in sorted(set(range(self.columns)) - self._rows.keys()):
+            vector = [0] * self.columns
+            vector[free] = 1
+            for pivot, row in self._rows.items():
+                vector[pivot] = -row[free] % self.prime
+            basis.append(vector)
+        return basis
+
+
+def _minus(row: Sequence[int], factor: int, other: Sequence[int], p: int) -> list[int]:
+    return [(x - factor * y) % p if y else x for x, y in zip(row, other, strict=True)]
+
+
+def reduced_echelon(rows: Sequence[Sequence[int]], prime: int) -> tuple[list[list[int]], tuple[int, ...]]:
+    """Reduced row echelon form (its non-zero rows) and pivot columns."""
+    echelon = Echelon(prime, len(rows[0]) if rows else 0)
+    for row in rows:
+        echelon.add(row)
+    return echelon.rows, echelon.pivots
+
+
+def rank(rows: Sequence[Sequence[int]], prime: int) -> int:
+    """The rank over F_p; never above the rank of the rational matrix that the rows are residues of."""
+    return len(reduced_echelon(rows, prime)[1])
+
+
+def null_space(rows: Sequence[Sequence[int]], columns: int, prime: int) -> list[list[int]]:
+    """A basis of the vectors x with A x = 0, A having `rows` of `columns` elements."""
+    echelon = Echelon(prime, columns)
+    for row in rows:
+        echelon.add(row)
+    return echelon.null_space()
+
+
+def rational_reconstruction(residue: int, prime: int, bound: int | None = None) -> Fraction:
+    """The fraction n/d = residue modulo `prime` with abs(n), d <= bound (sqrt(prime/2), which makes it unique).
+
+    Half an extended Euclid, [Wang1981]_. Raises `NoRationalError` where there is none. Many residues that stand for
+    no small fraction have one by chance: compare with a second prime.
+    """
+    limit = math.isqrt(prime // 2) if bound is None else bound
+    remainder, previous = residue % prime, prime
+    factor, previous_factor = 1, 0
+    while remainder > limit:
+        quotient = previous // remainder
+        previous, remainder = remainder, previous - quotient * remainder
+        previous_factor, factor = factor, previous_factor - quotient * factor
+    if abs(factor) > limit or math.gcd(remainder, factor) != 1:
+        raise NoRationalError(f"no fraction with parts up to {limit} has the residue {residue} modulo {prime}")
+    return Fraction(remainder, factor)

@@ -1,0 +1,101 @@
+"""One random point of a prime field, at which expressions are evaluated."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Hashable
+from fractions import Fraction
+from typing import Final, final
+
+SIGN_LIMIT: Final = 8
+"""Different signs whose two values are both tried; one trial then takes at most 2**8 evaluations."""
+
+
+class ZeroDivision(ArithmeticError):
+    """A denominator vanished at this point: draw another one."""
+
+
+@final
+class Trial:
+    """A prime, a source of randomness, and the values already chosen for functions that the field does not have.
+
+    Equal arguments get equal values for as long as the trial lives, also between the evaluations of two tapes.
+
+    - sin and cos of one argument are one random point of the unit circle, ((1-t^2)/(1+t^2), 2t/(1+t^2)); cos is
+      even and sin is odd.
+    - sign is +1 or -1, odd, and 0 at 0. A random choice would miss (sign x + 1)(sign y + 1) three times in four, so
+      `next_signs` walks through all choices; beyond `SIGN_LIMIT` signs it is a free value.
+    - fabs(x) is x sign(x).
+    - Any other function is a free random value. That is sound: an identity that holds for free values holds for those
+      that the function takes. It is not complete: tanh(x) + tanh(-x) = 0 is not seen.
+    """
+
+    def __init__(self, prime: int, rng: random.Random) -> None:
+        self.prime = prime
+        self.rng = rng
+        self._values: dict[Hashable, int] = {}
+        self._circle: dict[int, tuple[int, int]] = {}
+        self._signs: dict[int, int] = {}
+        self._script: list[int] = []
+
+    def random(self) -> int:
+        """A residue, each equally likely."""
+        return self.rng.randrange(self.prime)
+
+    def residue(self, value: Fraction | float | int) -> int:
+        """The exact rational value as a residue; raises `ZeroDivision` where the prime divides its denominator."""
+        if isinstance(value, int):
+            return value % self.prime
+        numerator, denominator = value.as_integer_ratio()
+        return numerator * self.inverse(denominator) % self.prime
+
+    def inverse(self, value: int) -> int:
+        """1 / value; raises `ZeroDivision`."""
+        try:
+            return pow(value, -1, self.prime)
+        except ValueError:
+            raise ZeroDivision(f"a denominator vanishes modulo {self.prime}") from None
+
+    def cos_sin(self, angle: int) -> tuple[int, int]:
+        """(cos, sin) of a reduced residue."""
+        if angle == 0:
+            return 1, 0
+        mirrored = self.prime - angle
+        key = min(angle, mirrored)
+        if key not in self._circle:
+            t = self.random()
+            inverse = self.inverse(1 + t * t)
+            self._circle[key] = ((1 - t * t) * inverse % self.prime, 2 * t * inverse % self.prime)
+        cosine, sine = self._circle[key]
+        return cosine, sine if key == angle else -sine % self.prime
+
+    def sign(self, value: int) -> int:
+        """+1 or -1 (0 at 0) of a reduced residue, as the script of `next_signs` says."""
+        if value == 0:
+            return 0
+        key = min(value, self.prime - value)
+        if key not in self._signs:
+            position = len(self._signs)
+            if position >= SIGN_LIMIT:
+                self._signs[key] = self.opaque(("sign", key))
+            else:
+                if position == len(self._script):
+                    self._script.append(1)
+                self._signs[key] = self._script[position]
+        return self._signs[key] if key == value else -self._signs[key]
+
+    def next_signs(self) -> bool:
+        """Forget the signs and take the next choice of them; False when all choices that were met have been tried."""
+        self._signs.clear()
+        while self._script and self._script[-1] == -1:
+            self._script.pop()
+        if not self._script:
+            return False
+        self._script[-1] = -1
+        return True
+
+    def opaque(self, key: Hashable) -> int:
+        """The free value of a function at reduced arguments; `key` names both."""
+        if key not in self._values:
+            self._values[key] = self.random()
+        return self._values[key]
