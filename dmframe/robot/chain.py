@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from dmframe.errors import ValueFault
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
+from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model
 from dmframe.robot.urdf import read_urdf
 
 AXES = ("x", "y", "z", "xy", "xz", "yz", "xyz")
-TOOL_FRAME = "dmframe_tool"
 # What a quarter turn written with ten digits leaves of a translation that is meant as 0. [m]
 NOTHING = 1e-11
 
@@ -159,8 +159,6 @@ class SerialChain:
         RobotError
             Free joints that are no chain of revolute and prismatic joints, or a robot without inertia.
         """
-        from dmframe.robot.reduction import check_inertia, reduce_model
-
         name = name or model.name
         _check_numbers(name, axes, friction_velocity)
         reduced, tool_frame = reduce_model(model, name, free=free, hold=hold or {}, tool=tool, mimics=mimics)
@@ -183,18 +181,6 @@ class SerialChain:
 def pin_configuration(chain: SerialChain, q: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
     """The configuration of `chain.model` at joint angles q; Pinocchio keeps an unbounded angle as cosine and sine."""
     return model_configuration(chain.model, dict(zip(chain.joint_names, np.asarray(q, dtype=float), strict=True)))
-
-
-def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.float64]:
-    """The neutral configuration of `model`, with the one-degree joints of `angles` at their values."""
-    import pinocchio as pin
-
-    configuration = np.array(pin.neutral(model), dtype=float)
-    for name, angle in angles.items():
-        joint = model.joints[model.getJointId(name)]
-        value = (math.cos(angle), math.sin(angle)) if joint.nq == 2 else (angle,)
-        configuration[joint.idx_q : joint.idx_q + joint.nq] = value
-    return configuration
 
 
 def _check_numbers(name: str, axes: str, friction_velocity: float) -> None:
@@ -232,12 +218,6 @@ def _joint(model: Any, index: int) -> tuple[Joint, float]:
         velocity=_limit(model.velocityLimit[joint.idx_v]),
         effort=_limit(model.effortLimit[joint.idx_v]),
     ), change
-
-
-def motion_subspace(joint: Any) -> NDArray[np.float64]:
-    """The six-vector (linear, angular) of a one-degree joint's unit velocity, in its own frame."""
-    subspace = joint.createData().S
-    return np.array(subspace if isinstance(subspace, np.ndarray) else subspace.vector, dtype=float).reshape(-1)
 
 
 def _limit(value: float) -> float:

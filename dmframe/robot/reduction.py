@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dmframe.errors import RobotError, UnknownNameError, ValueFault
-from dmframe.robot.chain import TOOL_FRAME, model_configuration, motion_subspace
+
+TOOL_FRAME = "dmframe_tool"
 
 
 def reduce_model(
@@ -160,6 +162,24 @@ def _tool_frame(model: Any, tool: str | Sequence[float] | None, where: str) -> i
         )
     placement = pin.SE3(np.eye(3), point)
     return int(model.addFrame(pin.Frame(TOOL_FRAME, last, 0, placement, pin.FrameType.OP_FRAME)))
+
+
+def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.float64]:
+    """The neutral configuration of `model`, with the one-degree joints of `angles` at their values."""
+    import pinocchio as pin
+
+    configuration = np.array(pin.neutral(model), dtype=float)
+    for name, angle in angles.items():
+        joint = model.joints[model.getJointId(name)]
+        value = (math.cos(angle), math.sin(angle)) if joint.nq == 2 else (angle,)
+        configuration[joint.idx_q : joint.idx_q + joint.nq] = value
+    return configuration
+
+
+def motion_subspace(joint: Any) -> NDArray[np.float64]:
+    """The six-vector (linear, angular) of a one-degree joint's unit velocity, in its own frame."""
+    subspace = joint.createData().S
+    return np.array(subspace if isinstance(subspace, np.ndarray) else subspace.vector, dtype=float).reshape(-1)
 
 
 def check_inertia(model: Any, name: str) -> None:

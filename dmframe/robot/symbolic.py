@@ -113,7 +113,7 @@ class SymbolicRobot:
         return self._task(point)
 
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
-        r"""The task Jacobian J(q), eq. (2), SX (m, n): columns :math:`z_i \times (x - o_i)`; :math:`z_i` if prismatic."""
+        r"""The task Jacobian J(q), eq. (2), SX (m, n); columns :math:`z_i \times (x - o_i)`, prismatic :math:`z_i`."""
         rotation, origin = ca.SX.eye(3), ca.SX(3, 1)
         axes, origins = [], []
         for link in self._links(q, a_k):
@@ -176,7 +176,7 @@ class SymbolicRobot:
         return _project(links, forces)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
-        r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's Jacobian in the inertia."""
+        r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's slope in the inertia."""
         return ca.jacobian(self.inverse_dynamics(q, dq, dq_ref, ddq_ref), self.inertia)
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
@@ -253,7 +253,7 @@ class Body:
         r"""Force and moment about the origin that the motion takes, linear in the ten parameters.
 
         A point r of the body accelerates by :math:`\dot v + A r`, so with :math:`\Sigma = \int r r^\top dm` the force
-        is :math:`m \dot v + A h` and the moment :math:`h \times \dot v + \mathrm{vee}(A \Sigma - \Sigma A^\top)`. Below,
+        is :math:`m \dot v + A h`, the moment :math:`h \times \dot v + \mathrm{vee}(A \Sigma - \Sigma A^\top)`. Below,
         :math:`\Sigma` is written in the entries of I, in which the antisymmetric part of A gives :math:`I \dot\nu`.
         """
         J = self.inertia

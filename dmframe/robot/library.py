@@ -1,0 +1,193 @@
+"""The robots that installed packages offer by name, and URDF files by path.
+
+A package joins in through the entry-point group `dmframe.robots`, whose value is the package's name: each of its
+folders that holds a `robot.toml` is a robot of the folder's name.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata, util
+from pathlib import Path
+from typing import Any, final
+
+from dmframe.errors import RobotError, UnknownNameError
+from dmframe.robot.chain import SerialChain
+
+GROUP = "dmframe.robots"
+SHARED = "example-robot-data"
+SHARED_FOLDER = "cmeel.prefix/share/example-robot-data/robots"
+KEYS = ("description", "urdf", "tool", "axes", "free", "hold")
+MODEL_PATH = ("robot", "model")
+
+
+@final
+@dataclass(frozen=True)
+class RobotSource:
+    """Where a robot's model lies, and what a graph gets that says no more than its name.
+
+    `tool`, `axes`, `free` and `hold` (rad) are the defaults of :meth:`dmframe.robot.chain.SerialChain.from_urdf`.
+    """
+
+    name: str
+    urdf: Path
+    tool: str | tuple[float, ...] | None = None
+    axes: str = "xyz"
+    free: tuple[str, ...] | None = None
+    hold: Mapping[str, float] = field(default_factory=dict)
+    description: str = ""
+    folder: Path | None = None
+
+
+def robots() -> dict[str, RobotSource]:
+    """Every packaged robot by name, in alphabetical order.
+
+    Raises
+    ------
+    RobotError
+        A registered package that cannot be found, a bad `robot.toml`, or two robots of one name.
+    """
+    found: dict[str, RobotSource] = {}
+    for entry in sorted(set(metadata.entry_points(group=GROUP)), key=lambda entry: entry.value):
+        spec = util.find_spec(entry.value)
+        if spec is None or not spec.submodule_search_locations:
+            raise RobotError(f"robots of {entry.value}: expected an installed package, found none")
+        for folder in map(Path, spec.submodule_search_locations):
+            for source in robots_in(folder):
+                if source.name in found:
+                    raise RobotError(
+                        f"robot {source.name}: defined twice, in {found[source.name].folder} and {source.folder}"
+                    )
+                found[source.name] = source
+    return dict(sorted(found.items()))
+
+
+def robots_in(folder: Path) -> list[RobotSource]:
+    """The robots of one package folder.
+
+    Raises
+    ------
+    RobotError
+        A `robot.toml` that cannot be read, or with keys or types that are not the expected ones.
+    """
+    return [_read_source(file) for file in sorted(folder.glob("*/robot.toml"))]
+
+
+def find_robot(name_or_path: str, base: Path | None = None) -> RobotSource:
+    """The packaged robot of a name, or the URDF file of a path that ends in `.urdf`.
+
+    Parameters
+    ----------
+    name_or_path : "ur10", or "my_arm.urdf" relative to `base`, else to the current folder
+    base : the graph's folder
+
+    Raises
+    ------
+    UnknownNameError
+        No robot of that name.
+    RobotError
+        Its model belongs to a package that is not installed.
+    """
+    if name_or_path.endswith(".urdf"):
+        path = Path(name_or_path).expanduser()
+        beside = (base or Path()) / path
+        path = beside if beside.is_file() else path
+        return RobotSource(name=path.stem, urdf=path, folder=path.parent)
+    known = robots()
+    if name_or_path not in known:
+        raise UnknownNameError(f"robot {name_or_path}", "robot", name_or_path, known, path=MODEL_PATH)
+    source = known[name_or_path]
+    if str(source.urdf).startswith(f"{SHARED}:"):
+        raise RobotError(
+            f"robot {source.name}: its model comes with the package {SHARED}, which is not installed; "
+            f"install it: python -m pip install {SHARED}",
+            path=MODEL_PATH,
+        )
+    return source
+
+
+def load(
+    name_or_path: str,
+    *,
+    base: Path | None = None,
+    free: Sequence[str] | None = None,
+    hold: Mapping[str, float] | None = None,
+    tool: str | Sequence[float] | None = None,
+    axes: str | None = None,
+    friction_velocity: float = 0.005,
+) -> SerialChain:
+    """The chain of a robot by name or path; what is given here goes before the robot's own defaults.
+
+    A joint in `free` is no longer held by default; a joint in `hold` (rad) is no longer free by default, and the other
+    defaults of `hold` stay.
+
+    Raises
+    ------
+    UnknownNameError, RobotError, MissingError, ValueFault
+        See :func:`find_robot` and :meth:`dmframe.robot.chain.SerialChain.from_model`.
+    """
+    source = find_robot(name_or_path, base)
+    held = {joint: angle for joint, angle in source.hold.items() if joint not in (free or ())} | dict(hold or {})
+    if free is None and source.free is not None:
+        free = [joint for joint in source.free if joint not in (hold or {})]
+    return SerialChain.from_urdf(
+        source.urdf,
+        free=free,
+        hold=held,
+        tool=source.tool if tool is None else tool,
+        axes=axes or source.axes,
+        name=source.name,
+        friction_velocity=friction_velocity,
+    )
+
+
+def _read_source(file: Path) -> RobotSource:
+    name = file.parent.name
+    where = f"robot {name}: {file.name}"
+    try:
+        data = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
+        raise RobotError(f"{where}: expected a readable TOML file: {fault}") from None
+    for key in data:
+        if key not in KEYS:
+            raise UnknownNameError(f"{where}: {key}", "key", key, KEYS)
+    free = data.get("free")
+    return RobotSource(
+        name=name,
+        urdf=_locate(_text(data, "urdf", where), file.parent),
+        tool=_text(data, "tool", where) if "tool" in data else None,
+        axes=_text(data, "axes", where) if "axes" in data else "xyz",
+        free=None if free is None else tuple(free),
+        hold=_hold(data.get("hold", {}), where),
+        description=_text(data, "description", where),
+        folder=file.parent,
+    )
+
+
+def _text(data: Mapping[str, Any], key: str, where: str) -> str:
+    value = data.get(key)
+    if not isinstance(value, str) or not value:
+        raise RobotError(f"{where}: expected a text as {key}, found {value!r}")
+    return value
+
+
+def _hold(table: Any, where: str) -> dict[str, float]:
+    if not isinstance(table, dict) or not all(isinstance(angle, int | float) for angle in table.values()):
+        raise RobotError(f"{where}: expected hold as a table of joint = angle in rad, found {table!r}")
+    return {joint: float(angle) for joint, angle in table.items()}
+
+
+def _locate(urdf: str, folder: Path) -> Path:
+    """The file that `urdf` names; left as it is where its package is missing, so that the other robots stay usable."""
+    package, colon, inside = urdf.partition(":")
+    if not colon:
+        return folder / urdf
+    if package != SHARED:
+        raise RobotError(f"robot {folder.name}: expected urdf as a file name or {SHARED}:..., found {urdf!r}")
+    try:
+        shared = metadata.distribution(SHARED)
+    except metadata.PackageNotFoundError:
+        return Path(urdf)
+    return Path(str(shared.locate_file(SHARED_FOLDER))) / inside

@@ -1,0 +1,1 @@
+"""A planar arm with three joints, and its equations of motion in closed form."""

@@ -1,0 +1,1 @@
+"""A pendulum, and its equation of motion."""
