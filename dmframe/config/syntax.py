@@ -7,6 +7,7 @@ from typing import Any
 
 _START = re.compile(r"found character '(.+)' that cannot start any token")
 _CONTENT = re.compile(r"expected the node content, but found '(.+)'")
+_NAME = re.compile(r"expected alphabetic or numeric character, but found '(.+)'")
 _TAB = re.compile(r"^ *\t[ \t]*[^\s#]", re.MULTILINE)
 
 
@@ -46,5 +47,7 @@ def plain_words(fault: Any, text: str) -> tuple[str, int]:
         return "this does not fit what stands before it; check indentation, quotes and brackets", end
     if start := _START.search(problem):
         return f"a value cannot begin with {start.group(1)}; put it in quotes", end
-    ended = problem.replace(r"'\x00'", "the end of the text")
-    return f"not readable as YAML ({ended})", end
+    if name := _NAME.search(problem):
+        found = "the end of the text" if name.group(1) == r"\x00" else name.group(1)
+        return f"expected a name here, found {found}; put the text in quotes", end
+    return f"not readable as YAML ({problem})", end
