@@ -40,6 +40,10 @@ def _clock(value: Any) -> Any:
     return None if value == "continuous" else value
 
 
+def _robot_name(value: Any) -> Any:
+    return {"model": value} if isinstance(value, str) else value
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -65,7 +69,7 @@ class SolverSection(_Section):
     """How the continuous part is integrated."""
 
     method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
-    step: _quantity("s", positive=True) = Field(0.002, description="longest step of rk4")  # type: ignore[valid-type]
+    step: _quantity("s", positive=True) = Field(0.001, description="longest step of rk4")  # type: ignore[valid-type]
     output: _quantity("s", positive=True) = Field(  # type: ignore[valid-type]
         0.01, description="with a continuous clock, how often a result is kept"
     )
@@ -78,7 +82,9 @@ class GraphFile(_Section):
 
     dmframe: Literal[1] = Field(description="version of this format")
     title: str = Field("", description="one line that a reader understands")
-    robot: RobotSection | None = None
+    robot: Annotated[RobotSection | None, BeforeValidator(_robot_name)] = Field(
+        None, description="the robot's name, or its name with what moves and where the tool is"
+    )
     clock: Annotated[_quantity("s", positive=True) | None, BeforeValidator(_clock)] = Field(  # type: ignore[valid-type]
         description="sampling period of the controller, or continuous"
     )
@@ -154,12 +160,11 @@ def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
         All faults of the file at once, each with its line and column.
     """
     path = find_graph(str(source))
-    return parse_graph(read_file(path), path, overrides)
+    return make_graph(read_file(path), path, overrides)
 
 
-def parse_graph(text: str, path: Path, overrides: Sequence[str] = ()) -> Graph:
-    """A graph from its text; `path` names it in messages, and files are looked for beside it."""
-    document = read_document(text, path.name)
+def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) -> Graph:
+    """A graph from its document; `path` names it, and files are looked for beside it."""
     data = overridden(document.data, overrides)
     faults = list[DmframeError]()
     try:

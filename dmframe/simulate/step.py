@@ -49,7 +49,7 @@ class Solver:
     """
 
     method: Method = "rk4"
-    step: float = 0.002
+    step: float = 0.001
     output: float = 0.01
     tolerance: float = 1e-9
 
