@@ -153,13 +153,12 @@ def _read_source(file: Path) -> RobotSource:
     for key in data:
         if key not in KEYS:
             raise UnknownNameError(f"{where}: {key}", "key", key, KEYS)
-    free = data.get("free")
     return RobotSource(
         name=name,
         urdf=_locate(_text(data, "urdf", where), file.parent),
         tool=_text(data, "tool", where) if "tool" in data else None,
         axes=_text(data, "axes", where) if "axes" in data else "xyz",
-        free=None if free is None else tuple(free),
+        free=_names(data["free"], where) if "free" in data else None,
         hold=_hold(data.get("hold", {}), where),
         description=_text(data, "description", where),
         folder=file.parent,
@@ -171,6 +170,12 @@ def _text(data: Mapping[str, Any], key: str, where: str) -> str:
     if not isinstance(value, str) or not value:
         raise RobotError(f"{where}: expected a text as {key}, found {value!r}")
     return value
+
+
+def _names(value: Any, where: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
+        raise RobotError(f"{where}: expected free as a list of joint names, found {value!r}")
+    return tuple(value)
 
 
 def _hold(table: Any, where: str) -> dict[str, float]:

@@ -38,7 +38,10 @@ def reduce_model(
     for joint in names:
         # Pinocchio's reduction crashes on a joint without a frame, which a model built by hand may have.
         if not model.existFrame(joint):
-            raise RobotError(f"{where}: joint {joint} has no frame in the model; call model.addJointFrame on it")
+            raise RobotError(
+                f"{where}: joint {joint} has no frame in the model; call model.addJointFrame on it",
+                path=("robot", "model"),
+            )
     if isinstance(tool, str):
         _frame(model, tool, where)
     kept = set(free) if free is not None else _on_the_way(model, where, tool) - set(hold)
@@ -46,7 +49,7 @@ def reduce_model(
         raise RobotError(f"{where}: no free joint is left; hold fewer joints", path=("robot", "free"))
     _check_kinds(model, where, kept, hold, mimics)
     locked = [model.getJointId(joint) for joint in names if joint not in kept]
-    reduced = pin.buildReducedModel(model, locked, model_configuration(model, hold))
+    reduced = pin.buildReducedModel(_with_unique_frames(model), locked, model_configuration(model, hold))
     _check_chain(reduced, where)
     return reduced, _tool_frame(reduced, tool, where)
 
@@ -124,6 +127,18 @@ def _check_chain(model: Any, where: str) -> None:
             )
 
 
+def _with_unique_frames(model: Any) -> Any:
+    """A copy in which no fixed joint's frame shares a body's name: Pinocchio's reduction refuses such namesakes."""
+    import pinocchio as pin
+
+    copy = model.copy()
+    bodies = {frame.name for frame in copy.frames if frame.type == pin.FrameType.BODY}
+    for frame in copy.frames:
+        if frame.type == pin.FrameType.FIXED_JOINT and frame.name in bodies:
+            frame.name += " (fixed joint)"
+    return copy
+
+
 def _frame(model: Any, frame: str, where: str) -> int:
     """The index of a frame, a body's rather than a joint's of the same name."""
     import pinocchio as pin
@@ -178,7 +193,11 @@ def model_configuration(model: Any, angles: Mapping[str, float]) -> NDArray[np.f
 
 def motion_subspace(joint: Any) -> NDArray[np.float64]:
     """The six-vector (linear, angular) of a one-degree joint's unit velocity, in its own frame."""
-    subspace = joint.createData().S
+    data, configuration = joint.createData(), np.zeros(joint.idx_q + joint.nq)
+    if joint.nq == 2:
+        configuration[joint.idx_q] = 1.0  # the cosine of an unbounded angle of 0
+    joint.calc(data, configuration)  # a helical joint learns its pitch only here
+    subspace = data.S
     return np.array(subspace if isinstance(subspace, np.ndarray) else subspace.vector, dtype=float).reshape(-1)
 
 

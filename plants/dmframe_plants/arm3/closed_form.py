@@ -50,24 +50,28 @@ def position(q: Array, p: Parameters = ARM3) -> Array:
 def jacobian(q: Array, p: Parameters = ARM3) -> Array:
     """J(q), shape (2, 3)."""
     theta, a = T @ q, np.array(p.a)
-    return np.array([-a * np.sin(theta), a * np.cos(theta)]) @ T
+    J: Array = np.array([-a * np.sin(theta), a * np.cos(theta)]) @ T
+    return J
 
 
 def mass_matrix(q: Array, p: Parameters = ARM3) -> Array:
     """M(q), shape (3, 3), kg m^2."""
     theta = T @ q
-    return T.T @ (_coupling(p) * np.cos(theta[:, None] - theta[None, :])) @ T
+    M: Array = T.T @ (_coupling(p) * np.cos(theta[:, None] - theta[None, :])) @ T
+    return M
 
 
 def coriolis(q: Array, dq: Array, p: Parameters = ARM3) -> Array:
     """The Christoffel matrix C(q, dq), shape (3, 3)."""
     theta, dtheta = T @ q, T @ dq
-    return T.T @ (_coupling(p) * np.sin(theta[:, None] - theta[None, :]) * dtheta[None, :]) @ T
+    C: Array = T.T @ (_coupling(p) * np.sin(theta[:, None] - theta[None, :]) * dtheta[None, :]) @ T
+    return C
 
 
 def gravity_torque(q: Array, p: Parameters = ARM3) -> Array:
     """The torque g(q) that holds the arm still, shape (3,), N m."""
-    return T.T @ (_first_moments(p) * p.g_0 * np.cos(T @ q))
+    torque: Array = T.T @ (_first_moments(p) * p.g_0 * np.cos(T @ q))
+    return torque
 
 
 def _first_moments(p: Parameters) -> Array:
