@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
 
-from dmframe.block import AbstractBlock
+from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_document, read_file
 from dmframe.diagram import Diagram
@@ -21,7 +20,7 @@ from dmframe.simulate.step import Method
 from dmframe.units import to_unit
 
 
-def _quantity(unit: str, *, positive: bool = False) -> Any:
+def _reader(unit: str, *, positive: bool) -> BeforeValidator:
     def read(value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float | str):
             raise ValueError(f"expected a number in {unit}, found {value!r}")
@@ -29,11 +28,21 @@ def _quantity(unit: str, *, positive: bool = False) -> Any:
             number = to_unit(value, unit)
         except DmframeError as error:
             raise ValueError(error.text) from None
-        if not math.isfinite(number) or (positive and number <= 0):
-            raise ValueError(f"expected a {'positive ' if positive else ''}number in {unit}, found {value!r}")
+        if positive and number <= 0:
+            raise ValueError(f"expected a positive number in {unit}, found {value!r}")
         return number
 
-    return Annotated[float, BeforeValidator(read)]
+    return BeforeValidator(read)
+
+
+def _schema(unit: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": ["number", "string"], "description": f"a number in {unit}, or a text with a unit"})
+
+
+Seconds = Annotated[float, _reader("s", positive=True), _schema("s")]
+Angle = Annotated[float, _reader("rad", positive=False), _schema("rad")]
+Length = Annotated[float, _reader("m", positive=False), _schema("m")]
+Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
 
 
 def _clock(value: Any) -> Any:
@@ -53,15 +62,15 @@ class RobotSection(_Section):
     """Which robot, and which of its joints move."""
 
     model: str = Field(description="name of a robot, or a path to a URDF file")
-    free: tuple[str, ...] | None = Field(None, description="joints that move, by name; all those on the way to the tool")
-    hold: dict[str, _quantity("rad")] = Field({}, description="joints held still, with their angles")  # type: ignore[misc]
-    tool: str | tuple[_quantity("m"), _quantity("m"), _quantity("m")] | None = Field(  # type: ignore[misc]
+    free: tuple[str, ...] | None = Field(
+        None, description="joints that move, by name; all those on the way to the tool"
+    )
+    hold: dict[str, Angle] = Field({}, description="joints held still, with their angles")
+    tool: str | tuple[Length, Length, Length] | None = Field(
         None, description="frame of the tool, or its offset in the last link"
     )
     axes: str | None = Field(None, description="task coordinates: xyz, xy, ...")
-    friction_velocity: _quantity("rad/s", positive=True) = Field(  # type: ignore[valid-type]
-        0.005, description="v_0 of Coulomb friction, tanh(dq / v_0)"
-    )
+    friction_velocity: Speed = Field(0.005, description="v_0 of Coulomb friction, tanh(dq / v_0)")
 
 
 @final
@@ -69,11 +78,9 @@ class SolverSection(_Section):
     """How the continuous part is integrated."""
 
     method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
-    step: _quantity("s", positive=True) = Field(0.001, description="longest step of rk4")  # type: ignore[valid-type]
-    output: _quantity("s", positive=True) = Field(  # type: ignore[valid-type]
-        0.01, description="with a continuous clock, how often a result is kept"
-    )
-    tolerance: _quantity("1", positive=True) = Field(1e-9, description="of cvodes, relative")  # type: ignore[valid-type]
+    step: Seconds = Field(0.001, description="longest step of rk4")
+    output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
 
 
 @final
@@ -85,11 +92,13 @@ class GraphFile(_Section):
     robot: Annotated[RobotSection | None, BeforeValidator(_robot_name)] = Field(
         None, description="the robot's name, or its name with what moves and where the tool is"
     )
-    clock: Annotated[_quantity("s", positive=True) | None, BeforeValidator(_clock)] = Field(  # type: ignore[valid-type]
+    clock: Annotated[Seconds | None, BeforeValidator(_clock), _schema("s, or continuous")] = Field(
         description="sampling period of the controller, or continuous"
     )
-    duration: _quantity("s", positive=True) = Field(description="simulated time")  # type: ignore[valid-type]
-    start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}; or near: a pose to start close to")
+    duration: Seconds = Field(description="simulated time")
+    start: dict[str, Any] = Field(
+        {}, description="start values by state, {q: [...]}; or near: a pose to start close to"
+    )
     solver: SolverSection = SolverSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
     wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
@@ -244,15 +253,10 @@ def _block(name: str, spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     try:
         return kind(**values)
     except DmframeError as error:
-        own = kind.__name__
         for fault in error.faults if isinstance(error, Faults) else (error,):
             fault.path = (*path, *fault.path)
-            fault.text = f"blocks.{name}" + fault.text.removeprefix(_snake(own))
+            fault.text = f"blocks.{name}" + fault.text.removeprefix(type_name(kind))
         raise
-
-
-def _snake(name: str) -> str:
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
 
 
 def _robot(section: RobotSection | None, base: Path, faults: list[DmframeError]) -> Any:
