@@ -1,0 +1,156 @@
+"""A run as labelled arrays with units."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dmframe.config.graph import Graph
+from dmframe.diagram import Diagram
+from dmframe.results.resolved import resolved_text
+from dmframe.simulate import Run, Solver
+
+if TYPE_CHECKING:
+    import xarray
+
+_DIMENSIONS = {"n": "joint", "m": "axis", "p": "parameter", "k": "kinematic_parameter"}
+
+
+def dataset(run: Run, graph: Graph | None = None, seed: int | None = None) -> xarray.Dataset:
+    """Every recorded state and output as a variable ``block.signal`` over time, with its unit.
+
+    The dimensions are named: joint, axis, parameter; a size that is none of these has a dimension of its own.
+
+    Parameters
+    ----------
+    graph
+        The graph that ran: its name, its title and the SHA-256 of its resolved text become attributes.
+    seed
+        Of the run's noise, where it has any.
+    """
+    import xarray
+
+    import dmframe
+
+    made = xarray.Dataset(coords={"time": ("time", run.time, {"units": "s", "long_name": "time"})})
+    coordinates = dict[str, list[str] | list[int]]()
+    for label, shape, unit, kind in _recorded(run):
+        rows = run[label]
+        dimensions, values = _labelled(run.diagram, label, shape, rows, coordinates)
+        attributes = {"units": unit or "1", "long_name": f"{label.split('.', 1)[1]}, {kind} of {label.split('.')[0]}"}
+        attributes |= _prismatic(run.diagram, dimensions, unit)
+        if not unit and dimensions == ("parameter",):
+            attributes["units"] = "see parameter_unit"
+        made[label] = (("time", *dimensions), values, attributes)
+    for name, entries in coordinates.items():
+        made = made.assign_coords({name: (name, entries, {"long_name": name.split(".")[-1], "units": "1"})})
+    if "parameter" in coordinates:
+        units = [_parameter_unit(str(name)) for name in coordinates["parameter"]]
+        made = made.assign_coords(parameter_unit=("parameter", units, {"long_name": "unit", "units": "1"}))
+    made.attrs = {
+        "title": (graph.file.title if graph else "") or (graph.name if graph else "dmframe run"),
+        "graph": graph.name if graph else "",
+        "clock": "continuous" if run.clock is None else f"{run.clock!r} s",
+        "duration": f"{run.duration!r} s",
+        "solver": _solver(run.solver, run.clock),
+        "source": f"dmframe {dmframe.__version__}",
+    }
+    if graph is not None:
+        made.attrs["graph_sha256"] = hashlib.sha256(resolved_text(graph).encode()).hexdigest()
+    if seed is not None:
+        made.attrs["seed"] = seed
+    if run.divergence is not None:
+        made.attrs["divergence"] = str(run.divergence)
+    return made
+
+
+def joint_labels(diagram: Diagram) -> tuple[str, ...]:
+    """The joints' names, or ``joint 1`` and so on in a diagram without a robot."""
+    if diagram.robot is not None:
+        return tuple(diagram.robot.joint_names)
+    return tuple(f"joint {i}" for i in range(1, diagram.sizes.bound.get("n", (0, ""))[0] + 1))
+
+
+def axis_labels(diagram: Diagram) -> tuple[str, ...]:
+    """x, y, z: the robot's task coordinates, or the first m."""
+    m = diagram.sizes.bound.get("m", (0, ""))[0]
+    names = diagram.robot.axes if diagram.robot is not None else "xyz"
+    return tuple(names) if len(names) == m else tuple(names[:m]) if m <= 3 else tuple(str(i + 1) for i in range(m))
+
+
+def parameter_labels(diagram: Diagram) -> tuple[str, ...]:
+    """m_1, mc_x1 and so on where the dynamic parameters are the robot's full set, else 1, 2, ..."""
+    size = diagram.sizes.bound.get("p", (0, ""))[0]
+    if diagram.robot is not None:
+        from dmframe.regressor.full import parameter_names
+
+        for block in diagram.blocks.values():
+            if "p" in block.sizes(diagram.robot):
+                names = parameter_names(diagram.robot.n, getattr(block, "friction", ()))
+                if len(names) == size:
+                    return names
+    return tuple(str(i) for i in range(1, size + 1))
+
+
+def _parameter_unit(name: str) -> str:
+    """Of a dynamic parameter by its name, in the full set; empty where it has no name."""
+    kinds = {"m": "kg", "mc": "kg m", "I": "kg m^2", "B": "N m s/rad", "D": "N m"}
+    return kinds.get(name.split("_")[0], "")
+
+
+def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
+    """Names for the elements of a dimension that a shape calls `letter`."""
+    named = {"n": joint_labels, "m": axis_labels, "p": parameter_labels}
+    found = named[letter](diagram) if letter in named else ()
+    return found if len(found) == size else tuple(str(i) for i in range(1, size + 1))
+
+
+def _recorded(run: Run) -> list[tuple[str, str, str, str]]:
+    """Label, shape, unit and kind of all that was recorded, in the order of the diagram."""
+    loop = run.diagram.loop
+    states = [(v.label, v.shape, v.unit, "state") for v in (*loop.controller, *loop.plant) if v.label in run.states]
+    outputs = [(s.label, s.shape, s.unit, "output") for s in loop.outputs if s.label in run.outputs]
+    return states + outputs
+
+
+def _labelled(
+    diagram: Diagram, label: str, shape: str, rows: np.ndarray, coordinates: dict[str, Any]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    words, sizes = shape.split(), diagram.sizes.of(shape)
+    dimensions = list[str]()
+    for word, size in zip(words, sizes, strict=True):
+        name = _DIMENSIONS.get(word, f"{label}.{word}")
+        name = f"{name}_{dimensions.count(name) + 1}" if name in dimensions else name  # netCDF wants them distinct
+        dimensions.append(name)
+        entries = element_labels(diagram, word, size)
+        coordinates[name] = [int(entry) for entry in entries] if all(map(str.isdigit, entries)) else list(entries)
+    # states are kept column by column
+    values = rows.reshape(len(rows), *reversed(sizes)).transpose(0, *range(len(sizes), 0, -1))
+    return tuple(dimensions), values
+
+
+def _prismatic(diagram: Diagram, dimensions: tuple[str, ...], unit: str) -> dict[str, str]:
+    """Units joint by joint where some joint slides: a port's unit is a revolute joint's."""
+    joints = () if diagram.robot is None else diagram.robot.joints
+    if "joint" not in dimensions or all(joint.kind == "revolute" for joint in joints):
+        return {}
+    units = (f"{joint.name}: {sliding(unit) if joint.kind == 'prismatic' else unit}" for joint in joints)
+    return {"units_per_joint": "; ".join(units)}
+
+
+def sliding(unit: str) -> str:
+    """A revolute joint's unit as that of a prismatic one: read m for rad, and N for N m.
+
+    >>> sliding("N m s/rad")
+    'N s/m'
+    """
+    force = re.sub(r"\bN(\^\d)? m(\^\d)?(?![\w])", r"N\1", unit)
+    return re.sub(r"\brad\b", "m", force)
+
+
+def _solver(solver: Solver, clock: float | None) -> str:
+    how = f"step {solver.step!r} s" if solver.method == "rk4" else f"tolerance {solver.tolerance!r}"
+    return f"{solver.method}, {how}" + (f", output {solver.output!r} s" if clock is None else "")

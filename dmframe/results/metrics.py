@@ -1,0 +1,93 @@
+"""How well a run followed its goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from dmframe.simulate import Run
+from dmframe.simulate.start import goals
+
+EIGHTHS = 8
+_PREFERRED = ("x", "q")
+_ROUNDING = 1e-9  # an instant k T that should open an eighth may lie this much of an eighth before it
+
+
+@final
+@dataclass(frozen=True)
+class TrackingError:
+    r"""Actual minus desired, :math:`e = s - s_d`.
+
+    Parameters
+    ----------
+    signal
+        ``"x - x_d"``.
+    unit
+        Of `values`, `norm` and the RMS figures.
+    times
+        (N,) [s].
+    values
+        (N, rows).
+    norm
+        (N,), Euclidean.
+    rms_by_eighth
+        The norm's root mean square over each eighth of the planned duration; None where the run never came.
+    desired, actual
+        The labels ``block.port`` of the two signals.
+    """
+
+    signal: str
+    unit: str
+    times: np.ndarray
+    values: np.ndarray
+    norm: np.ndarray
+    rms_by_eighth: tuple[float | None, ...]
+    desired: str
+    actual: str
+
+    @property
+    def rms_final(self) -> float | None:
+        """Over the last eighth; None where the run did not reach it."""
+        return self.rms_by_eighth[-1]
+
+
+def tracking_error(run: Run) -> TrackingError | None:
+    """The tracking error of a run: at the task where there is one, else at the joints; None without a goal."""
+    pairs = {actual.split(".", 1)[1]: (desired, actual) for desired, actual, _, _ in reversed(goals(run.diagram.loop))}
+    name = next((name for name in (*_PREFERRED, *pairs) if name in pairs), None)
+    if name is None:
+        return None
+    desired, actual = pairs[name]
+    values = np.asarray(run[actual] - run[desired])
+    norm = euclidean(values)
+    signal = next(signal for signal in run.diagram.loop.outputs if signal.label == actual)
+    return TrackingError(
+        signal=f"{name} - {name}_d",
+        unit=signal.unit,
+        times=run.time,
+        values=values,
+        norm=norm,
+        rms_by_eighth=rms_by_eighth(run.time, norm, run.duration),
+        desired=desired,
+        actual=actual,
+    )
+
+
+def euclidean(values: np.ndarray) -> np.ndarray:
+    """The norm of each row, also of numbers whose squares overflow, as before a divergence."""
+    scale = np.max(np.abs(values), axis=1, initial=0.0)
+    safe = np.where(scale > 0, scale, 1.0)
+    return np.asarray(scale * np.sqrt(np.sum((values / safe[:, None]) ** 2, axis=1)))
+
+
+def rms_by_eighth(times: np.ndarray, norm: np.ndarray, duration: float) -> tuple[float | None, ...]:
+    """Root mean square over the eighths ``[k, k + 1) duration / 8``; the last one holds its end."""
+    part = np.floor(times * EIGHTHS / duration + _ROUNDING).astype(int).clip(0, EIGHTHS - 1)
+    return tuple(_rms(norm[part == k]) if np.any(part == k) else None for k in range(EIGHTHS))
+
+
+def _rms(values: np.ndarray) -> float:
+    scale = float(np.max(values))
+    return scale * float(np.sqrt(np.mean((values / scale) ** 2))) if scale > 0 else 0.0

@@ -1,0 +1,47 @@
+"""A run in a few numbers: what ``run --json`` prints and ``summary.json`` holds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from dmframe.results.metrics import tracking_error
+from dmframe.simulate import Run
+
+
+def summary(name: str, run: Run, out: str | None = None) -> dict[str, Any]:
+    """Plain data that JSON can hold: what is not a finite number is None.
+
+    Parameters
+    ----------
+    name
+        The graph's name.
+    out
+        The folder that holds the run's files, where there is one.
+    """
+    error = tracking_error(run)
+    return {
+        "graph": name,
+        "duration": _number(run.duration),
+        "clock": "continuous" if run.clock is None else _number(run.clock),
+        "diverged": run.divergence is not None,
+        "divergence": None if run.divergence is None else str(run.divergence),
+        "interrupted": run.interrupted,
+        "error": None
+        if error is None
+        else {
+            "signal": error.signal,
+            "unit": error.unit,
+            "rms_by_eighth": [_number(value) for value in error.rms_by_eighth],
+            "rms_final": _number(error.rms_final),
+        },
+        "engine": run.engine,
+        "wall_time": _number(run.wall_time),
+        "real_time_factor": _number(run.real_time_factor),
+        "notices": list(run.notices),
+        "out": out,
+    }
+
+
+def _number(value: float | None) -> float | None:
+    return float(value) if value is not None and math.isfinite(value) else None
