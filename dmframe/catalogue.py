@@ -17,6 +17,7 @@ from collections.abc import Iterator
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import TypeGuard
 
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, MissingError, UnknownNameError
@@ -71,11 +72,11 @@ def _class_of(module_name: str, name: str) -> type[AbstractBlock]:
     class_name = "".join(word.capitalize() for word in name.split("_"))
     found = getattr(module, class_name, None)
     if not _is_block(found):
-        raise BlockError(f"{module_name}: expected a block class {class_name}, the file's name in CamelCase, found none")
-    return found  # type: ignore[no-any-return]
+        raise BlockError(f"{module_name}: expected a class {class_name}, the file's name in CamelCase, found none")
+    return found
 
 
-def _is_block(found: object) -> bool:
+def _is_block(found: object) -> TypeGuard[type[AbstractBlock]]:
     return inspect.isclass(found) and issubclass(found, AbstractBlock) and not inspect.isabstract(found)
 
 
@@ -85,7 +86,7 @@ def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
     module = _load(path, where)
     found = getattr(module, class_name, None)
     if _is_block(found):
-        return found  # type: ignore[no-any-return]
+        return found
     if found is not None:
         raise BlockError(f"{where}: {path.name}:{class_name} is no block; expected a subclass of AbstractBlock")
     choices = [name for name, item in vars(module).items() if _is_block(item) and item.__module__ == module.__name__]

@@ -42,27 +42,27 @@ class Spec:
     form: str = "diagonal"
 
 
-def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:  # noqa: N802 - reads as a type
+def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:
     """A parameter of any sign. `spread`: one number may stand for all elements."""
     return _field(Spec(shape, unit, "", "diagonal" if spread else "vector"), default)
 
 
-def Positive(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+def Positive(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
     """A parameter whose elements are above zero."""
     return _field(Spec(shape, unit, "> 0"), default)
 
 
-def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
     """A parameter whose elements are zero or above."""
     return _field(Spec(shape, unit, ">= 0"), default)
 
 
-def Interval(shape: str = "", unit: str = "") -> Any:  # noqa: N802 - reads as a type
+def Interval(shape: str = "", unit: str = "") -> Any:
     """A box ``[lower, upper]`` for a state of this shape; left out, the state is not bounded."""
     return _field(Spec(shape, unit, "", "box"), None)
 
 
-def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:  # noqa: N802 - reads as a type
+def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:
     """Rows of numbers, each as long as the letter says; their count is free."""
     return _field(Spec(f"* {columns}", unit, "", "table"), default)
 

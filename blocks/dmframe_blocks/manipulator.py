@@ -8,7 +8,7 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Lemma, Square
-from dmframe.robot.linalg import solve_spd
+from dmframe.linalg import solve_spd
 from dmframe.parameter import Diagonal, NonNegative, Positive
 from dmframe.port import Access, Port, Side, State
 
@@ -21,8 +21,8 @@ class Manipulator(AbstractBlock):
 
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g(q) = K u, \quad x = f(q)   \tag{1}
 
-    :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0` is the robot's `friction_velocity`,
-    the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
+    :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
+    is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
 
     .. math::
 

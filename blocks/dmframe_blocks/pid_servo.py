@@ -20,8 +20,8 @@ class PidServo(AbstractBlock):
         \dot i &= q - q_c                                              \tag{1} \\
         u      &= -K_D (\dot q - \dot q_c) - K_P (q - q_c) - K_I i     \tag{2}
 
-    The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result, which
-    makers call the target position. At the start the integrator holds the robot against gravity:
+    The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result;
+    makers call it the target position. At the start the integrator holds the robot against gravity:
     :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters

@@ -8,7 +8,7 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Square
-from dmframe.robot.linalg import solve_spd
+from dmframe.linalg import solve_spd
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 

@@ -63,7 +63,7 @@ class RobotSection(_Section):
 
     model: str = Field(description="name of a robot, or a path to a URDF file")
     free: tuple[str, ...] | None = Field(
-        None, description="joints that move, by name; all those on the way to the tool"
+        None, description="joints that move; without it, all those on the way to the tool"
     )
     hold: dict[str, Angle] = Field({}, description="joints held still, with their angles")
     tool: str | tuple[Length, Length, Length] | None = Field(
@@ -96,9 +96,7 @@ class GraphFile(_Section):
         description="sampling period of the controller, or continuous"
     )
     duration: Seconds = Field(description="simulated time")
-    start: dict[str, Any] = Field(
-        {}, description="start values by state, {q: [...]}; or near: a pose to start close to"
-    )
+    start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
     wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
@@ -194,7 +192,7 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
 
 def overridden(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """The file's data with ``--set`` values put in; the file's own data is not touched."""
-    result = _copy(data)
+    result: dict[str, Any] = _copy(data)
     for text in overrides:
         key, equals, value = text.partition("=")
         keys = key.strip().split(".")

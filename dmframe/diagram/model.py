@@ -63,7 +63,9 @@ def signals_of(
     return Signals(name, "inputs", inputs), Signals(name, "states", states), Signals(name, "parameters", given)
 
 
-def model_block(name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any) -> BlockModel:
+def model_block(
+    name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any
+) -> BlockModel:
     """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
     parameters = {key: symbol(f"{name}.{key}", value.shape) for key, value in values.items() if key not in states}

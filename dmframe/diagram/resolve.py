@@ -106,10 +106,11 @@ class Resolver:
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
         """The total time derivative along the equations of the expression's own side."""
-        moving = [(leaf, rate) for leaf, rate in self._moving(symbols_in([expression]), wanted_by)]
+        moving = list(self._moving(symbols_in([expression]), wanted_by))
         if not moving:
             return ca.SX.zeros(*expression.shape)
-        leaves, rates = (ca.vertcat(*(ca.vec(ca.densify(item)) for item in column)) for column in zip(*moving, strict=True))
+        leaves = ca.vertcat(*(ca.vec(leaf) for leaf, _ in moving))
+        rates = ca.vertcat(*(ca.vec(ca.densify(rate)) for _, rate in moving))
         return ca.jtimes(expression, leaves, rates)
 
     def _moving(self, used: set[int], wanted_by: str) -> Iterator[tuple[SX, SX]]:
@@ -187,7 +188,9 @@ class Resolver:
         """False where the node is already being resolved: an algebraic loop, recorded once."""
         if node in self._open:
             loop = self._open[self._open.index(node) :]
-            if not any(isinstance(fault, AlgebraicLoopError) and set(fault.ports) >= set(loop) for fault in self.faults):
+            if not any(
+                isinstance(fault, AlgebraicLoopError) and set(fault.ports) >= set(loop) for fault in self.faults
+            ):
                 self.faults.append(AlgebraicLoopError([*loop, node], REMEDY))
             yield False
             return

@@ -10,6 +10,7 @@ import numpy as np
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError
 from dmframe.parameter import array, specs
+from dmframe.port import Port, State
 
 
 @final
@@ -45,7 +46,11 @@ def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, 
             faults.append(sizes.bind(letter, getattr(robot, letter), f"robot {robot.name}"))
     for name, block in blocks.items():
         if block.uses_robot and robot is None:
-            faults.append(MissingError(f"{name}: this block needs a robot; add the key robot: {{model: ...}}", path=("blocks", name)))
+            faults.append(
+                MissingError(
+                    f"{name}: this block needs a robot; add the key robot: {{model: ...}}", path=("blocks", name)
+                )
+            )
             continue
         faults += [sizes.bind(letter, size, name) for letter, size in block.sizes(robot).items()]
     for name, block in blocks.items():
@@ -68,7 +73,8 @@ def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[
 
 def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Iterable[tuple[str, str]]:
     for name, block in blocks.items():
-        used = [*block.inputs, *(port for port in block.outputs if not port.optional), *block.states]
+        needed = [port for port in block.outputs if not port.optional]
+        used: list[Port | State] = [*block.inputs, *needed, *block.states]
         words = {word for item in used for word in item.shape.split() if not word.isdigit()}
         yield from ((name, letter) for letter in sorted(words - sizes.bound.keys()))
 
@@ -80,9 +86,7 @@ def _unbound(name: str, letter: str) -> DmframeError:
     )
 
 
-def parameter_arrays(
-    name: str, block: AbstractBlock, sizes: Sizes
-) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
+def parameter_arrays(name: str, block: AbstractBlock, sizes: Sizes) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
     """The block's numeric parameters as arrays of their bound sizes."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
     for parameter, spec in specs(type(block)).items():

@@ -39,9 +39,7 @@ def view(diagram: Diagram, name: str, known: Mapping[str, SX] | None = None) -> 
     return View(u, x, p, Signals(name, "truths that this diagram has", truth))
 
 
-def _truth(
-    diagram: Diagram, reader: str, port: Port, found: Mapping[str, SX], known: Mapping[str, SX]
-) -> SX | None:
+def _truth(diagram: Diagram, reader: str, port: Port, found: Mapping[str, SX], known: Mapping[str, SX]) -> SX | None:
     if port.name in known:
         return known[port.name]
     for name, model in diagram.models.items():

@@ -140,7 +140,9 @@ def _access(
 ) -> DmframeError | None:
     reader, signal = f"{end[0]}.{end[1]}", f"{source.block}.{source.port}"
     if target is not Side.PLANT and origin is Side.PLANT and out.access is not Access.MEASURED:
-        return AccessError(f"{signal} is hidden: {reader} cannot read it (the robot's architecture is closed)", path=path)
+        return AccessError(
+            f"{signal} is hidden: {reader} cannot read it (the robot's architecture is closed)", path=path
+        )
     if target is Side.PLANT and origin is Side.CONTROLLER and out.access is not Access.COMMANDED:
         return AccessError(
             f"{signal} cannot be commanded: {reader} takes only joint velocities and positions "

@@ -181,9 +181,7 @@ def _finite(history: np.ndarray) -> int:
     return int(bad[0]) if bad.size else history.shape[1]
 
 
-def _divergence(
-    variables: tuple[Variable, ...], history: np.ndarray, at: int, period: float
-) -> Divergence:
+def _divergence(variables: tuple[Variable, ...], history: np.ndarray, at: int, period: float) -> Divergence:
     row = int(np.flatnonzero(~np.isfinite(history[:, at]))[0])
     for variable in variables:
         if row < variable.symbol.numel():
@@ -226,7 +224,7 @@ def _stiffness(diagram: Diagram, step: Step, solver: Solver, state: np.ndarray, 
     fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian)))) if np.all(np.isfinite(jacobian)) else np.inf
     if fastest > 0.9 * RK4_STABLE:
         return (
-            f"the plant is stiff: rk4 at {h * 1e3:.3g} ms has h |lambda| = {fastest:.2f} at rest and is stable up to "
-            f"{RK4_STABLE}; take solver.step below {0.8 * h * 1e3 * RK4_STABLE / fastest:.2g} ms, or solver.method cvodes",
+            f"the plant is stiff: at rest h |lambda| = {fastest:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
+            f"{RK4_STABLE}; take solver.step: {0.8 * h * 1e3 * RK4_STABLE / fastest:.2g} ms, or solver.method: cvodes",
         )
     return ()

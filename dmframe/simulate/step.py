@@ -200,9 +200,7 @@ def _integrate(
     return x
 
 
-def _cvodes(
-    rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float
-) -> Any:
+def _cvodes(rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float) -> Any:
     if not ca.has_integrator("cvodes"):
         raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose method: rk4")
     state, since = ca.MX.sym("x", rate.size1_in(0)), ca.MX.sym("since")
