@@ -1,0 +1,137 @@
+"""Exact base parameters: the smallest set that the motion can tell apart, found without a tolerance."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, final
+
+from dmframe.errors import RobotError
+from dmframe.exact import Echelon, NoRationalError, Trial, ZeroDivision, random_prime, rational_reconstruction
+from dmframe.regressor.full import INERTIAL, FullRegressor, Sampler, full_regressor
+from dmframe.regressor.groupings import symbolic_groupings
+from dmframe.robot.chain import SerialChain
+
+# Mersenne primes: large ones carry the long fractions that general rotations bring, and need no search.
+_EXPONENTS: Final = (127, 521, 1279, 2203, 4423, 9689, 19937)
+# The textbooks' choice: inertias before first moments before masses, and I_xx before I_yy, so that a link's mass
+# moves to its parent and I_xx - I_yy stays [GautierKhalil1990].
+_PREFERENCE: Final = ("I_xx", "I_xy", "I_xz", "I_yy", "I_yz", "I_zz", "mc_x", "mc_y", "mc_z", "m")
+_CALM: Final = 3
+
+
+@final
+@dataclass(frozen=True)
+class BaseParameters:
+    r"""A regressor's columns that are independent, and what the others add to them.
+
+    .. math:: Y_d\, a = Y_d[:, independent]\, \beta, \qquad \beta = grouping \cdot a
+
+    holds identically in q, dq, dq_ref and ddq_ref.
+
+    Attributes
+    ----------
+    names : all p parameters of the full regressor
+    independent : columns kept, ascending
+    grouping : (count, p) exact coefficients
+    unidentifiable : parameters that no motion shows
+    symbolic : each base parameter as text, in the translations named by `translations`
+    translations : name and value [m] of each translation that `symbolic` uses; p_y3 is the y component of joint 3's
+        place in the frame of joint 2
+    """
+
+    names: tuple[str, ...]
+    independent: tuple[int, ...]
+    grouping: tuple[tuple[Fraction, ...], ...]
+    unidentifiable: tuple[str, ...]
+    symbolic: tuple[str, ...]
+    translations: tuple[tuple[str, Fraction], ...]
+
+    @property
+    def count(self) -> int:
+        """The number of base parameters."""
+        return len(self.independent)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The names of the columns kept."""
+        return tuple(self.names[column] for column in self.independent)
+
+
+def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbolic: bool = True) -> BaseParameters:
+    """The base parameters of a serial chain, exactly.
+
+    Regressor rows at random points of a prime field are stacked until their rank no longer grows; the fractions are
+    read from the reduced echelon form, and must agree with that of a second, random prime at other points.
+
+    Parameters
+    ----------
+    chain : the robot
+    friction : any of "viscous", "coulomb"
+    symbolic : False leaves `BaseParameters.symbolic` in decimal numbers, which is quicker
+
+    Raises `UnknownNameError` for another kind of friction, `RobotError` where no fractions agree.
+
+    References
+    ----------
+    [GautierKhalil1990]_, with a prime field's null space in place of rules or of a numerical rank.
+    """
+    regressor = full_regressor(chain, friction)
+    sampler = Sampler(regressor)
+    independent, grouping = _exact_grouping(sampler, random.Random(0), chain.name)
+    texts, translations = symbolic_groupings(chain, sampler, independent, grouping, exact_only=not symbolic)
+    shown = [any(row[column] for row in grouping) for column in range(len(regressor.names))]
+    hidden = tuple(name for name, seen in zip(regressor.names, shown, strict=True) if not seen)
+    return BaseParameters(regressor.names, independent, grouping, hidden, texts, translations)
+
+
+def _order(regressor: FullRegressor) -> list[int]:
+    """Columns by preference: links from the base on, so that the far link's parameters are those eliminated."""
+    inertial = [10 * link + INERTIAL.index(name) for link in range(regressor.n) for name in _PREFERENCE]
+    return inertial + list(range(10 * regressor.n, len(regressor.names)))
+
+
+def _row_space(sampler: Sampler, trial: Trial, order: Sequence[int]) -> Echelon:
+    """Stack rows until several motions in a row have brought nothing new."""
+    constants = sampler.constants(trial)
+    echelon = Echelon(trial.prime, sampler.columns)
+    calm = 0
+    while calm < _CALM:
+        grown = [echelon.add([row[column] for column in order]) for row in sampler.rows(trial, constants)]
+        calm = 0 if any(grown) else calm + 1
+    return echelon
+
+
+def _exact_grouping(
+    sampler: Sampler, rng: random.Random, name: str
+) -> tuple[tuple[int, ...], tuple[tuple[Fraction, ...], ...]]:
+    order = _order(sampler.regressor)
+    check = Trial(random_prime(rng), rng)
+    expected = _row_space(sampler, check, order)
+    for exponent in _EXPONENTS:
+        prime = 2**exponent - 1
+        found = _row_space(sampler, Trial(prime, rng), order)
+        if found.pivots != expected.pivots:
+            continue
+        try:
+            rows = [[rational_reconstruction(value, prime) for value in row] for row in found.rows]
+            agree = [[check.residue(value) for value in row] for row in rows] == expected.rows
+        except (NoRationalError, ZeroDivision):
+            continue
+        if agree:
+            return _unpermuted(rows, found.pivots, order)
+    raise RobotError(
+        f"base parameters of {name}: expected coefficients of less than {_EXPONENTS[-1] // 2} bits, found longer ones; "
+        "write the model's rotations with fewer digits"
+    )
+
+
+def _unpermuted(
+    rows: Sequence[Sequence[Fraction]], pivots: Sequence[int], order: Sequence[int]
+) -> tuple[tuple[int, ...], tuple[tuple[Fraction, ...], ...]]:
+    place = {column: k for k, column in enumerate(order)}
+    kept = sorted((order[pivot], row) for pivot, row in zip(pivots, rows, strict=True))
+    grouping = tuple(tuple(row[place[column]] for column in range(len(order))) for _, row in kept)
+    return tuple(column for column, _ in kept), grouping

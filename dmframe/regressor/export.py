@@ -1,0 +1,212 @@
+"""The regressor as a CasADi function and as C source, and its agreement with Pinocchio."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.errors import OutputError, ShapeError
+from dmframe.regressor.base_parameters import base_parameters
+from dmframe.regressor.full import SIGNALS, full_regressor
+from dmframe.robot.chain import SerialChain, pin_configuration
+from dmframe.robot.symbolic import SymbolicRobot
+
+# A fixed name of our own: a function called y0, exp or read would collide with the C library's.
+_INNER: Final = "dmframe_regressor_casadi"
+
+_WRAPPER: Final = """
+/* Y_d: {n} x {p}, row-major, dense: Y_d[i * {p} + j] is joint i's torque per unit of parameter j.
+   Reentrant; allocates nothing but {w} doubles on the stack. */
+{export}void dmframe_regressor(const double *q, const double *dq, const double *dq_ref, const double *ddq_ref,
+                       double *Y_d)
+{{
+  const casadi_real *arg[{arg}] = {{q, dq, dq_ref, ddq_ref}};
+  casadi_real *res[{res}] = {{Y_d}};
+  casadi_int iw[{iw}];
+  casadi_real w[{w}];
+  {inner}(arg, res, iw, w, 0);
+}}
+"""
+
+
+def regressor_function(chain: SerialChain, friction: Collection[str] = (), base: bool = False) -> ca.Function:
+    """Y_d (n, p) as a function with inputs q, dq, dq_ref, ddq_ref, all (n), the robot's constants bound to floats.
+
+    With `base`, only the columns of the base parameters (`base_parameters(...).independent`). Units: N m per unit of
+    each parameter. Raises `UnknownNameError` for another kind of friction.
+    """
+    full = full_regressor(chain, friction)
+    signals = [ca.SX.sym(name, chain.n) for name in SIGNALS]
+    Y_d = full.function(*signals, *(ca.DM([float(x) for x in values]) for values in full.values))
+    if base:
+        Y_d = Y_d[:, list(base_parameters(chain, friction, symbolic=False).independent)]
+    return ca.Function("Y_d", signals, [Y_d], list(SIGNALS), ["Y_d"])
+
+
+def export_c(
+    chain: SerialChain, path: str | Path, friction: Collection[str] = (), base: bool = False
+) -> tuple[str, ...]:
+    """Write the regressor of a robot as C source; returns the parameters' names, in the order of Y_d's columns."""
+    names = full_regressor(chain, friction).names
+    if base:
+        names = base_parameters(chain, friction, symbolic=False).kept
+    write_c(regressor_function(chain, friction, base), path, robot=chain.name, parameters=names)
+    return names
+
+
+def write_c(function: ca.Function, path: str | Path, *, robot: str = "", parameters: Sequence[str] = ()) -> None:
+    """Write a function of `regressor_function` as self-contained C99, in one step: never half a file.
+
+    The file offers ``void dmframe_regressor(q, dq, dq_ref, ddq_ref, Y_d)`` with Y_d row-major, and needs only the
+    mathematics library. Its header comment names the robot, the sizes, the order of the arguments, and the parameters.
+
+    Raises `ShapeError` for a function with other inputs or for another number of parameters, `OutputError` for a file
+    that cannot be written.
+    """
+    found = tuple(function.name_in())
+    if found != SIGNALS or function.n_out() != 1:
+        raise ShapeError(
+            f"C source of {function.name()}: expected inputs {', '.join(SIGNALS)} and one output, found "
+            f"{', '.join(found)} and {function.n_out()}; regressor_function makes one"
+        )
+    n, p = function.size_out(0)
+    if parameters and len(parameters) != p:
+        raise ShapeError(f"C source of {function.name()}: expected {p} parameter names, found {len(parameters)}")
+    _write(Path(path), _header(robot, n, p, parameters) + _source(function, n, p))
+
+
+def _source(function: ca.Function, n: int, p: int) -> str:
+    signals = [ca.SX.sym(name, n) for name in SIGNALS]
+    # CasADi's matrices are column-major, so the transpose is the row-major matrix that C expects.
+    inner = ca.Function(_INNER, signals, [ca.densify(function(*signals).T)])
+    generator = ca.CodeGenerator(_INNER, {"with_header": False, "verbose": False})
+    generator.add(inner)
+    sizes = {"arg": inner.sz_arg(), "res": inner.sz_res(), "iw": max(1, inner.sz_iw()), "w": max(1, inner.sz_w())}
+    return str(generator.dump()) + _WRAPPER.format(
+        n=n,
+        p=p,
+        inner=_INNER,
+        export='#ifdef __cplusplus\nextern "C"\n#endif\n',
+        **sizes,
+    )
+
+
+def _header(robot: str, n: int, p: int, parameters: Sequence[str]) -> str:
+    from dmframe import __version__
+
+    lines = [
+        f"Dynamic regressor Y_d(q, dq, dq_ref, ddq_ref) of {_plain(robot) or 'a robot'}, written by dmframe "
+        f"{__version__}.",
+        "",
+        "M(q) ddq_ref + C(q, dq) dq_ref + g(q) [+ friction] = Y_d a_d, C the Christoffel matrix.",
+        f"q, dq, dq_ref, ddq_ref: {n} doubles each, joints from the base to the tool; rad, rad/s, rad/s^2, N m.",
+        f"Y_d: {n} x {p} doubles, row-major.",
+        "Compile as C99 and link the mathematics library (-lm).",
+    ]
+    if parameters:
+        lines += ["", "Parameters a_d, the columns of Y_d from 0 on:"]
+        lines += ["  " + ", ".join(map(_plain, parameters[k : k + 10])) for k in range(0, p, 10)]
+    return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + " */\n\n"
+
+
+def _plain(name: str) -> str:
+    """A name that cannot end the comment it stands in."""
+    return name.replace("*/", "* /").replace("\n", " ")
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as fault:
+        raise OutputError(f"C source: cannot write {path}: {fault.strerror}; choose a folder that exists") from fault
+
+
+@final
+@dataclass(frozen=True)
+class SelfTest:
+    """Largest difference of the symbolic regressors from Pinocchio, relative to the largest entry at each point."""
+
+    Y_d: float
+    Y_k: float
+    points: int
+
+
+def self_test(chain: SerialChain, *, points: int = 10, seed: int = 0) -> SelfTest:
+    r"""Compare Y_d and Y_k with Pinocchio at random points.
+
+    The oracle of Y_d is the standard regressor Y polarised, Y(q, 0, ddq_ref) +
+    1/2 [Y(q, dq + dq_ref, 0) - Y(q, dq, 0) - Y(q, dq_ref, 0) + Y(q, 0, 0)]; that of Y_k a_k the tool frame's Jacobian.
+    """
+    rng = np.random.default_rng(seed)
+    Y_d, travel = regressor_function(chain), _travel_function(chain)
+    dynamic, kinematic = 0.0, 0.0
+    for _ in range(points):
+        q, dq, dq_ref, ddq_ref = rng.uniform(-2, 2, (4, chain.n))
+        expected = polarised_regressor(chain, q, dq, dq_ref, ddq_ref)
+        dynamic = max(dynamic, _difference(Y_d(q, dq, dq_ref, ddq_ref), expected))
+        kinematic = max(kinematic, _difference(travel(q, dq), tool_velocity(chain, q, dq)))
+    return SelfTest(dynamic, kinematic, points)
+
+
+def _difference(found: Any, expected: NDArray[np.float64]) -> float:
+    values = np.asarray(found, dtype=float).reshape(expected.shape)
+    return float(np.max(np.abs(values - expected)) / max(float(np.max(np.abs(expected))), 1e-300))
+
+
+def _travel_function(chain: SerialChain) -> Callable[..., Any]:
+    """Y_k(q, psi) a_k, and the part of a prismatic joint's travel that no parameter scales."""
+    robot = SymbolicRobot(chain)
+    q, psi = ca.SX.sym("q", chain.n), ca.SX.sym("psi", chain.n)
+    free = robot.jacobian(q, ca.SX(chain.k, 1)) @ psi
+    travel = robot.kinematic_regressor(q, psi) @ robot.a_k + free
+    function = ca.Function("travel", [q, psi, *(c.symbol for c in robot.constants)], [travel])
+    values = [ca.DM(value) for value in robot.values().values()]
+    return lambda q, psi: function(q, psi, *values)
+
+
+def polarised_regressor(
+    chain: SerialChain,
+    q: NDArray[np.float64],
+    dq: NDArray[np.float64],
+    dq_ref: NDArray[np.float64],
+    ddq_ref: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Pinocchio's joint torque regressor in Slotine and Li's form, (n, 10 n): the oracle of Y_d."""
+    import pinocchio as pin
+
+    data = chain.model.createData()
+    configuration = pin_configuration(chain, q)
+    zero = np.zeros(chain.n)
+
+    def standard(v: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array(pin.computeJointTorqueRegressor(chain.model, data, configuration, v, a))
+
+    products = standard(dq + dq_ref, zero) - standard(dq, zero) - standard(dq_ref, zero) + standard(zero, zero)
+    return standard(zero, ddq_ref) + products / 2
+
+
+def tool_velocity(chain: SerialChain, q: NDArray[np.float64], dq: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pinocchio's velocity of the tool point in the base frame, (m): the oracle of Y_k."""
+    import pinocchio as pin
+
+    data = chain.model.createData()
+    J = pin.computeFrameJacobian(
+        chain.model, data, pin_configuration(chain, q), chain.model_tool, pin.LOCAL_WORLD_ALIGNED
+    )
+    return np.array(J[["xyz".index(axis) for axis in chain.axes], :] @ dq)

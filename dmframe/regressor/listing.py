@@ -1,0 +1,46 @@
+"""The parameters as readable text."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+from dmframe.regressor.base_parameters import BaseParameters
+from dmframe.regressor.full import parameter_values
+from dmframe.robot.chain import SerialChain
+
+
+def listing(chain: SerialChain, base: BaseParameters) -> str:
+    """A table of base parameters: number, value in the robot's model, and what they are made of.
+
+    Values in kg, kg m and kg m^2; friction has none in the model, and shows a dash. Below the table: the lengths that
+    the groupings name, and the parameters that no motion shows.
+    """
+    values = parameter_values(chain)
+    rows = [
+        (str(number), _value(row, values), text)
+        for number, (row, text) in enumerate(zip(base.grouping, base.symbolic, strict=True), start=1)
+    ]
+    head = f"{chain.name}: {base.count} base parameters of {len(base.names)}; joints {', '.join(chain.joint_names)}"
+    parts = [head, _table([("no.", "value", "parameter"), *rows])]
+    if base.translations:
+        lengths = "\n".join(f"  {name} = {float(length):.10g} m" for name, length in base.translations)
+        parts.append(
+            "Translations, p_y3 being the y component of joint 3's place in the frame of joint 2 (1 is nearest the "
+            f"base):\n{lengths}"
+        )
+    if base.unidentifiable:
+        parts.append("No motion shows " + ", ".join(base.unidentifiable) + ".")
+    return "\n\n".join(parts) + "\n"
+
+
+def _value(row: Sequence[Fraction], values: Sequence[Fraction]) -> str:
+    if any(row[len(values) :]):
+        return "-"
+    known = sum((x * value for x, value in zip(row, values, strict=False)), Fraction(0))
+    return f"{float(known):.6g}"
+
+
+def _table(rows: Sequence[tuple[str, str, str]]) -> str:
+    widths = [max(len(row[column]) for row in rows) for column in range(2)]
+    return "\n".join(f"{row[0]:>{widths[0]}}  {row[1]:>{widths[1]}}  {row[2]}" for row in rows)
