@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 import random
 import re
+import sys
 from fractions import Fraction
 from functools import cache
 
@@ -141,7 +142,7 @@ def test_another_kind_of_friction_is_refused_with_the_nearest() -> None:
 
 
 def test_fractions_too_long_to_read_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.regressor.base_parameters._EXPONENTS", (127,))
+    monkeypatch.setattr(sys.modules[base_parameters.__module__], "_EXPONENTS", (127,))
     with pytest.raises(RobotError, match="base parameters of xarm7: expected coefficients of less than 63 bits"):
         base_parameters(chain("xarm7"))
 
