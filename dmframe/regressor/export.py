@@ -55,10 +55,11 @@ def export_c(
     chain: SerialChain, path: str | Path, friction: Collection[str] = (), base: bool = False
 ) -> tuple[str, ...]:
     """Write the regressor of a robot as C source; returns the parameters' names, in the order of Y_d's columns."""
-    names = full_regressor(chain, friction).names
+    names, robot = full_regressor(chain, friction).names, chain.name
     if base:
         names = base_parameters(chain, friction, symbolic=False).kept
-    write_c(regressor_function(chain, friction, base), path, robot=chain.name, parameters=names)
+        robot += " in base parameters, each named after the one that it keeps"
+    write_c(regressor_function(chain, friction, base), path, robot=robot, parameters=names)
     return names
 
 
