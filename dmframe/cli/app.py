@@ -1,0 +1,188 @@
+"""The commands. Each is a thin call of the library; heavy parts are imported when a command needs them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dmframe.errors import OutputError, UnknownNameError
+
+app = typer.Typer(
+    name="dmframe",
+    help="Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+Graphs = Annotated[list[str], typer.Argument(metavar="GRAPH...", help="Graph files, or names of packaged graphs.")]
+OneGraph = Annotated[str, typer.Argument(metavar="GRAPH", help="A graph file, or the name of a packaged graph.")]
+Overrides = Annotated[
+    list[str], typer.Option("--set", metavar="BLOCK.PARAM=VALUE", help="Change a value of the graph; may be repeated.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"dmframe {version('dmframe')}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved."""
+
+
+@app.command()
+def graphs() -> None:
+    """List the packaged graphs."""
+    from dmframe.catalogue import graphs as packaged
+    from dmframe.cli.show import graph_list
+
+    typer.echo(graph_list(packaged()))
+
+
+@app.command()
+def new(
+    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.")],
+    file: Annotated[Path | None, typer.Argument(help="The new file; NAME.yaml without it.")] = None,
+) -> None:
+    """Copy a packaged graph to a file of your own, to edit it."""
+    from dmframe.catalogue import graphs as packaged
+
+    known = packaged()
+    if name not in known:
+        raise UnknownNameError(name, "graph", name, known)
+    target = file or Path(f"{name}.yaml")
+    try:
+        with target.open("x", encoding="utf-8") as copy:
+            copy.write(known[name].read_text(encoding="utf-8"))
+    except FileExistsError:
+        raise OutputError(f"{target}: expected a new file, found one; name another") from None
+    except OSError as error:
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from None
+    typer.echo(f"wrote {target}; try: dmframe run {target}")
+
+
+@app.command()
+def check(graph: OneGraph, overrides: Overrides = []) -> None:  # noqa: B006 - typer reads it, nobody changes it
+    """Build a graph and print its blocks, wires, shapes, units and clock."""
+    from dmframe.cli.show import check_page
+    from dmframe.config import load_graph
+
+    loaded = load_graph(graph, overrides)
+    typer.echo(check_page(loaded, loaded.diagram()))
+
+
+@app.command()
+def run(
+    graph: Graphs,
+    until: Annotated[
+        str | None, typer.Option(metavar="S", help="Simulated time, instead of the graph's: 20 s.")
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; new or empty.")] = None,
+    no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
+    as_json: AsJson = False,
+) -> int:
+    """Simulate graphs and write signals, figures and a summary; several graphs are overlaid in one figure."""
+    from dmframe.cli.run import run_graphs
+
+    return run_graphs(graph, overrides, until=until, out=out, plots=not no_plots, as_json=as_json)
+
+
+@app.command()
+def draw(
+    graph: OneGraph,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", metavar="FILE", help=".svg or .mmd; Mermaid text without it.")
+    ] = None,
+) -> None:
+    """Draw the block diagram of a graph."""
+    from dmframe.config import load_graph
+    from dmframe.draw import mermaid, svg
+
+    loaded = load_graph(graph)
+    makers = {".svg": svg, ".mmd": mermaid}
+    if out is not None and out.suffix not in makers:
+        raise OutputError(f"{out}: expected a name that ends in .svg or .mmd, found {out.suffix or 'no ending'}")
+    text = makers[out.suffix if out else ".mmd"](loaded.diagram(), loaded.file.title)
+    if out is None:
+        typer.echo(text)
+        return
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written: {error.strerror}") from None
+    typer.echo(f"wrote {out}")
+
+
+@app.command()
+def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Print this block's page.")] = None) -> None:
+    """List the block types, or print one block's page."""
+    from dmframe.catalogue import block_types, find_block
+    from dmframe.cli.show import block_list, block_page
+
+    typer.echo(block_list(block_types()) if kind is None else block_page(find_block(kind, Path(), "blocks")))
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of graph files, for an editor."""
+    from dmframe.config.schema import json_schema
+
+    typer.echo(json.dumps(json_schema(), indent=2))
+
+
+@app.command()
+def regressor(
+    robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.")],
+    base: Annotated[bool, typer.Option("--base", help="Exact base parameters instead of all.")] = False,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="Write Y_d as C source.")] = None,
+    free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
+    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006
+    tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
+    friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
+) -> None:
+    """Print a robot's dynamic parameters and test its regressor against Pinocchio."""
+    from dmframe.cli.show import regressor_page
+    from dmframe.robot.library import load
+
+    chain = load(robot, base=Path(), free=_words(free), hold=_angles(hold), tool=tool)
+    typer.echo(regressor_page(chain, _words(friction) or (), base=base, file=c))
+
+
+def _words(text: str | None) -> tuple[str, ...] | None:
+    return tuple(word.strip() for word in text.split(",") if word.strip()) if text else None
+
+
+def _angles(pairs: list[str]) -> dict[str, float]:
+    from dmframe.errors import ValueFault
+    from dmframe.units import to_unit
+
+    angles = dict[str, Any]()
+    for pair in pairs:
+        joint, equals, angle = pair.partition("=")
+        if not equals:
+            raise ValueFault(f"--hold {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
+        angles[joint.strip()] = to_unit(_number(angle), "rad")
+    return angles
+
+
+def _number(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip()

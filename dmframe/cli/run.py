@@ -1,0 +1,126 @@
+"""``dmframe run``: simulate with a progress bar, write the results, tell the figures."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from dmframe.cli import STOPPED
+from dmframe.config import Graph, load_graph
+from dmframe.results import Result, reserve, write_run
+from dmframe.simulate import Run, simulate
+from dmframe.units import plain, to_unit
+
+DIVERGED = 1
+
+
+def run_graphs(
+    names: Sequence[str],
+    overrides: Sequence[str],
+    *,
+    until: str | None,
+    out: Path | None,
+    plots: bool,
+    as_json: bool,
+) -> int:
+    """Run graphs one after another and write one folder of results; returns the exit status."""
+    graphs = [load_graph(name, overrides) for name in names]
+    if until is not None:
+        duration = to_unit(_number(until), "s")
+        graphs = [graph.with_duration(duration) for graph in graphs]
+    diagrams = [graph.diagram() for graph in graphs]  # faults of every graph are told before the first runs
+    folder = reserve(out or _default_folder(graphs))
+    results = list[Result]()
+    with _progress(as_json) as bar:
+        for graph, diagram in zip(graphs, diagrams, strict=True):
+            results.append(Result(graph, _run(graph, diagram, bar)))
+            if results[-1].run.interrupted:
+                break
+    _say(f"writing {folder}", as_json)
+    summaries = write_run(folder, results, plots=plots)
+    if as_json:
+        typer.echo(json.dumps(summaries[0] if len(names) == 1 else summaries, indent=2))
+    else:
+        _table(results, summaries, folder)
+    if any(result.run.interrupted for result in results):
+        return STOPPED
+    return DIVERGED if any(result.run.divergence for result in results) else 0
+
+
+def _number(text: str) -> str | float:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _default_folder(graphs: Sequence[Graph]) -> Path:
+    stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")[:-3]
+    return Path("runs", f"{stamp}_{graphs[0].name}" + (f"_and_{len(graphs) - 1}_more" if len(graphs) > 1 else ""))
+
+
+def _progress(as_json: bool) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=30),
+        TextColumn("{task.completed:.0f} / {task.total:.0f} s"),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=as_json or not sys.stderr.isatty(),
+    )
+
+
+def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
+    task = bar.add_task(graph.name, total=graph.file.duration, speed="")
+
+    def done(time: float) -> None:
+        elapsed = bar.tasks[task].elapsed
+        bar.update(task, completed=time, speed=f"{time / elapsed:.0f} x real time" if elapsed else "")
+
+    return simulate(
+        diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start, progress=done
+    )
+
+
+def _say(text: str, as_json: bool) -> None:
+    if not as_json and sys.stderr.isatty():
+        typer.echo(text, err=True)
+
+
+def _table(results: Sequence[Result], summaries: Sequence[dict[str, Any]], folder: Path) -> None:
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading in ("graph", "clock", "error", "first eighth", "last eighth", "speed", "engine"):
+        table.add_column(heading, justify="left" if heading in ("graph", "error", "engine") else "right")
+    for told in summaries:
+        error = told["error"]
+        clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
+        first, last = (_rms(error, index) for index in (0, -1))
+        speed = f"{told['real_time_factor']:.0f} x"
+        table.add_row(told["graph"], clock, error["signal"] if error else "-", first, last, speed, told["engine"])
+    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    console.print(table)
+    console.print("error: root mean square of its Euclidean norm; speed: times real time", style="dim")
+    for result in results:
+        for notice in result.run.notices:
+            console.print(f"{result.graph.name}: notice: {notice}", soft_wrap=True)
+        if result.run.divergence:
+            console.print(f"{result.graph.name}: diverged: {result.run.divergence}", soft_wrap=True)
+        if result.run.interrupted:
+            console.print(f"{result.graph.name}: stopped at {plain(result.run.time[-1], 's')}; what was done is kept")
+    console.print(f"results: {folder}", soft_wrap=True)
+
+
+def _rms(error: dict[str, Any] | None, index: int) -> str:
+    if error is None or error["rms_by_eighth"][index] is None:
+        return "-"
+    return plain(error["rms_by_eighth"][index], error["unit"])

@@ -1,0 +1,152 @@
+"""Pages of text: what a graph is, what a block does, what a robot's parameters are."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.config import Graph
+from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Derived, Source, Time, Wire
+from dmframe.parameter import specs
+from dmframe.port import Access, Port, Side
+from dmframe.robot.chain import SerialChain
+from dmframe.units import plain
+
+
+def columns(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
+    """Rows of text in columns that line up."""
+    table = [list(row) for row in rows]
+    if not table:
+        return f"{indent}none"
+    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
+    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
+    return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+
+def graph_list(graphs: Mapping[str, Path]) -> str:
+    """Packaged graphs with their titles."""
+    return columns(((name, _title(path)) for name, path in graphs.items()), indent="")
+
+
+def _title(path: Path) -> str:
+    from dmframe.config.document import read_file
+
+    return str(read_file(path).data.get("title", ""))
+
+
+def check_page(graph: Graph, diagram: Diagram) -> str:
+    """Blocks, wires, sizes, states and clock of a graph that builds."""
+    loop = diagram.loop
+    clock = "continuous time" if graph.file.clock is None else f"every {plain(graph.file.clock, 's')}"
+    letters = ", ".join(f"{letter} = {size} ({by})" for letter, (size, by) in diagram.sizes.bound.items())
+    blocks = (
+        (name, diagram.type_of(name), block.side.value, _names(diagram.models[name].states))
+        for name, block in diagram.blocks.items()
+    )
+    wires = (_wire(diagram, name, port) for name, block in diagram.blocks.items() for port in block.inputs)
+    states = loop.state.numel()
+    own = sum(variable.symbol.numel() for variable in loop.controller)
+    parts = [
+        f"{graph.name}: {graph.file.title}".rstrip(": "),
+        f"clock     {clock}, for {plain(graph.file.duration, 's')}",
+        f"sizes     {letters}",
+        f"states    {states}, of which the controller's {own}",
+    ]
+    if diagram.robot is not None:
+        parts.append(f"robot     {diagram.robot.name}: {', '.join(diagram.robot.joint_names)}")
+        parts.append(f"          rotations made exact; the largest change is {diagram.robot.rotation_change:.1e}")
+    heads = ("name", "type", "side", "states")
+    return "\n".join([*parts, "", "blocks", columns([heads, *blocks]), "", "wires", columns(wires)])
+
+
+def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:
+    shape = " x ".join(str(size) for size in diagram.sizes.of(port.shape)) or "1"
+    source = diagram.sources[name, port.name]
+    return f"{name}.{port.name}", "<-", _source(source, name), shape, port.unit or "-"
+
+
+def _source(source: Source, name: str) -> str:
+    match source:
+        case Wire(block, port):
+            return f"{block}.{port}"
+        case Derived(of):
+            return f"d/dt {name}.{of}"
+        case Time():
+            return "time"
+        case _:
+            return "0 (nobody drives it)"
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(names) or "-"
+
+
+def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
+    """All block types, by the side on which they stand."""
+    parts = []
+    for side in Side:
+        mine = [(name, _first_line(kind)) for name, kind in kinds.items() if kind.side is side]
+        parts.append(f"{side.value}\n{columns(mine)}")
+    return "\n\n".join(parts)
+
+
+def _first_line(kind: type[AbstractBlock]) -> str:
+    return (inspect.getdoc(kind) or "").split("\n")[0]
+
+
+def block_page(kind: type[AbstractBlock]) -> str:
+    """A block's law, ports, states, parameters and source."""
+    parts = [f"{type_name(kind)} ({kind.side.value})", readable(inspect.getdoc(kind) or "")]
+    for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
+        parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
+    states = ((s.name, f"({s.shape})", s.unit or "-", f"projected onto {s.box}" if s.box else "") for s in kind.states)
+    parts.append(f"states\n{columns(states)}")
+    parts.append(f"parameters\n{columns(_parameters(kind))}")
+    return "\n\n".join(parts)
+
+
+def _port(port: Port) -> tuple[str, str, str, str]:
+    said = [] if port.access is Access.INTERNAL else [port.access.value]
+    said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
+    return port.name, f"({port.shape})", port.unit or "-", ", ".join(said)
+
+
+def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:
+    known = specs(kind)
+    for name, field in kind.model_fields.items():
+        default = "needed" if field.is_required() else "no bound" if field.default is None else f"{field.default}"
+        if name in known:
+            spec = known[name]
+            yield name, f"({spec.shape})", " ".join([spec.unit or "-", spec.sign]).strip(), default
+        else:
+            yield name, "", "option", default
+
+
+def readable(docstring: str) -> str:
+    """A docstring without its markup; formulas stay as LaTeX, one a line."""
+    text = re.sub(r":math:`([^`]*)`", r"\1", docstring)
+    text = re.sub(r"^\.\. math::\n", "", text, flags=re.MULTILINE)
+    text = re.sub(r"^( +.*?)\s*\\tag\{(\w+)\}(.*)$", r"\1   (\2)\3", text, flags=re.MULTILINE)
+    text = text.replace(" \\\\\n", "\n").replace("&=", "=").replace("&", "")
+    return re.sub(r"\n\n\n+", "\n\n", re.sub(r"\[(\w+)\]_", r"[\1]", text))
+
+
+def regressor_page(chain: SerialChain, friction: Sequence[str], *, base: bool, file: Path | None) -> str:
+    """Parameters of a robot, and how far its regressor is from Pinocchio's."""
+    from dmframe.regressor import base_parameters, export_c, listing, parameter_names, self_test
+
+    if base:
+        parts = [listing(chain, base_parameters(chain, friction)).rstrip()]
+    else:
+        names = parameter_names(chain.n, friction)
+        parts = [f"{chain.name}: {len(names)} parameters: {', '.join(names)}"]
+    test = self_test(chain)
+    parts.append(f"largest relative difference from Pinocchio: Y_d {test.Y_d:.1e}, Y_k {test.Y_k:.1e}")
+    if file is not None:
+        export_c(chain, file, friction, base)
+        parts.append(f"wrote {file}")
+    return "\n\n".join(parts)

@@ -1,0 +1,76 @@
+"""The JSON Schema of graph files: an editor completes block types and parameters from it."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from dmframe.block import AbstractBlock
+from dmframe.catalogue import block_types
+from dmframe.config.graph import NAME, GraphFile
+from dmframe.parameter import Spec, spec_of
+
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+NUMBER = {"type": ["number", "string"]}
+
+
+def json_schema() -> dict[str, Any]:
+    """The grammar of graph files with all registered blocks."""
+    schema = GraphFile.model_json_schema()
+    kinds = block_types()
+    schema["$defs"] |= {f"block_{name}": _block(kind) for name, kind in kinds.items()}
+    chosen = [
+        {
+            "if": {"properties": {"type": {"const": name}}, "required": ["type"]},
+            "then": {"$ref": f"#/$defs/block_{name}"},
+        }
+        for name in kinds
+    ]
+    types = [{"enum": list(kinds)}, {"pattern": r"\.py:[A-Za-z_]\w*$"}]
+    schema["properties"]["blocks"] = {
+        "type": "object",
+        "description": "blocks by name",
+        "minProperties": 1,
+        "propertyNames": {"pattern": f"^{NAME.pattern}$"},
+        "additionalProperties": {
+            "type": "object",
+            "required": ["type"],
+            "properties": {"type": {"type": "string", "anyOf": types}},
+            "allOf": chosen,
+        },
+    }
+    robot = schema["properties"]["robot"]
+    robot["anyOf"] = [{"type": "string"}, *robot["anyOf"]]
+    return {"$schema": DRAFT, **schema, "title": "dmframe graph"}
+
+
+def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
+    plain = kind.model_json_schema()
+    properties: dict[str, Any] = {"type": {"description": inspect.getdoc(kind).split("\n")[0]}}  # type: ignore[union-attr]
+    for name, field in kind.model_fields.items():
+        spec = spec_of(field)
+        properties[name] = plain["properties"][name] if spec is None else _number(spec)
+    required = [name for name, field in kind.model_fields.items() if field.is_required()]
+    schema = {
+        "type": "object",
+        "properties": properties,
+        "required": ["type", *required],
+        "additionalProperties": False,
+    }
+    return schema | ({"$defs": plain["$defs"]} if "$defs" in plain else {})
+
+
+def _number(spec: Spec) -> dict[str, Any]:
+    unit = f"[{spec.unit}]" if spec.unit else "a plain number"
+    said = f"{unit}, shape ({spec.shape})" if spec.shape else unit
+    if spec.sign:
+        said += f", {spec.sign}"
+    row = {"type": "array", "items": NUMBER, "minItems": 1}
+    either = {"anyOf": [NUMBER, row]}
+    shapes: dict[str, dict[str, Any]] = {
+        "diagonal": either if spec.shape else dict(NUMBER),
+        "vector": row,
+        "table": {"type": "array", "items": row, "minItems": 1},
+        "box": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
+    }
+    return {"description": said, **shapes[spec.form]}
