@@ -1,0 +1,137 @@
+"""What was commanded, what the joints did, and the difference that the servo leaves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dmframe.port import Access, Side
+from dmframe.results.dataset import joint_labels, sliding
+from dmframe.results.figures import Runs, joint_slides, short, shown_unit, told
+from dmframe.results.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, new_figure, styled, unit_text
+from dmframe.simulate import Run
+
+WINDOW = 12.0
+"""How much of a run's end is shown [s]: over all of a long run one would see a band of ink."""
+
+
+def command_figure(runs: Runs) -> Any:
+    """Commanded and measured velocity of each joint, and the differences in velocity and in position.
+
+    Over the end of the runs; None where a graph commands nothing.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    pairs = {name: command_pairs(run) for name, run in runs.items()}
+    pairs = {name: found for name, found in pairs.items() if found}
+    if not pairs:
+        return None
+    first = next(iter(pairs))
+    joints, slides = joint_labels(runs[first].diagram), joint_slides(runs[first])
+    names = {name: run for name, run in runs.items() if name in pairs and joint_labels(run.diagram) == joints}
+    shown = _columns([pairs[name] for name in names])
+    with styled():
+        figure = new_figure(PAGE, 0.8 + 1.2 * len(joints))
+        panels = figure.subplots(len(joints), len(shown), sharex=True, squeeze=False)
+        most = max(200, min(1500, POINTS // (2 * len(names) * len(joints) * len(shown))))
+        for row, joint in enumerate(joints):
+            for column, (signal, kind) in enumerate(shown):
+                unit = _unit(names[first], pairs[first], signal)
+                unit = sliding(unit) if slides[row] else unit
+                unit, scale = shown_unit(unit) if kind == "difference" else (unit, 1.0)
+                _panel(panels[row, column], names, pairs, signal, kind, row, scale, most)
+                about = (
+                    f"${_symbol(signal + '_c')} - {_symbol(signal)}$"
+                    if kind == "difference"
+                    else f"${_symbol(signal)}$"
+                )
+                panels[row, column].set_ylabel(
+                    (f"{short(joint)}\n" if column == 0 else "") + f"{about} [{unit_text(unit)}]"
+                )
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+            axes.set_xlim(*_window(list(names.values())))
+            axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        figure.align_ylabels(panels)
+        names_above(figure, panels[0, 0], PAGE, _explained() if any(kind == "both" for _, kind in shown) else ())
+    return figure
+
+
+def command_pairs(run: Run) -> dict[str, tuple[str, str]]:
+    """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels."""
+    measured, wanted = dict[str, str](), dict[str, str]()
+    for name, block in run.diagram.blocks.items():
+        for port in block.outputs:
+            label = f"{name}.{port.name}"
+            if label not in run.outputs and label not in run.states:
+                continue
+            if block.side is Side.PLANT and port.access is Access.MEASURED:
+                measured[port.name] = label
+            if port.access in (Access.COMMANDED, Access.MEASURED) and port.name.endswith("_c"):
+                wanted[port.name.removesuffix("_c")] = label
+    return {
+        name: (wanted[name], measured[name]) for name in ("dq", "q", *wanted) if name in wanted and name in measured
+    }
+
+
+def _columns(pairs: list[dict[str, tuple[str, str]]]) -> list[tuple[str, str]]:
+    """The first signal that all have, in full and as a difference; the others as differences."""
+    common = [name for name in pairs[0] if all(name in found for found in pairs)]
+    return [(common[0], "both"), *((name, "difference") for name in common)] if common else []
+
+
+def _panel(
+    axes: Any,
+    runs: Runs,
+    pairs: dict[str, dict[str, tuple[str, str]]],
+    signal: str,
+    kind: str,
+    row: int,
+    scale: float,
+    most: int,
+) -> None:
+    begin, end = _window(list(runs.values()))
+    curves = list[tuple[np.ndarray, bool]]()
+    for place, (name, run) in enumerate(runs.items()):
+        inside = (run.time >= begin) & (run.time <= end)
+        commanded, measured = (run[label][inside, row] for label in pairs[name][signal])
+        times, diverged, color = run.time[inside], run.divergence is not None, look(place)["color"]
+        if not times.size:
+            continue
+        if kind == "difference":
+            draw_curve(axes, times, (commanded - measured) * scale, most, label=told(name, run), **look(place))
+            curves.append(((commanded - measured) * scale, diverged))
+        else:
+            draw_curve(axes, times, measured, most, color=color, linewidth=1.1, label=told(name, run))
+            draw_curve(axes, times, commanded, most, color=color, linewidth=0.8, linestyle=(0, (1.2, 1.2)))
+            curves += [(commanded, diverged), (measured, diverged)]
+        if diverged:
+            axes.axvline(run.time[-1], color=color, linestyle=(0, (1, 1.5)), linewidth=0.9)
+    frame(axes, curves, zero=kind == "difference")
+
+
+def _window(runs: list[Run]) -> tuple[float, float]:
+    end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
+    return max(0.0, end - WINDOW), end if end > 0 else 1.0
+
+
+def _unit(run: Run, pairs: dict[str, tuple[str, str]], signal: str) -> str:
+    label = pairs[signal][1]
+    return next(output.unit for output in run.diagram.loop.outputs if output.label == label)
+
+
+def _symbol(name: str) -> str:
+    """``dq_c`` as mathematics."""
+    base, _, index = name.partition("_")
+    base = rf"\dot{{{base[1:]}}}" if base.startswith("d") and len(base) > 1 else base
+    return rf"{base}_\mathrm{{{index}}}" if index else base
+
+
+def _explained() -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color="black", linewidth=1.1, label="measured"),
+        Line2D([], [], color="black", linewidth=0.8, linestyle=(0, (1.2, 1.2)), label="commanded"),
+    ]

@@ -1,0 +1,181 @@
+"""Desired and actual path over the last lap, and the deviation magnified until one sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dmframe.results.dataset import axis_labels
+from dmframe.results.figures import Runs, coordinate_labels, told
+from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.plotting import GREY, PAGE, draw_curve, frame, look, names_above, new_figure, styled, unit_text
+from dmframe.simulate import Run
+
+MOST = 2000
+_VISIBLE = 0.35
+"""How much of the path's extent the largest deviation shall take up, magnified."""
+
+
+def path_figure(runs: Runs) -> Any:
+    """The path in the plane in which it is widest; over time where it has no plane. None without a goal."""
+    errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
+    if not errors:
+        return None
+    first = next(iter(errors))
+    same = {name: e for name, e in errors.items() if e.signal == errors[first].signal}
+    if errors[first].signal.startswith("x ") and errors[first].values.shape[1] > 1:
+        return _in_plane(runs, same)
+    return _over_time(runs, same)
+
+
+def last_lap(times: np.ndarray, path: np.ndarray) -> int:
+    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends."""
+    distance = np.linalg.norm(path - path[-1], axis=1)
+    largest = float(np.max(distance))
+    if largest <= 0:
+        return 0
+    away = np.flatnonzero(distance > 0.5 * largest)
+    back = np.flatnonzero(distance[: away[-1]] < 0.05 * largest)
+    if not back.size:
+        return 0
+    last = back[-1]
+    while last > 0 and distance[last - 1] < distance[last]:  # on to the nearest sample
+        last -= 1
+    return int(last)
+
+
+def magnification(extent: float, deviation: float) -> float:
+    """1, 2, 5, 10, ...: how much larger than life a deviation must be drawn to be seen beside the path."""
+    if deviation <= 0 or extent <= 0:
+        return 1.0
+    wanted = _VISIBLE * extent / deviation
+    if wanted < 2:
+        return 1.0
+    decade = 10.0 ** np.floor(np.log10(wanted))
+    return float(decade * max(step for step in (1, 2, 5) if step * decade <= wanted))
+
+
+def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
+    laps = {name: slice(last_lap(e.times, runs[name][e.desired]), None) for name, e in errors.items()}
+    desired = {name: runs[name][e.desired][laps[name]] for name, e in errors.items()}
+    actual = {name: desired[name] + e.values[laps[name]] for name, e in errors.items()}
+    wide = np.ptp(np.concatenate(list(desired.values())), axis=0)
+    still = not np.any(wide > 1e-9)
+    if still:
+        wide = np.max([np.ptp(path, axis=0) for path in actual.values()], axis=0)
+    plane = sorted(np.argsort(-wide, kind="stable")[:2])
+    sound = [name for name in errors if runs[name].divergence is None] or list(errors)
+    largest = max(float(np.quantile(np.abs(errors[name].values[laps[name]][:, plane]), 0.98)) for name in sound)
+    factor = 1.0 if still else magnification(float(np.max(wide)), largest)
+    factors = [1.0] if factor == 1.0 else [1.0, factor]
+    labels = axis_labels(next(iter(runs.values())).diagram)
+    with styled():
+        figure = new_figure(PAGE if len(factors) > 1 else PAGE / 2, 3.5)
+        panels = figure.subplots(1, len(factors), squeeze=False)[0]
+        for axes, times in zip(panels, factors, strict=True):
+            _plane_panel(axes, runs, desired, actual, plane, times)
+            axes.set_xlabel(f"${labels[plane[0]]}$ [m]")
+            axes.set_ylabel(f"${labels[plane[1]]}$ [m]")
+            _fit(axes, [_magnified(desired[n], actual[n], times)[:, plane] for n in sound], desired, plane)
+        panels[0].set_title("path, last lap" if any(lap.start for lap in laps.values()) else "path")
+        if len(factors) > 1:
+            panels[1].set_title(f"deviation × {factor:g}")
+            _scale_bar(panels[1], factor, largest)
+        names_above(figure, panels[0], PAGE if len(factors) > 1 else PAGE / 2)
+    return figure
+
+
+def _magnified(desired: np.ndarray, actual: np.ndarray, factor: float) -> np.ndarray:
+    return np.asarray(desired + factor * (actual - desired))
+
+
+def _plane_panel(
+    axes: Any,
+    runs: Runs,
+    desired: Mapping[str, np.ndarray],
+    actual: Mapping[str, np.ndarray],
+    plane: list[int],
+    factor: float,
+) -> None:
+    drawn = list[np.ndarray]()
+    for path in desired.values():
+        box = np.array([path.min(axis=0), path.max(axis=0)])
+        if not any(np.allclose(box, other, atol=0.02 * float(np.max(np.ptp(box, axis=0)))) for other in drawn):
+            kept = _thin(path)
+            kind = {"marker": "+", "markersize": 8} if np.ptp(box[:, plane], axis=0).max() < 1e-9 else {}
+            label = "desired" if not drawn else None
+            axes.plot(path[kept, plane[0]], path[kept, plane[1]], color=GREY, linewidth=2.4, label=label, **kind)
+            drawn.append(box)
+    for place, name in enumerate(actual):
+        path = _magnified(desired[name], actual[name], factor)
+        kept = _thin(path)
+        axes.plot(path[kept, plane[0]], path[kept, plane[1]], label=told(name, runs[name]), **look(place))
+        if runs[name].divergence is not None:
+            axes.plot(path[-1, plane[0]], path[-1, plane[1]], "x", color=look(place)["color"], markersize=5)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _thin(path: np.ndarray) -> np.ndarray:
+    return np.unique(np.linspace(0, len(path) - 1, min(len(path), MOST)).astype(int))
+
+
+def _fit(axes: Any, paths: list[np.ndarray], desired: Mapping[str, np.ndarray], plane: list[int]) -> None:
+    """Room for the sound runs; diverged ones leave the panel."""
+    goal = np.concatenate([path[:, plane] for path in desired.values()])
+    half = max(float(np.max(np.ptp(goal, axis=0))), 1e-6)
+    low, high = goal.min(axis=0) - half, goal.max(axis=0) + half
+    shown = np.concatenate([goal, *(np.clip(path, low, high) for path in paths)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    lacking = np.maximum(0.4 * np.max(high - low) - (high - low), 0) / 2  # a straight path still gets a panel
+    low, high = low - lacking, high + lacking
+    margin = 0.06 * max(float(np.max(high - low)), 1e-3)
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+
+
+def _scale_bar(axes: Any, factor: float, deviation: float) -> None:
+    """How long so many millimetres of deviation are, in the middle of the panel, where the path is not."""
+    decade = 10.0 ** np.floor(np.log10(deviation))
+    length = float(decade * max(step for step in (1, 2, 5) if step * decade <= deviation))
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    x, y, half = (left + right) / 2, (low + high) / 2, factor * length / 2
+    axes.plot([x - half, x + half], [y, y], color="black", linewidth=1.4, marker="|", markersize=5)
+    axes.annotate(f"{length * 1e3:g} mm", (x, y), (0, 4), textcoords="offset points", ha="center", va="bottom")
+
+
+def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
+    """Desired and actual value of each coordinate against time."""
+    from matplotlib.lines import Line2D
+
+    first = next(iter(errors))
+    rows = errors[first].values.shape[1]
+    labels = [label.removesuffix("error").strip() for label, _, _ in coordinate_labels(runs[first], errors[first])]
+    with styled():
+        figure = new_figure(PAGE / 2, 0.8 + 1.3 * rows)
+        panels = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+        begin, end = _window([runs[name] for name in errors], [runs[name][e.desired] for name, e in errors.items()])
+        for row, axes in enumerate(panels):
+            curves = list[tuple[np.ndarray, bool]]()
+            for place, (name, error) in enumerate(errors.items()):
+                inside = error.times >= begin
+                desired = runs[name][error.desired][inside, row]
+                draw_curve(axes, error.times[inside], desired, MOST, color=GREY, linewidth=2.4)
+                actual = desired + error.values[inside, row]
+                draw_curve(axes, error.times[inside], actual, MOST, label=told(name, runs[name]), **look(place))
+                curves += [(desired, False), (actual, runs[name].divergence is not None)]
+            frame(axes, curves)
+            axes.set_ylabel(f"{labels[row]} [{unit_text(errors[first].unit)}]")
+            axes.set_xlim(begin, end)
+        panels[-1].set_xlabel("time [s]")
+        figure.align_ylabels(panels)
+        names_above(figure, panels[0], PAGE / 2, [Line2D([], [], color=GREY, linewidth=2.4, label="desired")])
+    return figure
+
+
+def _window(runs: list[Run], paths: list[np.ndarray]) -> tuple[float, float]:
+    """The last laps that all runs went through, or all of the time."""
+    begin = min(float(run.time[last_lap(run.time, path)]) for run, path in zip(runs, paths, strict=True))
+    end = max(float(run.time[-1]) for run in runs)
+    return begin, end if end > begin else begin + 1.0
