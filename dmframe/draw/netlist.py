@@ -1,0 +1,158 @@
+"""A diagram reduced to what a picture shows: boxes, nets, and the order in which signals flow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+
+from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Derived, End, Wire
+from dmframe.port import Side
+
+SWEEPS = 8
+
+
+@final
+@dataclass(frozen=True)
+class Pin:
+    """An input that something drives: by the net `source`, differentiated `order` times."""
+
+    name: str
+    source: End
+    order: int = 0
+    root: str = ""
+    """The input of the same block that the net drives, of which this one is a derivative."""
+
+
+@final
+@dataclass(frozen=True)
+class Box:
+    """A block."""
+
+    name: str
+    kind: str
+    side: Side
+    states: tuple[str, ...]
+    inputs: tuple[Pin, ...]
+    outputs: tuple[str, ...]
+    """Those that a wire leaves."""
+
+
+@final
+@dataclass(frozen=True)
+class Netlist:
+    """Boxes by name, and nets: what each wired output drives, ``(block, port) -> [(block, input), ...]``."""
+
+    boxes: Mapping[str, Box]
+    nets: Mapping[End, tuple[End, ...]]
+
+
+def netlist(diagram: Diagram) -> Netlist:
+    """Wires without time, without inputs left at zero, and with derived inputs as marks on what drives them."""
+    nets, inputs = dict[End, list[End]](), dict[str, list[Pin]]()
+    for (name, port), source in diagram.sources.items():
+        match source:
+            case Wire():
+                nets.setdefault((source.block, source.port), []).append((name, port))
+                inputs.setdefault(name, []).append(Pin(port, (source.block, source.port)))
+            case Derived():
+                if (pin := _derived(diagram, name, port)) is not None:
+                    inputs.setdefault(name, []).append(pin)
+            case _:
+                pass
+    boxes = {
+        name: Box(
+            name=name,
+            kind=diagram.type_of(name),
+            side=block.side,
+            states=tuple(state.name for state in block.states),
+            inputs=tuple(inputs.get(name, ())),
+            outputs=tuple(port.name for port in block.outputs if (name, port.name) in nets),
+        )
+        for name, block in diagram.blocks.items()
+    }
+    return Netlist(boxes, {end: tuple(targets) for end, targets in nets.items()})
+
+
+def _derived(diagram: Diagram, name: str, port: str) -> Pin | None:
+    """The pin of a derived input, traced back through derivatives of derivatives to a wire."""
+    order, root = 0, port
+    while isinstance(source := diagram.sources[name, root], Derived):
+        order, root = order + 1, source.of
+    return Pin(port, (source.block, source.port), order, root) if isinstance(source, Wire) else None
+
+
+def columns(net: Netlist) -> list[list[str]]:
+    """Boxes in columns from left to right, the plant's after the controller's; in each from top to bottom.
+
+    Column by longest path, feedback left out; order by the barycentre of the neighbours.
+    """
+    left = [name for name, box in net.boxes.items() if box.side is not Side.PLANT]
+    right = [name for name, box in net.boxes.items() if box.side is Side.PLANT]
+    left.sort(key=lambda name: net.boxes[name].side is not Side.SOURCE)
+    commanded = {target for end, targets in net.nets.items() if end[0] in left for target, _ in targets}
+    right.sort(key=lambda name: name not in commanded)
+    ranks = _ranks(net, left)
+    first = 1 + max(ranks.values(), default=-1)
+    ranks |= {name: first + rank for name, rank in _ranks(net, right).items()}
+    made: list[list[str]] = [[] for _ in range(1 + max(ranks.values(), default=-1))]
+    for name in net.boxes:
+        made[ranks[name]].append(name)
+    return _ordered(net, made)
+
+
+def _ranks(net: Netlist, group: Sequence[str]) -> dict[str, int]:
+    """Longest path within a group; then each box as near to what it drives as it can be."""
+    onward = {name: dict.fromkeys(t for e, ts in net.nets.items() if e[0] == name for t, _ in ts) for name in group}
+    forward = {name: [t for t in onward[name] if t in onward and t != name] for name in group}
+    order = _without_feedback(group, forward)
+    ranks = dict.fromkeys(group, 0)
+    for name in order:
+        for target in forward[name]:
+            ranks[target] = max(ranks[target], ranks[name] + 1)
+    for name in reversed(order):
+        if forward[name]:
+            ranks[name] = min(ranks[target] for target in forward[name]) - 1
+    return ranks
+
+
+def _without_feedback(group: Sequence[str], forward: dict[str, list[str]]) -> list[str]:
+    """Drop, in place, the edges that close a loop; return the names in an order of signal flow."""
+    done, opened, finished = set[str](), list[str](), list[str]()
+
+    def visit(name: str) -> None:
+        opened.append(name)
+        forward[name] = [target for target in forward[name] if target not in opened]
+        for target in forward[name]:
+            if target not in done:
+                visit(target)
+        opened.pop()
+        done.add(name)
+        finished.append(name)
+
+    for name in group:
+        if name not in done:
+            visit(name)
+    return finished[::-1]
+
+
+def _ordered(net: Netlist, made: list[list[str]]) -> list[list[str]]:
+    column = {name: index for index, names in enumerate(made) for name in names}
+    linked: dict[str, set[str]] = {name: set() for name in column}
+    for (source, _), targets in net.nets.items():
+        for target, _ in targets:
+            if column[source] < column[target]:
+                linked[source].add(target)
+                linked[target].add(source)
+    for sweep in range(SWEEPS):
+        place = {name: i - (len(names) - 1) / 2 for names in made for i, name in enumerate(names)}
+        ahead = sweep % 2 == 0
+        for index in range(len(made)) if ahead else reversed(range(len(made))):
+            weight = dict[str, float]()
+            for name in made[index]:
+                near = [place[other] for other in linked[name] if (column[other] < index) == ahead]
+                weight[name] = sum(near) / len(near) if near else place[name]
+            made[index].sort(key=weight.__getitem__)
+            place |= {name: i - (len(made[index]) - 1) / 2 for i, name in enumerate(made[index])}
+    return made
