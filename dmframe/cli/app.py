@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -169,15 +169,18 @@ def _words(text: str | None) -> tuple[str, ...] | None:
 
 
 def _angles(pairs: list[str]) -> dict[str, float]:
-    from dmframe.errors import ValueFault
+    from dmframe.errors import DmframeError, ValueFault
     from dmframe.units import to_unit
 
-    angles = dict[str, Any]()
+    angles = dict[str, float]()
     for pair in pairs:
         joint, equals, angle = pair.partition("=")
         if not equals:
             raise ValueFault(f"--hold {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
-        angles[joint.strip()] = to_unit(_number(angle), "rad")
+        try:
+            angles[joint.strip()] = to_unit(_number(angle), "rad")
+        except DmframeError as error:
+            raise ValueFault(f"--hold {pair}: {error.text}") from None
     return angles
 
 

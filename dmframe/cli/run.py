@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from rich.table import Table
 
 from dmframe.cli import STOPPED
 from dmframe.config import Graph, load_graph
+from dmframe.errors import DmframeError, Faults, ValueFault
 from dmframe.results import Result, reserve, write_run
 from dmframe.simulate import Run, simulate
 from dmframe.units import plain, to_unit
@@ -32,28 +35,72 @@ def run_graphs(
     plots: bool,
     as_json: bool,
 ) -> int:
-    """Run graphs one after another and write one folder of results; returns the exit status."""
-    graphs = [load_graph(name, overrides) for name in names]
+    """Run graphs one after another and write one folder of results; returns the exit status.
+
+    At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
+    """
+    graphs = [_loaded(name, overrides, alone=len(names) == 1) for name in names]
     if until is not None:
-        duration = to_unit(_number(until), "s")
+        duration = _seconds(until)
         graphs = [graph.with_duration(duration) for graph in graphs]
     diagrams = [graph.diagram() for graph in graphs]  # faults of every graph are told before the first runs
     folder = reserve(out or _default_folder(graphs))
-    results = list[Result]()
-    with _progress(as_json) as bar:
-        for graph, diagram in zip(graphs, diagrams, strict=True):
-            results.append(Result(graph, _run(graph, diagram, bar)))
-            if results[-1].run.interrupted:
-                break
+    results, interrupted = _simulate_all(graphs, diagrams, as_json)
+    if not results:
+        return STOPPED
     _say(f"writing {folder}", as_json)
-    summaries = write_run(folder, results, plots=plots)
+    with _unbroken():
+        summaries = write_run(folder, results, plots=plots)
     if as_json:
         typer.echo(json.dumps(summaries[0] if len(names) == 1 else summaries, indent=2))
     else:
         _table(results, summaries, folder)
-    if any(result.run.interrupted for result in results):
+    if interrupted:
         return STOPPED
     return DIVERGED if any(result.run.divergence for result in results) else 0
+
+
+def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
+    try:
+        return load_graph(name, overrides)
+    except DmframeError as error:
+        for fault in error.faults if isinstance(error, Faults) else (error,):
+            if not alone and not fault.location and name not in fault.text:
+                fault.location = name  # which of the graphs
+        raise
+
+
+def _simulate_all(graphs: Sequence[Graph], diagrams: Sequence[Any], as_json: bool) -> tuple[list[Result], bool]:
+    results = list[Result]()
+    try:
+        with _progress(as_json) as bar:
+            for graph, diagram in zip(graphs, diagrams, strict=True):
+                results.append(Result(graph, _run(graph, diagram, bar)))
+                if results[-1].run.interrupted:
+                    return results, True
+    except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet
+        return results, True
+    return results, False
+
+
+@contextmanager
+def _unbroken() -> Iterator[None]:
+    """Hold Ctrl-C off: an impatient second one must not lose what was computed."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _seconds(until: str) -> float:
+    try:
+        duration = to_unit(_number(until), "s")
+    except DmframeError as error:
+        raise ValueFault(f"--until {until}: {error.text}") from None
+    if duration <= 0:
+        raise ValueFault(f"--until {until}: expected a time above zero")
+    return duration
 
 
 def _number(text: str) -> str | float:
