@@ -10,7 +10,7 @@ Squares and lemmas are kept apart, term by term, so that boundedness and integra
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -40,6 +40,11 @@ class Square:
     weight: SX
 
     @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight
+
+    @property
     def value(self) -> SX:
         """The form as one scalar expression."""
         if self.weight.is_column():
@@ -50,10 +55,15 @@ class Square:
 @final
 @dataclass(frozen=True)
 class Lemma:
-    """A term that is not a square, and that `name` shows to be non-negative."""
+    """A term that is not a square, and that the lemma of this name shows to be non-negative."""
 
-    name: str
+    of: str
     value: SX
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return (self.value,)
 
 
 @final
@@ -70,7 +80,10 @@ class Certificate:
     supply
         What flows in from the other blocks.
     consumes
-        c, for a cascade: its supply holds c |sigma|^2, and the servo level has to pay for it.
+        c, for a cascade: its supply is c |sigma|^2, and the servo level has to pay for it.
+    sigma
+        For the block that pays: coefficients with which sigma is composed of the dissipated squares' vectors, one a
+        dissipation, elementwise; none for a block that does not pay.
     truth
         True values that other blocks' estimates have: ``{"a_d": ...}``.
     """
@@ -79,15 +92,60 @@ class Certificate:
     dissipation: tuple[Square | Lemma, ...] = ()
     supply: SX = 0
     consumes: SX | None = None
+    sigma: tuple[SX, ...] = ()
     truth: Mapping[str, SX] = field(default_factory=dict)
+
+    def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
+        """The certificate with all its expressions transformed together."""
+        terms = (*self.storage, *self.dissipation)
+        pieces = [ca.SX(piece) for term in terms for piece in term.pieces]
+        consumes = [] if self.consumes is None else [self.consumes]
+        done = iter(transform([*pieces, ca.SX(self.supply), *consumes, *self.sigma]))
+        rebuilt = [type(term)(term.of, *(next(done) for _ in term.pieces)) for term in terms]
+        return Certificate(
+            storage=tuple(term for term in rebuilt[: len(self.storage)] if isinstance(term, Square)),
+            dissipation=tuple(rebuilt[len(self.storage) :]),
+            supply=next(done),
+            consumes=next(done) if consumes else None,
+            sigma=tuple(done),
+            truth=self.truth,
+        )
 
 
 @final
 @dataclass(frozen=True)
-class Condition:
-    """An inequality that a proof needs: every element of `expression` above zero (or not below, if not `strict`)."""
+class Inequality:
+    """A condition: every element of `expression` is above zero (or not below, if not `strict`)."""
 
     name: str
     expression: SX
     source: str
     strict: bool = True
+
+
+@final
+@dataclass(frozen=True)
+class CommonLyapunov:
+    r"""A condition: :math:`\ddot z + a \dot z + b z = 0` is stable while a and b move anywhere in their boxes.
+
+    It is enough that one P > 0 has :math:`A^\top P + P A < 0`, :math:`A = [[0, 1], [-b, -a]]`, at the four corners.
+    `a` and `b` are (rows, 2): lower and upper ends, one row a joint.
+    """
+
+    name: str
+    a: SX
+    b: SX
+    source: str
+
+
+@final
+@dataclass(frozen=True)
+class Assumption:
+    """Something that a proof needs and that nobody can check from the graph."""
+
+    text: str
+    source: str = ""
+
+
+Condition = Inequality | CommonLyapunov | Assumption
+"""What a block's proof needs."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Assumption, Certificate, Condition, Inequality, Square
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
 from dmframe.port import Access, Port, State
 
@@ -108,5 +108,12 @@ class PiInverse(AbstractBlock):
                 Square("w_I - K_I/K_P", x.w_I - truth.K_I / truth.K_P, K_star / p.Lambda_I),
             ),
             dissipation=(Square("sigma", u.sigma, K_star + truth.B),),
+            sigma=(ca.SX(1),),
             supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma),
         )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """(1) is stable while w_I stays above zero, which a box guarantees."""
+        if "w_I_box" in p:
+            return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Theorem 1, K_I-hat uniformly positive"),)
+        return (Assumption("w_I stays uniformly above zero (give w_I_box to make sure of it)", "Theorem 1"),)

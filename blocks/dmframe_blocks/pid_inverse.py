@@ -8,7 +8,7 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Condition, Square
+from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Inequality, Square
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
 from dmframe.port import Access, Port, State
 
@@ -131,12 +131,17 @@ class PidInverse(AbstractBlock):
                 Square("w_I - K_I/K_D", x.w_I - K_I / K_D, K_star / p.Lambda_I),
             ),
             dissipation=(Square("dq - dq_r", s, K_star + B), Square("q - q_r", e, K * M_bar * p.K_c)),
+            sigma=(ca.SX(1), p.K_c),
             supply=-ca.dot(u.sigma, K * truth.u - u.tau_dc - B * u.sigma),
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """M-bar > 0: strictly, so that a cascade on top can be paid for."""
-        return (Condition("M_bar > 0", self._M_bar(p, truth), "Theorem 4 and Remark 5; strict for a cascade"),)
+        """M-bar > 0, strictly, so that a cascade on top can be paid for; and (1) stable while w_P and w_I move."""
+        M_bar = Inequality("M_bar > 0", self._M_bar(p, truth), "Theorem 4 and Remark 5; strict for a cascade")
+        moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
+        if "w_P_box" in p and "w_I_box" in p:
+            return (M_bar, CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"))
+        return (M_bar, Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"))
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
         return (truth.K_D + truth.B / truth.K) * p.K_c + truth.K_P - truth.K_I / p.K_c

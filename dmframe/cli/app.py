@@ -104,6 +104,20 @@ def run(
 
 
 @app.command()
+def verify(
+    graph: Graphs,
+    overrides: Overrides = [],  # noqa: B006
+    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report: .html, .md or .json.")] = None,
+    seed: Annotated[int, typer.Option(help="Of the random points and primes.")] = 0,
+    as_json: AsJson = False,
+) -> int:
+    """Prove dV/dt of graphs exactly, for all gains and parameters, and check the conditions."""
+    from dmframe.cli.verify import verify_graphs
+
+    return verify_graphs(graph, overrides, report=report, seed=seed, as_json=as_json)
+
+
+@app.command()
 def draw(
     graph: OneGraph,
     out: Annotated[

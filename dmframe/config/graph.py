@@ -46,7 +46,29 @@ Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
 
 
 def _clock(value: Any) -> Any:
-    return None if value == "continuous" else value
+    if value == "continuous":
+        return None
+    if value is None or (isinstance(value, str) and not value[:1].isdigit() and value[:1] not in "+-."):
+        found = "nothing" if value is None else repr(value)
+        raise ValueError(f"expected a sampling period such as 8 ms, or continuous, found {found}")
+    return value
+
+
+def _version(value: Any) -> Any:
+    if type(value) is not int or value != 1:
+        raise ValueError(f"expected 1, the version of this format, found {value!r}")
+    return value
+
+
+def _tool(value: Any) -> Any:
+    if isinstance(value, str) or value is None:
+        return value
+    if isinstance(value, list) and len(value) == 3:
+        try:
+            return tuple(to_unit(number, "m") for number in value)
+        except DmframeError as error:
+            raise ValueError(error.text) from None
+    raise ValueError(f"expected a frame's name, or 3 numbers in m, found {value!r}")
 
 
 def _robot_name(value: Any) -> Any:
@@ -87,7 +109,7 @@ class SolverSection(_Section):
 class GraphFile(_Section):
     """The keys of a graph file."""
 
-    dmframe: Literal[1] = Field(description="version of this format")
+    dmframe: Annotated[Literal[1], BeforeValidator(_version)] = Field(description="version of this format")
     title: str = Field("", description="one line that a reader understands")
     robot: Annotated[RobotSection | None, BeforeValidator(_robot_name)] = Field(
         None, description="the robot's name, or its name with what moves and where the tool is"
@@ -100,6 +122,9 @@ class GraphFile(_Section):
     solver: SolverSection = SolverSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
     wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
+    uncertain: dict[str, Any] = Field(
+        {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
+    )
 
 
 @final
@@ -122,6 +147,7 @@ class Graph:
     blocks: Mapping[str, AbstractBlock]
     robot: Any
     start: Mapping[str, Any]
+    overrides: tuple[str, ...] = ()
 
     @property
     def solver(self) -> Solver:
@@ -134,7 +160,7 @@ class Graph:
         try:
             return Diagram.build(self.blocks, self.file.wires, self.robot)
         except DmframeError as error:
-            raise placed(error, self.document) from None
+            raise placed(error, self.document, self.overrides) from None
 
     def with_duration(self, duration: float) -> Graph:
         """The same graph, run for another time [s]."""
@@ -142,13 +168,31 @@ class Graph:
         return replace(self, file=file, data={**self.data, "duration": duration})
 
 
-def placed(error: DmframeError, document: Document) -> DmframeError:
-    """The fault, or each of several, with ``file:line:column``."""
+def placed(error: DmframeError, document: Document, overrides: Sequence[str] = ()) -> DmframeError:
+    """The fault, or each of several in the order of the file, with ``file:line:column``.
+
+    One whose culprit an override has set is placed there: ``--set task.gamma=-1``.
+    """
     faults = error.faults if isinstance(error, Faults) else (error,)
     for fault in faults:
         if not fault.location:
-            fault.location = document.locate(fault.path, key=isinstance(fault, UnknownNameError))
-    return Faults(faults) if isinstance(error, Faults) else error
+            fault.location = _override_of(fault.path, document, overrides) or document.locate(
+                fault.path, key=isinstance(fault, UnknownNameError)
+            )
+    return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
+
+
+def _override_of(path: tuple[str | int, ...], document: Document, overrides: Sequence[str]) -> str:
+    for text in reversed(overrides):
+        keys = tuple(_keys_of(text, document.data))
+        if keys and path[: len(keys)] == keys:
+            return f"--set {text}"
+    return ""
+
+
+def _place(fault: DmframeError) -> tuple[int, ...]:
+    """Line and column of a fault's location; overrides come first."""
+    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location))
 
 
 def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
@@ -185,31 +229,54 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
     try:
         raise_all(faults)
     except DmframeError as error:
-        raise placed(error, document) from None
+        raise placed(error, document, overrides) from None
     assert file is not None  # a file that is not valid left a fault
-    return Graph(path.stem, file, data, document, blocks, robot, start)
+    return Graph(path.stem, file, data, document, blocks, robot, start, tuple(overrides))
 
 
 def overridden(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """The file's data with ``--set`` values put in; the file's own data is not touched."""
     result: dict[str, Any] = _copy(data)
     for text in overrides:
-        key, equals, value = text.partition("=")
-        keys = key.strip().split(".")
-        if not equals or not all(keys):
-            raise ValueFault(f"--set {text}: expected block.parameter=value")
-        if len(keys) == 2 and keys[0] in (result.get("blocks") or {}):
-            keys = ["blocks", *keys]
-        elif keys[0] not in GraphFile.model_fields:
-            choices = [*(result.get("blocks") or {}), *GraphFile.model_fields]
-            raise UnknownNameError(f"--set {text}", "block or key", keys[0], choices)
+        keys, blocks = _keys_of(text, result), result.get("blocks")
+        names = list(blocks) if isinstance(blocks, dict) else []
+        if len(keys) < 2 and keys != [text.partition("=")[0].strip()]:
+            raise ValueFault(f"--set {text}: expected block.parameter=value or key=value")
+        if keys[0] not in GraphFile.model_fields:
+            raise UnknownNameError(f"--set {text}", "block or key", keys[0], [*names, *GraphFile.model_fields])
+        if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
+            raise UnknownNameError(f"--set {text}", "block", keys[1], names)
+        if keys[0] == "blocks" and len(keys) < 3:
+            raise ValueFault(f"--set {text}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
         place = result
         for part in keys[:-1]:
-            if not isinstance(place.setdefault(part, {}), dict):
+            if place.get(part) is None:
+                place[part] = {}
+            elif part == "robot" and isinstance(place[part], str):
+                place[part] = {"model": place[part]}
+            if not isinstance(place[part], dict):
                 raise ValueFault(f"--set {text}: {part} holds no keys")
             place = place[part]
-        place[keys[-1]] = read_document(f"value: {value.strip()}\n", f"--set {text}").data["value"]
+        place[keys[-1]] = _override_value(text)
     return result
+
+
+def _override_value(text: str) -> Any:
+    value = text.partition("=")[2].strip()
+    try:
+        return read_document(f"value: {value}\n", "").data["value"]
+    except DmframeError as error:
+        reason = (error.faults if isinstance(error, Faults) else (error,))[0].text
+        raise ValueFault(f"--set {text}: {reason}") from None
+
+
+def _keys_of(text: str, data: Mapping[str, Any]) -> list[str]:
+    """Where an override points to; empty where it is none. A block's name needs no ``blocks.`` before it."""
+    key, equals, _ = text.partition("=")
+    keys, blocks = key.strip().split("."), data.get("blocks")
+    if not equals or not all(keys):
+        return []
+    return ["blocks", *keys] if isinstance(blocks, dict) and keys[0] in blocks else keys
 
 
 def _copy(data: Any) -> Any:
@@ -285,13 +352,27 @@ def _start(section: Mapping[str, Any], faults: list[DmframeError]) -> dict[str, 
     for key, value in section.items():
         items = value if isinstance(value, list) else [value]
         try:
-            numbers = [to_unit(item, "rad") if isinstance(item, str) else float(item) for item in items]
-        except (DmframeError, TypeError, ValueError) as error:
-            text = error.text if isinstance(error, DmframeError) else f"expected numbers, found {value!r}"
-            faults.append(ValueFault(f"start.{key}: {text}", path=("start", key)))
+            numbers = [_start_number(item) for item in items]
+        except DmframeError as error:
+            faults.append(ValueFault(f"start.{key}: {error.text}", path=("start", key)))
             continue
         values[key] = numbers if isinstance(value, list) else numbers[0]
     return values
+
+
+def _start_number(item: Any) -> float:
+    if isinstance(item, str):
+        return to_unit(item, "rad")
+    if isinstance(item, bool) or not isinstance(item, int | float):
+        raise ValueFault(f"expected numbers, found {_shown(item)}")
+    return float(item)
+
+
+def _shown(value: Any) -> str:
+    """What a message quotes of a value, as the file writes it."""
+    if value is None or isinstance(value, bool):
+        return "nothing" if value is None else str(value).lower()
+    return repr(value) if len(repr(value)) < 40 else "a list" if isinstance(value, list) else "keys with values"
 
 
 def _fault(detail: Any, data: Any) -> DmframeError:
@@ -311,8 +392,7 @@ def _fault(detail: Any, data: Any) -> DmframeError:
             kind = {"dict_type": "keys with values", "string_type": "a text", "tuple_type": "a list"}
             kind |= {"model_type": "keys with values", "model_attributes_type": "keys with values"}
             expected = kind.get(detail["type"], detail["msg"])
-            shown = repr(found) if len(repr(found)) < 40 else f"a {type(found).__name__}"
-            return ValueFault(f"{where}: expected {expected}, found {shown}", path=path)
+            return ValueFault(f"{where}: expected {expected}, found {_shown(found)}", path=path)
 
 
 def _keys(path: tuple[str | int, ...]) -> list[str]:

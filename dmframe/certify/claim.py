@@ -1,0 +1,218 @@
+r"""What a diagram claims: V, dV/dt, and the residual that must vanish identically.
+
+The blocks on the servo level have the weight kappa, a cascade on top of them the weight 1:
+
+    V = kappa (S_1 + S_2 + ...) + S_cascade,
+    dV/dt = -kappa (d_1 + d_2 + ...) - d_cascade + c |sigma|^2 + (terms of the projection lemma),
+
+with kappa a free symbol; without a cascade kappa is 1. dV/dt is differentiated along the rates of the same
+`ClosedLoop` that a run integrates; the desired trajectories and all their derivatives are free symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX, Certificate
+from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.resolve import Projection
+from dmframe.diagram.view import view
+from dmframe.errors import BlockError, DmframeError
+from dmframe.port import Side
+
+
+@final
+class NotApplicableError(DmframeError):
+    """A diagram that makes no claim: a block without a certificate, or a truth that nobody knows."""
+
+
+@final
+@dataclass(frozen=True)
+class Part:
+    """One block's part of the claim, in the leaves of the closed loop, the wall taken away."""
+
+    block: str
+    certificate: Certificate
+    cascade: bool
+    rate: SX
+    lemma: SX
+    """Terms that the projection adds to dS/dt, none above zero."""
+
+    @property
+    def storage(self) -> SX:
+        """S."""
+        return total([square.value for square in self.certificate.storage]) / 2
+
+    @property
+    def dissipation(self) -> SX:
+        """d_1 + d_2 + ..."""
+        return total([term.value for term in self.certificate.dissipation])
+
+    @property
+    def residual(self) -> SX:
+        """dS/dt - supply + dissipation - lemma: what the block's own claim says is zero."""
+        return self.rate - self.certificate.supply + self.dissipation - self.lemma
+
+
+@final
+@dataclass(frozen=True)
+class Claim:
+    """V and dV/dt of a diagram.
+
+    Parameters
+    ----------
+    parts
+        The blocks with a certificate, in the order of the graph.
+    kappa
+        The weight of the servo level: a symbol, or 1 without a cascade.
+    sigma
+        The sliding variable, where a cascade consumes.
+    truths
+        True values of estimates, by name.
+    """
+
+    diagram: Diagram
+    loop: ClosedLoop
+    parts: tuple[Part, ...]
+    kappa: SX
+    sigma: SX
+    truths: Mapping[str, SX]
+
+    def weight(self, part: Part) -> SX:
+        """1 or kappa."""
+        return ca.SX(1) if part.cascade else self.kappa
+
+    @property
+    def V(self) -> SX:
+        """The Lyapunov function."""
+        return total([self.weight(part) * part.storage for part in self.parts])
+
+    @property
+    def rate(self) -> SX:
+        """dV/dt along the closed loop."""
+        return total([self.weight(part) * part.rate for part in self.parts])
+
+    @property
+    def consumption(self) -> SX:
+        """C |sigma|^2, which the servo level pays."""
+        c = [part.certificate.consumes for part in self.parts if part.certificate.consumes is not None]
+        return total(c) * ca.dot(self.sigma, self.sigma)
+
+    @property
+    def residual(self) -> SX:
+        """dV/dt + dissipation - consumption - lemma terms: zero, if the claim is true."""
+        own = [self.weight(part) * (part.rate + part.dissipation - part.lemma) for part in self.parts]
+        return total(own) - self.consumption
+
+
+def total(items: Sequence[SX]) -> SX:
+    """A sum of scalar expressions."""
+    return ca.sum1(ca.vertcat(ca.SX(0), *items))
+
+
+def claim_of(diagram: Diagram) -> Claim:
+    """Assemble what the blocks claim.
+
+    Raises `NotApplicableError` where a block has no certificate, or needs a truth that the diagram does not have.
+    """
+    stated, truths = _certificates(diagram)
+    loop = diagram.loop
+    field = Field(diagram)
+    parts = tuple(field.part(name, certificate) for name, certificate in stated.items())
+    if not any(part.certificate.storage for part in parts):
+        raise NotApplicableError("no block of this graph stores anything; there is no V")
+    cascades = [part for part in parts if part.cascade]
+    kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
+    return Claim(diagram, loop, parts, kappa, _sigma(diagram, loop) if cascades else ca.SX(0), truths)
+
+
+@final
+class Field:
+    """The closed loop's vector field with the wall taken away, and time derivatives along it."""
+
+    def __init__(self, diagram: Diagram) -> None:
+        self.diagram, self.loop = diagram, diagram.loop
+        loop = self.loop
+        variables = (*loop.controller, *loop.plant)
+        self._leaves = [variable.symbol for variable in variables]
+        self._rates = loop.joined([variable.rate for variable in variables])
+
+    def with_parameters(self, symbols: SX, others: SX) -> Field:
+        """The same field with other parameters in its equations."""
+        field = Field(self.diagram)
+        field._rates = list(ca.substitute(self._rates, [symbols], [others]))
+        return field
+
+    def part(self, name: str, certificate: Certificate) -> Part:
+        """A block's part, with the time derivative of its storage."""
+        joined = certificate.mapped(self.loop.joined)
+        storage = total([square.value for square in joined.storage]) / 2
+        lemma = total([self._lemma(name, joined, item) for item in self._projections(storage)])
+        return Part(name, joined, certificate.consumes is not None, self.derivative(storage), lemma)
+
+    def derivative(self, expression: SX) -> SX:
+        """d/dt along the closed loop, trajectories moving as they like."""
+        used = symbols_in([expression])
+        pairs = [(leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & hashes(leaf)]
+        for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
+            if used & hashes(leaf.symbol):
+                pairs.append((leaf.symbol, self.diagram.resolver.trajectory(block, port, order + 1).symbol))
+        if not pairs:
+            return ca.SX(0)
+        return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
+
+    def _projections(self, storage: SX) -> list[Projection]:
+        used = symbols_in([storage])
+        return [projection for projection in self.loop.projections if used & hashes(projection.state)]
+
+    def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
+        r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""
+        own = hashes(projection.state)
+        squares = [square for square in certificate.storage if symbols_in([square.vector, square.weight]) & own]
+        if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
+            (square,) = squares
+            slope = ca.jacobian(square.vector, projection.state)
+            if square.weight.is_column() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
+                return ca.sum1(square.weight * square.vector * projection.correction)
+        raise NotApplicableError(
+            f"{name}: {projection.name} is projected, but is not stored as one square of its error with a diagonal "
+            "weight, which the projection lemma needs"
+        )
+
+
+def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], dict[str, SX]]:
+    """Every block's certificate; those that need another block's truth come after it."""
+    waiting = [name for name, block in diagram.blocks.items() if block.side is not Side.SOURCE]
+    found, truths = dict[str, Certificate](), dict[str, SX]()
+    faults = dict[str, str]()
+    while waiting:
+        later = []
+        for name in waiting:
+            seen = view(diagram, name, truths)
+            try:
+                certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
+            except BlockError as error:
+                faults[name] = error.text
+                later.append(name)
+                continue
+            if certificate is None:
+                raise NotApplicableError(f"{name}: a {diagram.type_of(name)} has no certificate")
+            found[name] = certificate
+            truths |= certificate.truth
+        if len(later) == len(waiting):
+            raise NotApplicableError("; ".join(faults[name] for name in later))
+        waiting = later
+    return {name: found[name] for name in diagram.blocks if name in found}, truths
+
+
+def _sigma(diagram: Diagram, loop: ClosedLoop) -> SX:
+    for signal in loop.outputs:
+        if signal.name == "sigma":
+            return loop.joined([signal.expression])[0]
+    raise NotApplicableError("a cascade consumes |sigma|^2, and no block has an output sigma")

@@ -1,0 +1,84 @@
+"""A verdict as plain data: what ``verify --json`` prints."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from dmframe.certificate import Square
+from dmframe.certify.claim import Claim
+from dmframe.certify.verify import Verdict
+
+
+def summary(name: str, verdict: Verdict) -> dict[str, Any]:
+    """Plain data that JSON can hold; numbers that are not finite are None."""
+    test, claim = verdict.test, verdict.claim
+    return {
+        "graph": name,
+        "verdict": verdict.outcome,
+        "reason": verdict.reason,
+        "residual_zero": None if test is None else test.zero,
+        "trials": 0 if test is None else test.trials,
+        "primes": [] if test is None else [str(prime) for prime in test.primes],
+        "seed": None if test is None else test.seed,
+        "degree_bound": None if test is None else str(test.degree_bound),
+        "log2_error_bound": None if test is None else _finite(test.log2_error_bound),
+        "storage": [] if claim is None else _terms(claim, "storage"),
+        "dissipation": [] if claim is None else _terms(claim, "dissipation"),
+        "kappa": None
+        if verdict.kappa is None
+        else {"least": float(verdict.kappa.least), "chosen": float(verdict.kappa.chosen)},
+        "conditions": [
+            {
+                "name": condition.name,
+                "expression": condition.expression,
+                "value": _finite(condition.value),
+                "holds": condition.holds,
+                "how": condition.how,
+                "source": condition.source,
+            }
+            for condition in verdict.conditions
+        ],
+        "assumptions": [{"text": item.text, "source": item.source} for item in verdict.assumptions],
+        "statements": [
+            {"signal": item.signal, "says": item.says, "step": item.step, "assumes": list(item.assumes)}
+            for item in verdict.statements
+        ],
+        "mutants": {
+            "tried": len(verdict.controls),
+            "refuted": sum(control.refuted for control in verdict.controls),
+            "faults": [control.fault for control in verdict.controls],
+        },
+        "refutation": None
+        if verdict.refutation is None
+        else {
+            "blame": list(verdict.refutation.blame),
+            "signals": list(verdict.refutation.signals),
+            "prime": str(verdict.refutation.prime),
+            "residue": str(verdict.refutation.residue),
+            "point": {label: [str(x) for x in values] for label, values in verdict.refutation.point},
+        },
+        "time": {"build": verdict.build, "check": verdict.check},
+    }
+
+
+def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
+    """Each term: whose, of what, a square or a lemma, and its weight in V."""
+    return [
+        {
+            "block": part.block,
+            "of": term.of,
+            "kind": "square" if isinstance(term, Square) else "lemma",
+            "weight": "kappa" if _weighed(claim) and not part.cascade else "1",
+        }
+        for part in claim.parts
+        for term in getattr(part.certificate, role)
+    ]
+
+
+def _weighed(claim: Claim) -> bool:
+    return any(part.cascade for part in claim.parts)
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

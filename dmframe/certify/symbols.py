@@ -1,0 +1,81 @@
+"""The symbols over which a claim is quantified, and the few that have their exact values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim
+from dmframe.diagram import Diagram, Parameter
+from dmframe.diagram.closed_loop import stack
+from dmframe.port import Side
+from dmframe.robot.rational import decimal
+
+
+@final
+@dataclass(frozen=True)
+class Group:
+    """A signal or a parameter: its symbols, and its exact values where it is not free."""
+
+    label: str
+    kind: str
+    symbol: SX
+    values: tuple[Fraction, ...] | None = None
+
+
+@final
+@dataclass(frozen=True)
+class Symbols:
+    """Everything that a residual may depend on, in one order."""
+
+    groups: tuple[Group, ...]
+
+    def function(self, name: str, expressions: Sequence[SX]) -> Any:
+        """Expressions as a function of all groups."""
+        return ca.Function(name, [stack([group.symbol]) for group in self.groups], [ca.vec(x) for x in expressions])
+
+    @property
+    def fixed(self) -> dict[int | str, Sequence[Fraction]]:
+        """Positions of the groups that are not free, with their values."""
+        return {k: group.values for k, group in enumerate(self.groups) if group.values is not None}
+
+
+def symbols_of(claim: Claim) -> Symbols:
+    """The claim's symbols.
+
+    Free are all states, trajectories, projections' corrections, gains, servo and inertial parameters. Fixed are the
+    robot's rotations, which must be orthogonal, and what the plant has not: its parameters that are zero.
+    """
+    loop, diagram = claim.loop, claim.diagram
+    states = [Group(v.label, "state", v.symbol) for v in (*loop.controller, *loop.plant)]
+    trajectories = [Group(leaf.name, "trajectory", leaf.symbol) for leaf in diagram.resolver.trajectories.values()]
+    corrections = [Group(p.name, "projection", p.correction) for p in loop.projections]
+    parameters = [_parameter(diagram, parameter) for parameter in loop.parameters]
+    kappa = [] if claim.kappa.is_constant() else [Group("kappa", "weight", claim.kappa)]
+    return Symbols((*states, *trajectories, *corrections, *parameters, *kappa))
+
+
+def _parameter(diagram: Diagram, parameter: Parameter) -> Group:
+    label, block = parameter.label, parameter.label.partition(".")[0]
+    if label == "robot.rotations":
+        return Group(label, "parameter", parameter.symbol, exact_values(diagram)[label])
+    absent = block in diagram.blocks and diagram.blocks[block].side is Side.PLANT and not parameter.value.any()
+    values = (Fraction(0),) * parameter.symbol.numel() if absent else None
+    return Group(label, "parameter", parameter.symbol, values)
+
+
+def exact_values(diagram: Diagram) -> Mapping[str, tuple[Fraction, ...]]:
+    """Every parameter's value as rational numbers: what was written in decimals, and the robot's exact numbers."""
+    values = {
+        parameter.label: tuple(decimal(float(x)) for x in parameter.value.ravel(order="F"))
+        for parameter in diagram.loop.parameters
+    }
+    for model in diagram.models.values():
+        if model.robot is not None:
+            values |= {constant.name: tuple(constant.values) for constant in model.robot.constants}
+    return values

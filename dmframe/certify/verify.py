@@ -1,0 +1,120 @@
+"""``verify``: prove a diagram's claim, refute it, or say why there is none."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, final
+
+from dmframe.certificate import Assumption
+from dmframe.certify.claim import Claim, NotApplicableError, claim_of
+from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
+from dmframe.certify.identity import Control, Refutation, check_identity, is_trivial, negative_controls, refute
+from dmframe.certify.statements import Statement, statements_of
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram import Diagram
+from dmframe.exact import ZeroTest
+from dmframe.exact.rational import Interval
+
+Outcome = Literal["proved", "refuted", "not_applicable"]
+
+STANDING = (
+    Assumption("the maker's servo is the PI or PID law of the graph, with constant gains", "eqs. (6), (7)"),
+    Assumption("the robot is rigid, with constant inertial parameters and the friction of the graph", "eq. (3)"),
+    Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
+    Assumption("the desired trajectory and its derivatives that appear are bounded", "Theorems 1 to 4"),
+)
+
+
+@final
+@dataclass(frozen=True)
+class Verdict:
+    """The outcome of `verify`, with everything it rests on.
+
+    Parameters
+    ----------
+    outcome
+        ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
+        every negative control was refuted. ``refuted``: the identity is false. ``not_applicable``: there is nothing to
+        prove, or a condition fails; `reason` says which.
+    test
+        The exact test, with its error bound.
+    build, check
+        Seconds spent on writing V and dV/dt, and on deciding.
+    """
+
+    outcome: Outcome
+    reason: str
+    claim: Claim | None = None
+    test: ZeroTest | None = None
+    refutation: Refutation | None = None
+    kappa: Kappa | None = None
+    conditions: tuple[Checked, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+    controls: tuple[Control, ...] = ()
+    statements: tuple[Statement, ...] = ()
+    build: float = 0.0
+    check: float = 0.0
+
+
+def verify(
+    diagram: Diagram, *, trials: int = 3, seed: int = 0, uncertain: Mapping[str, Sequence[Interval]] | None = None
+) -> Verdict:
+    """Prove dV/dt for a diagram, exactly, for all values of its gains and physical parameters.
+
+    Parameters
+    ----------
+    trials
+        Random points of random prime fields; each divides the error probability.
+    seed
+        Of the points and primes.
+    uncertain
+        True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
+    """
+    begin = time.perf_counter()
+    try:
+        claim = claim_of(diagram)
+        symbols = symbols_of(claim)
+    except NotApplicableError as error:
+        return Verdict("not_applicable", error.text, build=time.perf_counter() - begin)
+    built = time.perf_counter()
+    test = check_identity(claim, symbols, trials=trials, seed=seed)
+    if not test.zero:
+        refutation = refute(claim, symbols, seed=seed)
+        reason = _blame(refutation)
+        check = time.perf_counter() - built
+        return Verdict("refuted", reason, claim, test, refutation, build=built - begin, check=check)
+    controls = negative_controls(claim, symbols, seed=seed)
+    conditions, assumptions = conditions_of(claim, uncertain or {})
+    outcome, reason = _judge(conditions, controls, is_trivial(claim, symbols, seed))
+    return Verdict(
+        outcome=outcome,
+        reason=reason,
+        claim=claim,
+        test=test,
+        kappa=payment(claim, Numbers(claim, uncertain or {})) if any(p.cascade for p in claim.parts) else None,
+        conditions=tuple(conditions),
+        assumptions=(*assumptions, *STANDING),
+        controls=controls,
+        statements=tuple(statements_of(claim)),
+        build=built - begin,
+        check=time.perf_counter() - built,
+    )
+
+
+def _blame(refutation: Refutation) -> str:
+    where = ", ".join(refutation.blame) or "no single block: each keeps its own claim, but what they exchange differs"
+    return f"dV/dt is not what the blocks claim; to blame: {where}"
+
+
+def _judge(conditions: Sequence[Checked], controls: Sequence[Control], trivial: bool) -> tuple[Outcome, str]:
+    if trivial:
+        return "not_applicable", "V or dV/dt is identically zero; nothing would be proved"
+    missed = [control.fault for control in controls if not control.refuted]
+    if not controls or missed:
+        return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"
+    failing = [condition.name for condition in conditions if not condition.holds]
+    if failing:
+        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    return "proved", "dV/dt equals minus the dissipation, for all values of the symbols; every condition holds"

@@ -1,0 +1,75 @@
+"""``dmframe verify``: prove graphs, and say what is proved and what is assumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import typer
+
+from dmframe.certify import Verdict, verify
+from dmframe.certify.summary import summary
+from dmframe.certify.uncertain import intervals
+from dmframe.cli.show import columns
+from dmframe.config import Graph, load_graph
+from dmframe.config.graph import placed
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+
+NOT_PROVED = 1
+
+
+def verify_graphs(
+    names: Sequence[str], overrides: Sequence[str], *, report: Path | None, seed: int, as_json: bool
+) -> int:
+    """Verify graphs one after another; returns the exit status."""
+    graphs = [load_graph(name, overrides) for name in names]
+    diagrams = [graph.diagram() for graph in graphs]
+    verdicts = [_verify(graph, diagram, seed) for graph, diagram in zip(graphs, diagrams, strict=True)]
+    if as_json:
+        told = [summary(graph.name, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)]
+        typer.echo(json.dumps(told[0] if len(told) == 1 else told, indent=2))
+    else:
+        typer.echo("\n\n".join(page(graph, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)))
+    if report is not None:
+        from dmframe.report import write_report
+
+        write_report(report, list(zip(graphs, diagrams, verdicts, strict=True)), overrides=overrides, seed=seed)
+        typer.echo(f"wrote {report}", err=as_json)
+    return 0 if all(verdict.outcome == "proved" for verdict in verdicts) else NOT_PROVED
+
+
+def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
+    try:
+        return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain))
+    except DmframeError as error:
+        raise placed(error, graph.document) from None
+
+
+def page(graph: Graph, verdict: Verdict) -> str:
+    """A verdict for the terminal."""
+    parts = [f"{graph.name}: {verdict.outcome.replace('_', ' ')}", f"  {verdict.reason}"]
+    if verdict.test is not None and verdict.test.zero:
+        bound = verdict.test.log2_error_bound
+        parts.append(
+            f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
+        )
+    if verdict.refutation is not None:
+        parts.append(f"  fewest signals that refute it: {', '.join(verdict.refutation.signals) or 'none'}")
+        parts.append("  the exact point is in --json")
+    if verdict.conditions:
+        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c.holds)) for c in verdict.conditions]
+        parts += ["  conditions, with the least value that must be positive", columns(rows, "    ")]
+    if verdict.controls:
+        refuted = sum(control.refuted for control in verdict.controls)
+        parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
+    if verdict.assumptions:
+        parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
+    if verdict.claim is not None:
+        parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
+    return "\n".join(parts)
+
+
+def _mark(holds: bool) -> str:
+    return "holds" if holds else "FAILS"

@@ -1,0 +1,100 @@
+"""Expressions evaluated in rational numbers and in intervals with rational ends: signs without rounding."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, final
+
+import casadi as ca
+
+from dmframe.errors import ValueFault
+
+
+@final
+@dataclass(frozen=True)
+class Interval:
+    """All numbers from `lower` to `upper`; operations enclose every result."""
+
+    lower: Fraction
+    upper: Fraction
+
+    @staticmethod
+    def of(value: Fraction | Interval) -> Interval:
+        """A number as an interval of no width."""
+        return value if isinstance(value, Interval) else Interval(value, value)
+
+    def __add__(self, other: Fraction | Interval) -> Interval:
+        other = Interval.of(other)
+        return Interval(self.lower + other.lower, self.upper + other.upper)
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.upper, -self.lower)
+
+    def __sub__(self, other: Fraction | Interval) -> Interval:
+        return self + (-Interval.of(other))
+
+    def __mul__(self, other: Fraction | Interval) -> Interval:
+        other = Interval.of(other)
+        ends = [a * b for a in (self.lower, self.upper) for b in (other.lower, other.upper)]
+        return Interval(min(ends), max(ends))
+
+    def __truediv__(self, other: Fraction | Interval) -> Interval:
+        other = Interval.of(other)
+        if other.lower <= 0 <= other.upper:
+            raise ZeroDivisionError
+        return self * Interval(1 / other.upper, 1 / other.lower)
+
+
+def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[list[Fraction | Interval]]:
+    """The outputs of an SX function of field operations, exactly.
+
+    Raises `ValueFault` for any other function (sin, tanh, ...), ZeroDivisionError where a divisor is, or holds, zero.
+    """
+    register: dict[int, Any] = {}
+    outputs: list[list[Fraction | Interval]] = [[Fraction(0)] * f.nnz_out(j) for j in range(f.n_out())]
+    for k in range(f.n_instructions()):
+        code, arguments, targets = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+        if code == ca.OP_OUTPUT:
+            outputs[targets[0]][targets[1]] = register[arguments[0]]
+        elif code == ca.OP_INPUT:
+            register[targets[0]] = inputs[arguments[0]][arguments[1]]
+        elif code == ca.OP_CONST:
+            register[targets[0]] = Fraction(f.instruction_constant(k))
+        else:
+            register[targets[0]] = _operate(code, [register[a] for a in arguments], f.name())
+    return outputs
+
+
+def _operate(code: int, values: list[Any], name: str) -> Any:
+    if any(isinstance(value, Interval) for value in values):
+        values = [Interval.of(value) for value in values]
+    first, last = values[0], values[-1]
+    match code:
+        case ca.OP_ASSIGN:
+            return first
+        case ca.OP_ADD:
+            return first + last
+        case ca.OP_SUB:
+            return first - last
+        case ca.OP_MUL:
+            return first * last
+        case ca.OP_DIV:
+            return first / last
+        case ca.OP_NEG:
+            return -first
+        case ca.OP_SQ:
+            return _square(first)
+        case ca.OP_TWICE:
+            return first + first
+        case ca.OP_INV:
+            return (Interval.of(Fraction(1)) if isinstance(first, Interval) else Fraction(1)) / first
+    raise ValueFault(f"{name}: expected + - * / only, found CasADi's instruction {code}; its sign cannot be decided")
+
+
+def _square(value: Fraction | Interval) -> Fraction | Interval:
+    if not isinstance(value, Interval):
+        return value * value
+    ends = sorted((value.lower * value.lower, value.upper * value.upper))
+    return Interval(Fraction(0) if value.lower <= 0 <= value.upper else ends[0], ends[1])
