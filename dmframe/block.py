@@ -9,15 +9,26 @@ import re
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Any, ClassVar, final
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from dmframe.certificate import SX, Certificate, Condition
-from dmframe.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault, nearest, raise_all
+from dmframe.errors import (
+    BlockError,
+    DmframeError,
+    MissingError,
+    UnitError,
+    UnknownNameError,
+    ValueFault,
+    nearest,
+    raise_all,
+)
 from dmframe.parameter import read, spec_of, specs
 from dmframe.port import Port, Side, State
+from dmframe.units import compatible
 
 
 @final
@@ -69,7 +80,7 @@ class AbstractBlock(BaseModel):
     truth: ClassVar[tuple[Port, ...]] = ()
     uses_robot: ClassVar[bool] = False
 
-    def __init__(self, **values: Any) -> None:
+    def __init__(self, /, **values: Any) -> None:
         try:
             super().__init__(**values)
         except ValidationError as error:
@@ -110,6 +121,54 @@ class AbstractBlock(BaseModel):
         del p, truth
         return ()
 
+    @classmethod
+    def contract(cls, where: str) -> list[DmframeError]:
+        """What is wrong with the class itself: names, units and references of its ports, states and parameters."""
+        return [BlockError(f"{where}: {text}") for text in _breaches(cls)]
+
+
+def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """What is wrong with a block's class, one text a breach."""
+    kinds: dict[str, tuple[Sequence[Port | State], type]] = {
+        "input": (block.inputs, Port),
+        "output": (block.outputs, Port),
+        "state": (block.states, State),
+    }
+    for kind, (items, expected) in kinds.items():
+        strangers = [item for item in items if not isinstance(item, expected)]
+        if strangers:
+            yield f"expected each {kind} to be a {expected.__name__}, found {strangers[0]!r}"
+            return
+        names = [item.name for item in items]
+        yield from (f"declares the {kind} {name} twice" for name in sorted({n for n in names if names.count(n) > 1}))
+        for item in items:
+            try:
+                compatible(item.unit, "")
+            except UnitError as fault:
+                yield f"the unit of the {kind} {item.name}: {fault.text}"
+    for kind, ports, known in (
+        ("input", block.inputs, [port.name for port in block.inputs]),
+        ("output", block.outputs, [port.name for port in (*block.inputs, *block.outputs)]),
+    ):
+        for port in ports:
+            of = port.derivative_of
+            if of and of not in known:
+                yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    yield from _parameter_breaches(block)
+
+
+def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    numbers = specs(block)
+    boxes = [name for name, spec in numbers.items() if spec.form == "box"]
+    for name in block.model_fields:
+        if hasattr(AbstractBlock, name):
+            yield f"the parameter {name} hides what every block has under that name; rename it"
+    for state in block.states:
+        if state.box and state.box not in boxes:
+            yield f"the box of {state.name} is {state.box}, which is no Interval parameter; {nearest(state.box, boxes)}"
+        if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
+            yield f"the parameter {state.name} and the state that starts there have different shapes"
+
 
 def type_name(block: type[AbstractBlock]) -> str:
     """The name in graph files: snake_case of the class, ``PidInverse`` -> ``pid_inverse``."""
@@ -118,7 +177,18 @@ def type_name(block: type[AbstractBlock]) -> str:
 
 def parameter_faults(block: type[AbstractBlock], error: ValidationError, where: str) -> list[DmframeError]:
     """The faults of a block's parameters, in our words; their `path` is the parameter's name."""
-    return [_fault(block, detail, where) for detail in error.errors(include_url=False)]
+    details = error.errors(include_url=False)
+    missing = {str(detail["loc"][0]) for detail in details if detail["type"] == "missing"}
+    unknown = {str(detail["loc"][0]) for detail in details if detail["type"] == "extra_forbidden"}
+    # a misspelt parameter is told once, as that, and not a second time as a missing one
+    misspelt = {
+        near[0] for name in unknown if (near := get_close_matches(name, block.model_fields, 1)) and near[0] in missing
+    }
+    return [
+        _fault(block, detail, where)
+        for detail in details
+        if not (detail["type"] == "missing" and detail["loc"][0] in misspelt)
+    ]
 
 
 def _fault(block: type[AbstractBlock], detail: ErrorDetails, where: str) -> DmframeError:
@@ -137,5 +207,7 @@ def _fault(block: type[AbstractBlock], detail: ErrorDetails, where: str) -> Dmfr
         case "literal_error":
             expected = detail.get("ctx", {}).get("expected", "")
             return ValueFault(f"{at}: expected {expected}, found {detail['input']!r}", path=path)
+        case "tuple_type":
+            return ValueFault(f"{at}: expected a list, found {detail['input']!r}", path=path)
         case _:
             return ValueFault(f"{at}: {detail['msg'][0].lower()}{detail['msg'][1:]}", path=path)

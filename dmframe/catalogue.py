@@ -27,14 +27,21 @@ GROUP = "dmframe.blocks"
 
 def packages() -> Iterator[ModuleType]:
     """The registered block packages. Raises `BlockError` for one that cannot be imported, or where there is none."""
-    found = sorted(entry_points(group=GROUP), key=lambda point: point.value)
+    found = {point.value: point for point in entry_points(group=GROUP)}  # an editable install may be listed twice
     if not found:
         raise BlockError(f"no package is registered under the entry-point group {GROUP}; install dmframe first")
-    for point in found:
-        try:
-            yield importlib.import_module(point.value)
-        except ImportError as error:
-            raise BlockError(f"the block package {point.value} ({point.name}) cannot be imported: {error}") from error
+    for value, point in sorted(found.items()):
+        package = _imported(value, f"the block package {value} ({point.name})")
+        if not hasattr(package, "__path__"):
+            raise BlockError(f"the entry point {point.name} names {value}; expected a package, found a module")
+        yield package
+
+
+def _imported(module: str, what: str) -> ModuleType:
+    try:
+        return importlib.import_module(module)
+    except Exception as error:  # whatever it raises, one line says whose fault it is
+        raise BlockError(f"{what} cannot be imported: {type(error).__name__}: {error}") from error
 
 
 def block_modules() -> dict[str, str]:
@@ -61,6 +68,8 @@ def find_block(name: str, base: Path | None = None, where: str = "type") -> type
     file, colon, class_name = name.rpartition(":")
     if colon and file.endswith(".py"):
         return _from_file((base or Path()) / file, class_name, where)
+    if name.endswith(".py"):
+        raise BlockError(f"{where}: expected {name}:MyBlock, a file and a class in it, found the file alone")
     modules = block_modules()
     if name not in modules:
         raise UnknownNameError(f"{where}: {name}", "block type", name, modules)
@@ -68,7 +77,7 @@ def find_block(name: str, base: Path | None = None, where: str = "type") -> type
 
 
 def _class_of(module_name: str, name: str) -> type[AbstractBlock]:
-    module = importlib.import_module(module_name)
+    module = _imported(module_name, f"the block {name}")
     class_name = "".join(word.capitalize() for word in name.split("_"))
     found = getattr(module, class_name, None)
     if not _is_block(found):
@@ -108,9 +117,11 @@ def _load(path: Path, where: str) -> ModuleType:
         spec.loader.exec_module(module)
     except Exception as error:  # whatever a user's file raises is told with its line, and nothing else is lost
         del sys.modules[name]
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
         line = error.lineno if isinstance(error, SyntaxError) else (lines or [0])[-1]
-        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {error}") from error
+        reason = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
+        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {reason}") from error
     return module
 
 

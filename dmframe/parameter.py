@@ -93,7 +93,7 @@ def read(value: Any, spec: Spec) -> Any:
     numbers = _numbers(value, spec)
     depth = _depth(numbers)
     if spec.form == "box":
-        return _box(numbers)
+        return _box(numbers, value)
     wanted = {"diagonal": (0, 1) if spec.shape else (0,), "vector": (1,), "table": (2,)}[spec.form]
     if depth not in wanted:
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
@@ -120,20 +120,23 @@ def _numbers(value: Any, spec: Spec) -> Any:
     return number
 
 
-def _box(numbers: Any) -> tuple[Any, Any]:
-    if not isinstance(numbers, tuple) or len(numbers) != 2:
-        raise ValueError("expected an interval [lower, upper], found " + _shown(numbers))
+def _box(numbers: Any, value: Any) -> tuple[Any, Any]:
+    if not isinstance(numbers, tuple) or len(numbers) != 2 or any(_depth(end) not in (0, 1) for end in numbers):
+        raise ValueError("expected an interval [lower, upper], found " + _shown(value))
     lower, upper = numbers
+    if _depth(lower) == _depth(upper) == 1 and len(lower) != len(upper):
+        raise ValueError(f"expected as many lower ends as upper ones, found {len(lower)} and {len(upper)}")
     if np.any(np.asarray(lower) > np.asarray(upper)):
-        raise ValueError(f"expected lower <= upper, found {_shown([lower, upper])}")
+        raise ValueError(f"expected lower <= upper, found {_shown(value)}")
     return lower, upper
 
 
 def _depth(value: Any) -> int:
+    """How deep lists are nested; -1 where they are ragged."""
     if not isinstance(value, tuple):
         return 0
-    depths = {_depth(item) for item in value}
-    return 1 + depths.pop() if len(depths) == 1 else -1
+    depths, lengths = {_depth(item) for item in value}, {len(item) for item in value if isinstance(item, tuple)}
+    return 1 + depths.pop() if len(depths) == 1 and len(lengths) <= 1 and -1 not in depths else -1
 
 
 def _form(spec: Spec) -> str:
@@ -141,14 +144,17 @@ def _form(spec: Spec) -> str:
     if spec.form == "box":
         return f"an interval [lower, upper]{unit}"
     if spec.form == "table":
-        return f"a list of rows of numbers{unit}"
+        return f"a list of rows of equally many numbers{unit}"
     if spec.form == "vector":
         return f"a list of numbers{unit}"
     return f"a number{unit}" + (" or a list of numbers" if spec.shape else "")
 
 
 def _shown(value: Any) -> str:
-    text = repr(value)
+    """The value as its file writes it."""
+    if value is None:
+        return "nothing"
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
     return text if len(text) <= 40 else text[:37] + "..."
 
 

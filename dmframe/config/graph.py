@@ -12,7 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block, find_graph
-from dmframe.config.document import Document, read_document, read_file
+from dmframe.config.document import Document, read_file
+from dmframe.config.overrides import overridden, target
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate import Solver
@@ -88,7 +89,7 @@ class RobotSection(_Section):
         None, description="joints that move; without it, all those on the way to the tool"
     )
     hold: dict[str, Angle] = Field({}, description="joints held still, with their angles")
-    tool: str | tuple[Length, Length, Length] | None = Field(
+    tool: Annotated[str | tuple[float, float, float] | None, BeforeValidator(_tool)] = Field(
         None, description="frame of the tool, or its offset in the last link"
     )
     axes: str | None = Field(None, description="task coordinates: xyz, xy, ...")
@@ -176,15 +177,27 @@ def placed(error: DmframeError, document: Document, overrides: Sequence[str] = (
     faults = error.faults if isinstance(error, Faults) else (error,)
     for fault in faults:
         if not fault.location:
-            fault.location = _override_of(fault.path, document, overrides) or document.locate(
-                fault.path, key=isinstance(fault, UnknownNameError)
-            )
+            fault.location = _override_of(fault.path, document, overrides) or _location(fault, document)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
+
+
+def _location(fault: DmframeError, document: Document) -> str:
+    """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list."""
+    path = fault.path
+    if isinstance(fault, UnknownNameError):
+        held: Any = document.data
+        for part in path:
+            held = held.get(part) if isinstance(held, dict) else None
+        if isinstance(held, dict) and fault.name in held:
+            path = (*path, fault.name)
+        elif isinstance(held, list) and fault.name in held:
+            path = (*path, held.index(fault.name))
+    return document.locate(path, key=isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,))
 
 
 def _override_of(path: tuple[str | int, ...], document: Document, overrides: Sequence[str]) -> str:
     for text in reversed(overrides):
-        keys = tuple(_keys_of(text, document.data))
+        keys = tuple(target(text, document.data))
         if keys and path[: len(keys)] == keys:
             return f"--set {text}"
     return ""
@@ -216,7 +229,7 @@ def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
 
 def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) -> Graph:
     """A graph from its document; `path` names it, and files are looked for beside it."""
-    data = overridden(document.data, overrides)
+    data = overridden(document.data, overrides, list(GraphFile.model_fields))
     faults = list[DmframeError]()
     try:
         file = GraphFile.model_validate(data)
@@ -224,65 +237,16 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
         faults += [_fault(detail, data) for detail in error.errors(include_url=False)]
         file = None
     blocks = _blocks(data.get("blocks"), path.parent, faults)
-    robot = _robot(file.robot, path.parent, faults) if file else None
-    start = _start(file.start, faults) if file else {}
+    robot = _robot(_section(RobotSection, _robot_name(data.get("robot"))), path.parent, faults)
+    if isinstance(data.get("robot"), str):
+        faults = [_at_name(fault) for fault in faults]
+    start = _start(data["start"], faults) if isinstance(data.get("start"), dict) else {}
     try:
         raise_all(faults)
     except DmframeError as error:
         raise placed(error, document, overrides) from None
     assert file is not None  # a file that is not valid left a fault
     return Graph(path.stem, file, data, document, blocks, robot, start, tuple(overrides))
-
-
-def overridden(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """The file's data with ``--set`` values put in; the file's own data is not touched."""
-    result: dict[str, Any] = _copy(data)
-    for text in overrides:
-        keys, blocks = _keys_of(text, result), result.get("blocks")
-        names = list(blocks) if isinstance(blocks, dict) else []
-        if len(keys) < 2 and keys != [text.partition("=")[0].strip()]:
-            raise ValueFault(f"--set {text}: expected block.parameter=value or key=value")
-        if keys[0] not in GraphFile.model_fields:
-            raise UnknownNameError(f"--set {text}", "block or key", keys[0], [*names, *GraphFile.model_fields])
-        if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
-            raise UnknownNameError(f"--set {text}", "block", keys[1], names)
-        if keys[0] == "blocks" and len(keys) < 3:
-            raise ValueFault(f"--set {text}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
-        place = result
-        for part in keys[:-1]:
-            if place.get(part) is None:
-                place[part] = {}
-            elif part == "robot" and isinstance(place[part], str):
-                place[part] = {"model": place[part]}
-            if not isinstance(place[part], dict):
-                raise ValueFault(f"--set {text}: {part} holds no keys")
-            place = place[part]
-        place[keys[-1]] = _override_value(text)
-    return result
-
-
-def _override_value(text: str) -> Any:
-    value = text.partition("=")[2].strip()
-    try:
-        return read_document(f"value: {value}\n", "").data["value"]
-    except DmframeError as error:
-        reason = (error.faults if isinstance(error, Faults) else (error,))[0].text
-        raise ValueFault(f"--set {text}: {reason}") from None
-
-
-def _keys_of(text: str, data: Mapping[str, Any]) -> list[str]:
-    """Where an override points to; empty where it is none. A block's name needs no ``blocks.`` before it."""
-    key, equals, _ = text.partition("=")
-    keys, blocks = key.strip().split("."), data.get("blocks")
-    if not equals or not all(keys):
-        return []
-    return ["blocks", *keys] if isinstance(blocks, dict) and keys[0] in blocks else keys
-
-
-def _copy(data: Any) -> Any:
-    if isinstance(data, Mapping):
-        return {key: _copy(value) for key, value in data.items()}
-    return [_copy(value) for value in data] if isinstance(data, list) else data
 
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -322,6 +286,21 @@ def _block(name: str, spec: Mapping[str, Any], base: Path) -> AbstractBlock:
             fault.path = (*path, *fault.path)
             fault.text = f"blocks.{name}" + fault.text.removeprefix(type_name(kind))
         raise
+
+
+def _section(kind: type[RobotSection], value: Any) -> RobotSection | None:
+    """A section of its own, so that its faults are told along with those of others; None where it is not valid."""
+    try:
+        return None if value is None else kind.model_validate(value)
+    except ValidationError:
+        return None
+
+
+def _at_name(fault: DmframeError) -> DmframeError:
+    """Where a graph writes a robot as its name alone, that is the place of all that is wrong with the model."""
+    if fault.path == ("robot", "model"):
+        fault.path = ("robot",)
+    return fault
 
 
 def _robot(section: RobotSection | None, base: Path, faults: list[DmframeError]) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -11,9 +11,8 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.diagram.model import BlockModel, symbols_in
-from dmframe.diagram.resolve import REMEDY, Leaf, Projection, Resolver
+from dmframe.diagram.resolve import Leaf, Projection, Resolver, loop_fault
 from dmframe.diagram.wiring import End
-from dmframe.errors import AlgebraicLoopError
 from dmframe.port import Side
 
 
@@ -148,6 +147,14 @@ def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
     return resolver.output(model.name, port)
 
 
+def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
+    """A closed way through signals that each need at least one other."""
+    way = [next(iter(needs))]
+    while way[-1] not in way[:-1]:
+        way.append(needs[way[-1]][0])
+    return way[way.index(way[-1]) :]
+
+
 def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
     """Measured and commanded signals with their expressions, free of one another, in the order of need."""
     waiting = dict[End, tuple[Leaf, SX]]()
@@ -162,8 +169,11 @@ def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
             if not any(symbols[other] & symbols_in([expression]) for other in waiting)
         ]
         if not ready:
-            names = [".".join(end) for end in waiting]
-            resolver.faults.append(AlgebraicLoopError([*names, names[0]], REMEDY))
+            needs = {
+                end: [other for other in waiting if symbols[other] & symbols_in([expression])]
+                for end, (_, expression) in waiting.items()
+            }
+            resolver.faults.append(loop_fault([".".join(end) for end in _cycle(needs)]))
             break
         for end in ready:
             leaf, expression = waiting.pop(end)

@@ -67,6 +67,7 @@ class Diagram:
         """
         if not blocks:
             raise MissingError("blocks: expected at least one block, found none", path=("blocks",))
+        raise_all(_contracts(blocks))
         sizes, faults = bind_sizes(blocks, robot)
         values = dict[str, Any]()
         if not faults:
@@ -77,7 +78,14 @@ class Diagram:
             _, more = wire_blocks(blocks, _declared(blocks), wires or {})
             raise_all([*faults, *more])
         symbolic = _symbolic(robot)
-        models = {name: model_block(name, block, values[name], sizes, symbolic) for name, block in blocks.items()}
+        models = dict[str, BlockModel]()
+        for name, block in blocks.items():
+            try:
+                models[name] = model_block(name, block, values[name], sizes, symbolic)
+            except DmframeError as fault:
+                fault.path = fault.path or ("blocks", name)
+                faults.append(fault)
+        raise_all(faults)
         produced = _produced(models)
         sources, faults = wire_blocks(blocks, produced, wires or {})
         faults += check_wires(blocks, produced, sources, sizes, wires or {})
@@ -90,6 +98,15 @@ class Diagram:
     def type_of(self, name: str) -> str:
         """The type of a block, as graph files write it."""
         return type_name(type(self.blocks[name]))
+
+
+def _contracts(blocks: Mapping[str, AbstractBlock]) -> list[DmframeError]:
+    faults = list[DmframeError]()
+    for name, block in blocks.items():
+        for fault in block.contract(name):
+            fault.path = ("blocks", name)
+            faults.append(fault)
+    return faults
 
 
 def _symbolic(robot: Any) -> Any:

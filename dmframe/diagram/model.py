@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import traceback
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, final
 
 import casadi as ca
@@ -12,7 +15,7 @@ import numpy as np
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
 from dmframe.diagram.sizes import Sizes
-from dmframe.errors import BlockError, nearest
+from dmframe.errors import BlockError, DmframeError, nearest
 from dmframe.port import Port, State
 
 
@@ -38,6 +41,29 @@ class BlockModel:
         """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
         used = symbols_in(expressions)
         return tuple(name for name, symbol in self.inputs.items() if used & hashes(symbol))
+
+
+@contextmanager
+def told_by(name: str, what: str) -> Iterator[None]:
+    """Tell what a block's own Python raises with its file and line, in one line, as its fault."""
+    try:
+        yield
+    except DmframeError:
+        raise
+    except Exception as error:  # a user's block may raise anything
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        frames = [
+            f for f in traceback.extract_tb(error.__traceback__) if not set(FOREIGN) & set(Path(f.filename).parts)
+        ]
+        frame = frames[-1] if frames else frame
+        reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
+        raise BlockError(
+            f"{name}: {what}, {Path(frame.filename).name}:{frame.lineno}: {type(error).__name__}: {reason}"
+        ) from error
+
+
+FOREIGN = ("casadi", "numpy")
+"""Folders of libraries: a fault in one is told at the line that called it."""
 
 
 def hashes(symbol: SX) -> set[int]:
@@ -71,7 +97,8 @@ def model_block(
     parameters = {key: symbol(f"{name}.{key}", value.shape) for key, value in values.items() if key not in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    stated = block.equations(*signals_of(name, inputs, states, parameters, mine))
+    with told_by(name, "equations()"):
+        stated = block.equations(*signals_of(name, inputs, states, parameters, mine))
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
     outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
@@ -92,7 +119,15 @@ def _checked(
             if isinstance(item, Port) and item.optional:
                 continue
             raise BlockError(f"{name}: equations leave out the {kind} of {key}")
-        expression, size = ca.SX(stated[key]), sizes.of(item.shape)
+        try:
+            expression = ca.SX(stated[key])
+        except (NotImplementedError, RuntimeError, TypeError):
+            found = type(stated[key]).__name__
+            raise BlockError(f"{name}: expected the {kind} of {key} to be an expression, found {found}") from None
+        unbound = [word for word in item.shape.split() if not word.isdigit() and word not in sizes.bound]
+        if unbound:
+            raise BlockError(f"{name}: nothing says how large {unbound[0]} is, which the {kind} of {key} has")
+        size = sizes.of(item.shape)
         expected = (*size, 1, 1)[:2]
         if expression.shape != expected:
             raise BlockError(

@@ -7,7 +7,7 @@ had alone, as code, and the trajectories can be left free, as a theorem does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import final
@@ -35,9 +35,13 @@ class Leaf:
 @final
 @dataclass(frozen=True)
 class Projection:
-    """A projected state: its rate is `nominal` plus a correction that is zero inside the box."""
+    """A projected state: its rate is `nominal` plus a correction that is zero inside the box.
+
+    `name` and `box` are labels: of the state, and of the parameter that holds its box.
+    """
 
     name: str
+    box: str
     state: SX
     nominal: SX
     correction: SX
@@ -180,7 +184,9 @@ class Resolver:
         name, leaf, box = f"{model.name}.{state}", model.states[state], model.parameters[declared.box]
         correction = symbol(f"{name}.correction", leaf.shape)
         lower, upper = ca.horzsplit(box)
-        self.projections[model.name, state] = Projection(name, leaf, rate, correction, lower, upper)
+        self.projections[model.name, state] = Projection(
+            name, f"{model.name}.{declared.box}", leaf, rate, correction, lower, upper
+        )
         return rate + correction
 
     @contextmanager
@@ -191,7 +197,7 @@ class Resolver:
             if not any(
                 isinstance(fault, AlgebraicLoopError) and set(fault.ports) >= set(loop) for fault in self.faults
             ):
-                self.faults.append(AlgebraicLoopError([*loop, node], REMEDY))
+                self.faults.append(loop_fault([*loop, node]))
             yield False
             return
         self._open.append(node)
@@ -201,7 +207,12 @@ class Resolver:
             self._open.pop()
 
 
-REMEDY = "break it with a block whose output depends on its states alone, such as a filter or an integrator"
+def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
+    """A loop through these ports, which ends where it begins."""
+    remedy = "break it with a block whose output depends on its states alone, such as a filter or an integrator"
+    fault = AlgebraicLoopError(ports, remedy)
+    fault.path = ("blocks", ports[0].partition(".")[0])
+    return fault
 
 
 def _unknown(end: End, like: SX) -> SX:

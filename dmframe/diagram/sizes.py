@@ -55,7 +55,8 @@ def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, 
         faults += [sizes.bind(letter, size, name) for letter, size in block.sizes(robot).items()]
     for name, block in blocks.items():
         faults += _from_parameters(name, block, sizes)
-    faults += [_unbound(name, letter) for name, letter in _unbound_letters(blocks, sizes)]
+    if not any(isinstance(fault, MissingError) for fault in faults):  # a robot would bind most letters
+        faults += [_unbound(name, letter) for name, letter in _unbound_letters(blocks, sizes)]
     return sizes, [fault for fault in faults if fault is not None]
 
 

@@ -127,7 +127,10 @@ def check_wires(
             out, into = outputs[source.block][source.port], ports[name, port]
             text = f"wire {source.block}.{source.port} -> {name}.{port}"
             path = ("wires", f"{name}.{port}") if f"{name}.{port}" in wires else ("blocks", name)
-            faults.append(_access(source, out, blocks[source.block].side, (name, port), blocks[name].side, path))
+            barred = _access(source, out, blocks[source.block].side, (name, port), blocks[name].side, path)
+            if barred is not None:
+                faults.append(barred)
+                continue
             faults.append(_shape(text, out, into, sizes, path))
             if not compatible(out.unit, into.unit):
                 found = out.unit or "a plain number"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Any, final
 
 import casadi as ca
@@ -12,12 +14,15 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import EngineError
+from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
 
 CHUNK = 256
 """Ticks computed in one call; between calls progress is told and Ctrl-C is heard."""
+
+MOST_NUMBERS = 500_000_000
+"""States times ticks that a run keeps; 4 GB."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
@@ -26,15 +31,16 @@ Progress = Callable[[float], None]
 @final
 @dataclass(frozen=True)
 class Divergence:
-    """Where a run left the finite numbers first."""
+    """Where a run left the finite numbers first, or moved too fast for the integrator: `how` says which."""
 
     block: str
     state: str
     element: int
     time: float
+    how: str = "is no longer finite"
 
     def __str__(self) -> str:
-        return f"{self.block}.{self.state}[{self.element}] is no longer finite at t = {self.time:.6g} s"
+        return f"{self.block}.{self.state}[{self.element}] {self.how} at t = {self.time:.6g} s"
 
 
 @final
@@ -96,24 +102,35 @@ def simulate(
 
     Raises
     ------
-    StartError, EngineError
-        A start pose that cannot be reached; an integrator that fails at once.
+    StartError, EngineError, ValueFault
+        A start pose that cannot be reached; an integrator that fails at once or a run too long to keep; a time that is
+        not above zero.
     """
     solver = solver or Solver()
+    for name, value in (("duration", duration), ("clock", clock)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
     loop = diagram.loop
     recorded = _recorded(diagram)
+    _check_length(duration / (solver.output if clock is None else clock), loop.state.numel())
     step = build_step(loop, clock, solver, stack(signal.expression for signal in recorded))
     state, p = start_state(diagram, start or {}), loop.p_values
     notices = _stiffness(diagram, step, solver, state, p)
     ticks = max(1, round(duration / step.period))
     begin = time.perf_counter()
-    history, interrupted = _march(step, state, p, ticks, progress)
+    history, end = _march(step, state, p, ticks, progress)
     count = _finite(history)
     times = np.arange(count) * step.period
     outputs = _outputs(step, history[:, :count], times, p, recorded)
     wall = time.perf_counter() - begin
     variables = (*loop.controller, *loop.plant)
-    divergence = _divergence(variables, history, count, step.period) if count < history.shape[1] else None
+    divergence = None
+    if count < history.shape[1]:
+        row = int(np.flatnonzero(~np.isfinite(history[:, count]))[0])
+        divergence = _divergence(variables, row, count * step.period)
+    elif end is End.FAILED:
+        row = _fastest(step, history[:, -1], times[-1], p)
+        divergence = _divergence(variables, row, float(times[-1]), "moves too fast for the integrator")
     return Run(
         diagram=diagram,
         clock=clock,
@@ -123,7 +140,7 @@ def simulate(
         states=_split(variables, history[:, :count]),
         outputs=outputs,
         divergence=divergence,
-        interrupted=interrupted,
+        interrupted=end is End.STOPPED,
         wall_time=wall,
         engine="interpreted",
         notices=notices,
@@ -142,9 +159,27 @@ def _recorded(diagram: Diagram) -> list[Signal]:
     ]
 
 
+@final
+class End(Enum):
+    """How the march through the ticks ended."""
+
+    DONE = "done"
+    STOPPED = "stopped by Ctrl-C"
+    FAILED = "the integrator failed"
+
+
+def _check_length(ticks: float, states: int) -> None:
+    if ticks * max(states, 1) > MOST_NUMBERS:
+        raise EngineError(
+            f"duration: a run of {ticks:.3g} ticks with {states} states is too long to keep, "
+            f"expected at most {MOST_NUMBERS // max(states, 1)} ticks; run a shorter time or take a slower clock",
+            path=("duration",),
+        )
+
+
 def _march(
     step: Step, state: np.ndarray, p: np.ndarray, ticks: int, progress: Progress | None
-) -> tuple[np.ndarray, bool]:
+) -> tuple[np.ndarray, End]:
     """States at every tick, (size, ticks + 1), cut short where they stop being finite or at Ctrl-C."""
     history = np.empty((state.size, ticks + 1), order="F")
     history[:, 0] = state
@@ -162,17 +197,36 @@ def _march(
             if not np.all(np.isfinite(history[:, done])):
                 break
     except KeyboardInterrupt:
-        return history[:, : done + 1], True
-    except RuntimeError as error:
+        return history[:, : done + 1], End.STOPPED
+    except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
+        done = _march_singly(step, history, done, p)
         if done == 0:
-            raise EngineError(f"solver: the integrator failed in the first {size} ticks: {_last_line(error)}") from None
-        history[:, done + 1] = np.nan
-        return history[:, : done + 2], False
-    return history[:, : done + 1], False
+            raise EngineError(f"solver: the integrator failed in the first tick: {_last_line(error)}") from None
+        return history[:, : done + 1], End.FAILED
+    return history[:, : done + 1], End.DONE
+
+
+def _march_singly(step: Step, history: np.ndarray, done: int, p: np.ndarray) -> int:
+    """Go again through the ticks of a chunk that failed, up to the one that cannot be computed."""
+    while done + 1 < history.shape[1]:
+        try:
+            history[:, done + 1] = step.tick(history[:, done], done, p).full().ravel()
+        except RuntimeError:
+            break
+        done += 1
+    return done
 
 
 def _last_line(error: RuntimeError) -> str:
     return str(error).strip().splitlines()[-1]
+
+
+def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
+    """The state of the plant, as a row of all, that moves fastest in proportion to its size."""
+    rate = step.rate(state, t, p).full().ravel()
+    first = int(state.size - rate.size)
+    speed = np.abs(rate) / (1e-6 + np.abs(state[first:]))
+    return first + int(np.argmax(np.nan_to_num(speed, nan=np.inf)))
 
 
 def _finite(history: np.ndarray) -> int:
@@ -181,11 +235,10 @@ def _finite(history: np.ndarray) -> int:
     return int(bad[0]) if bad.size else history.shape[1]
 
 
-def _divergence(variables: tuple[Variable, ...], history: np.ndarray, at: int, period: float) -> Divergence:
-    row = int(np.flatnonzero(~np.isfinite(history[:, at]))[0])
+def _divergence(variables: tuple[Variable, ...], row: int, time: float, how: str = Divergence.how) -> Divergence:
     for variable in variables:
         if row < variable.symbol.numel():
-            return Divergence(variable.block, variable.name, row, at * period)
+            return Divergence(variable.block, variable.name, row, time, how)
         row -= variable.symbol.numel()
     raise EngineError("a state outside the diagram diverged")
 

@@ -26,7 +26,8 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero.
+    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. Then it is projected onto
+    its box, where it has one.
     """
     loop = diagram.loop
     variables = (*loop.controller, *loop.plant)
@@ -40,7 +41,21 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
         if not _has_start(diagram, variable):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values)
+    for projection in loop.projections:
+        box = {leaf.label: leaf.value for leaf in loop.parameters}[projection.box]
+        values[projection.name] = np.clip(np.ravel(values[projection.name]), box[..., 0], box[..., 1])
+    _check_finite(variables, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
+
+
+def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:
+    raise_all(
+        [
+            StartError(f"{v.label}: expected a finite start, found {np.ravel(values[v.label]).tolist()}")
+            for v in variables
+            if not np.all(np.isfinite(values[v.label]))
+        ]
+    )
 
 
 def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -54,7 +69,7 @@ def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, 
             choices = [NEAR, *(v.label for v in variables)]
             faults.append(UnknownNameError(f"start.{key}", "state", key, choices, path=("start", key)))
             continue
-        numbers = np.asarray(value, dtype=float)
+        numbers = _numbers(value)
         rows = found.symbol.shape[0]
         if numbers.shape not in ((), (rows,)):
             text = f"start.{key}: expected {rows} numbers, found {numbers.size}"
@@ -64,6 +79,14 @@ def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, 
         faults += _outside_limits(diagram, found, values[found.label], key)
     raise_all(faults)
     return values
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """The value as an array; one of another shape than any state's where it holds no numbers."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return np.zeros((0, 0))
 
 
 def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: str) -> list[DmframeError]:
@@ -81,7 +104,8 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
 
 def goals(loop: ClosedLoop) -> list[tuple[str, str, Any, Any]]:
     """Pairs (s_d, s) of a trajectory and the plant's output that should follow it, with their expressions."""
-    desired = {leaf.name.split(".")[1]: leaf for leaf in loop.trajectories}
+    sources = {signal.label for signal in loop.outputs}  # a trajectory's derivative is no output
+    desired = {leaf.name.split(".")[1]: leaf for leaf in loop.trajectories if leaf.name in sources}
     plant = {variable.block for variable in loop.plant}
     return [
         (desired[f"{signal.name}_d"].name, signal.label, desired[f"{signal.name}_d"].symbol, signal.expression)
@@ -118,7 +142,7 @@ def _solve(diagram: Diagram, residual: Any, goal: np.ndarray, near: Any, desired
     lower, upper = _limits(diagram, size)
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)
-    seeds = [np.broadcast_to(np.asarray(near, dtype=float), (size,))] if near is not None else [middle + 0.3]
+    seeds = [_near(near, size)] if near is not None else [middle + 0.3]
     seeds += [rng.uniform(np.maximum(lower, -np.pi), np.minimum(upper, np.pi)) for _ in range(20)]
     best = None
     for seed in seeds:
@@ -142,6 +166,14 @@ def _solve(diagram: Diagram, residual: Any, goal: np.ndarray, near: Any, desired
         "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )
+
+
+def _near(near: Any, size: int) -> np.ndarray:
+    numbers = _numbers(near)
+    if numbers.shape not in ((), (size,)) or not np.all(np.isfinite(numbers)):
+        text = f"start.{NEAR}: expected {size} finite numbers, found {numbers.size}"
+        raise ValueFault(text, path=("start", NEAR))
+    return np.broadcast_to(numbers, (size,))
 
 
 def _limits(diagram: Diagram, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -14,14 +14,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, Literal, final, get_args
 
 import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
-from dmframe.errors import EngineError
+from dmframe.errors import EngineError, ValueFault
 from dmframe.port import Side
 
 Method = Literal["rk4", "cvodes"]
@@ -29,6 +29,9 @@ Method = Literal["rk4", "cvodes"]
 
 RK4_STABLE = 2.785
 """Classical RK4 is stable on the negative real axis for h |lambda| below this [Hairer1996]_."""
+
+MOST_SUBSTEPS = 2000
+"""Steps of rk4 in a tick; they are written out one by one in the tick's function."""
 
 
 @final
@@ -52,6 +55,15 @@ class Solver:
     step: float = 0.001
     output: float = 0.01
     tolerance: float = 1e-9
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot integrate."""
+        if self.method not in get_args(Method):
+            raise ValueFault(f"solver.method: expected {' or '.join(get_args(Method))}, found {self.method!r}")
+        for name in ("step", "output", "tolerance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ValueFault(f"solver.{name}: expected a positive number, found {value}")
 
 
 @final
@@ -83,7 +95,7 @@ class Step:
 def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX) -> Step:
     """The tick of a closed loop on a clock, or in continuous time where `clock` is None."""
     period = clock if clock is not None else solver.output
-    substeps = max(1, math.ceil(round(period / solver.step, 9))) if solver.method == "rk4" else 1
+    substeps = _substeps(period, solver)
     trajectory = _trajectory(loop)
     outputs = _function("outputs", loop, [loop.state], [recorded])
     measured = _plant_rate(loop)
@@ -102,6 +114,19 @@ def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: 
     )
 
 
+def _substeps(period: float, solver: Solver) -> int:
+    if solver.method != "rk4":
+        return 1
+    steps = period / solver.step
+    if steps > MOST_SUBSTEPS:
+        raise EngineError(
+            f"solver.step: expected at most {MOST_SUBSTEPS} steps in a tick of {period:g} s, found {steps:.3g}; "
+            "take a longer step, or solver.method cvodes",
+            path=("solver", "step"),
+        )
+    return max(1, math.ceil(round(steps, 9)))
+
+
 def _symbols(loop: ClosedLoop) -> tuple[Any, Any, Any]:
     return ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
 
@@ -113,14 +138,19 @@ def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[S
     return ca.Function(name, [*inputs, w, loop.p], ca.cse(joined))
 
 
-def project(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
-    """Put in each projection's correction: it stops a rate that leads out of the box at the box's end."""
+def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> list[SX]:
+    """Put in each projection's correction: it stops a rate that leads out of the box at the box's end.
+
+    Not `joined`, a correction keeps the crossings as leaves, as the rates of one side alone need it.
+    """
     for projection in reversed(loop.projections):
         nominal, state = projection.nominal, projection.state
         out = ca.logic_or(
             ca.logic_and(state <= projection.lower, nominal < 0), ca.logic_and(state >= projection.upper, nominal > 0)
         )
-        correction = loop.joined([ca.if_else(out, -nominal, 0)])[0]
+        correction = ca.if_else(out, -nominal, 0)
+        if joined:
+            correction = loop.joined([correction])[0]
         expressions = list(ca.substitute(expressions, [projection.correction], [correction]))
     return expressions
 
@@ -173,9 +203,9 @@ def _continuous_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: 
 
 def _held_rate(loop: ClosedLoop, x: SX, held: SX) -> Any:
     """(x, u, w, p) -> the plant's rate under held commands."""
-    rates = stack(variable.rate for variable in loop.plant)
+    rates = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
     w = stack(leaf.symbol for leaf in loop.trajectories)
-    return ca.Function("plant", [x, held, w, loop.p], ca.cse([rates]))
+    return ca.Function("plant", [x, held, w, loop.p], ca.cse(rates))
 
 
 def _integrate(
