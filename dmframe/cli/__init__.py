@@ -50,6 +50,10 @@ def _told() -> int:
         return FAULT
     except typer.Abort:
         return STOPPED
+    except SystemExit as error:
+        if isinstance(error.__context__, OSError):
+            raise error.__context__ from None  # typer's own end of a broken pipe
+        raise
     except OSError:
         raise
     except Exception as error:

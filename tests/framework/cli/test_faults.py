@@ -1,0 +1,136 @@
+"""A bad call: status 2, one line a fault on standard error, nothing on standard output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+GRAPHS = "arm2_joint, pendulum, ur10_fast, ur10_fast_kinematic, ur10_fast_tuned, ur10_slow, ur10_slow_kinematic"
+RUN = ("run", "pendulum", "--no-plots")
+
+FAULTS = {
+    "unknown graph": (("run", "nosuch"), f"dmframe: nosuch: unknown graph; choose from {GRAPHS}\n"),
+    "near miss": (("check", "ur10_fst"), "dmframe: ur10_fst: unknown graph; did you mean ur10_fast?\n"),
+    "new of an unknown": (("new", "pendulm"), "dmframe: pendulm: unknown graph; did you mean pendulum?\n"),
+    "draw of an unknown": (("draw", "pendulm"), "dmframe: pendulm: unknown graph; did you mean pendulum?\n"),
+    "ending of a drawing": (
+        ("draw", "pendulum", "-o", "a.pdf"),
+        "dmframe: a.pdf: expected a name that ends in .svg or .mmd, found .pdf\n",
+    ),
+    "no ending of a drawing": (
+        ("draw", "pendulum", "-o", "a"),
+        "dmframe: a: expected a name that ends in .svg or .mmd, found no ending\n",
+    ),
+    "folder of a drawing": (
+        ("draw", "pendulum", "-o", "no/a.svg"),
+        "dmframe: no/a.svg: cannot be written: No such file or directory\n",
+    ),
+    "unknown block": (
+        ("blocks", "pid_invers"),
+        "dmframe: blocks: pid_invers: unknown block type; did you mean pid_inverse?\n",
+    ),
+    "unknown block file": (
+        ("blocks", "my.py:Mine"),
+        "dmframe: blocks: the file my.py does not exist; it is looked for beside the graph\n",
+    ),
+    "unknown robot": (("regressor", "ur11"), "dmframe: robot ur11: unknown robot; did you mean ur10?\n"),
+    "unknown friction": (
+        ("regressor", "arm2", "--friction", "sticky"),
+        "dmframe: friction sticky: unknown kind of friction; choose from coulomb, viscous\n",
+    ),
+    "hold without an angle": (
+        ("regressor", "arm2", "--hold", "joint2"),
+        "dmframe: --hold joint2: expected joint=angle, for example wrist_2_joint='-90 deg'\n",
+    ),
+    "hold at a length": (
+        ("regressor", "arm2", "--hold", "joint2=3 m"),
+        "dmframe: --hold joint2=3 m: expected a quantity in rad, found '3 m': m cannot be converted to rad\n",
+    ),
+    "hold of an unknown joint": (
+        ("regressor", "arm2", "--hold", "jint2=3 deg"),
+        "dmframe: robot arm2: hold: jint2: unknown joint; did you mean joint2?\n",
+    ),
+    "until now": ((*RUN, "--until", "0"), "dmframe: --until 0: expected a time above zero\n"),
+    "until before": ((*RUN, "--until=-1 s"), "dmframe: --until -1 s: expected a time above zero\n"),
+    "until no number": (
+        (*RUN, "--until", "abc"),
+        "dmframe: --until abc: expected a quantity in s, found 'abc': begin with a number\n",
+    ),
+    "until a length": (
+        (*RUN, "--until", "2 m"),
+        "dmframe: --until 2 m: expected a quantity in s, found '2 m': m cannot be converted to s\n",
+    ),
+    "until for ever": (
+        (*RUN, "--until", "inf"),
+        "dmframe: --until inf: expected a quantity in s, found inf: the number must be finite\n",
+    ),
+    "set without a value": ((*RUN, "--set", "foo"), "dmframe: --set foo: expected block.parameter=value"),
+    "set of an unknown block": (
+        (*RUN, "--set", "taks.alpha=1"),
+        "dmframe: --set taks.alpha=1: unknown block or key; did you mean task?\n",
+    ),
+    "set in one of two": (
+        ("run", "arm2_joint", "pendulum", "--set", "path.times=[0, 1]"),
+        ": blocks.path.times: unknown parameter of sinusoid; choose from amplitude, center, phase, rate\n",
+    ),
+    "set of a block that one of two lacks": (
+        ("run", "ur10_fast", "ur10_fast_kinematic", "--set", "dynamics.Gamma=3"),
+        "dmframe: ur10_fast_kinematic: --set dynamics.Gamma=3: unknown block or key; choose from arm, blocks, clock, ",
+    ),
+    "set to a bad value": ((*RUN, "--set", "task.alpha=-1"), ": blocks.task.alpha: expected a number > 0, found -1\n"),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_a_bad_call_gives_status_2_and_says_what_is_right(case: str, dmframe: Any, tmp_path: Path) -> None:
+    words, text = FAULTS[case]
+    said = dmframe(*words)
+    assert said.status == 2
+    assert said.out == ""
+    assert text in said.err
+    assert said.err.startswith("dmframe: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "words", [("nosuch",), ("run",), ("run", "pendulum", "--nosuch"), ("new",), ("check", "a", "b")]
+)
+def test_a_call_outside_the_grammar_gives_status_2_and_the_way_to_help(words: tuple[str, ...], dmframe: Any) -> None:
+    said = dmframe(*words)
+    assert said.status == 2
+    assert said.out == ""
+    assert said.err.startswith("Usage: ")
+    assert "-h" in said.err
+
+
+def test_faults_of_a_graph_come_one_a_line_with_their_place(dmframe: Any, tmp_path: Path) -> None:
+    tmp_path.joinpath("bad.yaml").write_text(
+        "dmframe: 1\nclock: 4 ms\nduration: 1 m\nblocks:\n  arm: {type: manipulater}\n", encoding="utf-8"
+    )
+    said = dmframe("check", "bad.yaml")
+    assert said.status == 2
+    assert said.err.splitlines() == [
+        "dmframe: bad.yaml:3:11: duration: expected a quantity in s, found '1 m': m cannot be converted to s",
+        "dmframe: bad.yaml:5:9: blocks.arm.type: manipulater: unknown block type; did you mean manipulator?",
+    ]
+
+
+def test_a_defect_of_a_users_block_is_told_in_one_line(dmframe: Any, tmp_path: Path) -> None:
+    tmp_path.joinpath("odd.py").write_text(
+        "from dmframe.block import AbstractBlock, Equations\n"
+        "class Odd(AbstractBlock):\n"
+        '    """Divides by zero."""\n'
+        "    def equations(self, u, x, p):\n"
+        "        return Equations(outputs={'a': 1 / 0})\n",
+        encoding="utf-8",
+    )
+    tmp_path.joinpath("odd.yaml").write_text(
+        'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
+    )
+    said = dmframe("check", "odd.yaml")
+    assert said.status == 2
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
+    assert "ZeroDivisionError: division by zero" in said.err

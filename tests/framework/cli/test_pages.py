@@ -1,0 +1,229 @@
+"""The commands that print: graphs, new, check, draw, blocks, schema, regressor."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import jsonschema
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from dmframe.catalogue import block_types, graphs
+from dmframe.config.document import read_document, read_file
+from dmframe.robot.library import find_robot
+
+COMMANDS = ("graphs", "new", "check", "run", "draw", "blocks", "schema", "regressor")
+
+
+def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:
+    said = dmframe("-h")
+    assert said.status == 0
+    assert said.err == ""
+    assert all(f"\n  {command} " in said.out for command in COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_each_command_has_help(command: str, dmframe: Any) -> None:
+    said = dmframe(command, "--help")
+    assert said.status == 0
+    assert said.out.startswith("Usage: ")
+    assert said.err == ""
+
+
+def test_no_command_gives_help_and_status_2(dmframe: Any) -> None:
+    assert dmframe().status == 2
+
+
+def test_the_version_is_that_of_the_distribution(dmframe: Any) -> None:
+    said = dmframe("--version")
+    assert (said.status, said.out) == (0, f"dmframe {version('dmframe')}\n")
+
+
+def test_graphs_lists_every_packaged_graph_with_its_title(dmframe: Any) -> None:
+    said = dmframe("graphs")
+    assert said.status == 0
+    lines = said.out.splitlines()
+    assert [line.split()[0] for line in lines] == list(graphs())
+    for line, path in zip(lines, graphs().values(), strict=True):
+        assert line.endswith(str(read_file(path).data["title"]))
+
+
+def test_new_copies_a_graph_letter_by_letter_and_says_what_to_do(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("new", "pendulum", "mine.yaml")
+    assert (said.status, said.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")
+    assert tmp_path.joinpath("mine.yaml").read_text() == graphs()["pendulum"].read_text()
+
+
+def test_new_names_the_file_after_the_graph(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("new", "pendulum").status == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["pendulum.yaml"]
+
+
+def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
+    tmp_path.joinpath("mine.yaml").write_text("precious", encoding="utf-8")
+    said = dmframe("new", "pendulum", "mine.yaml")
+    assert (said.status, said.out) == (2, "")
+    assert said.err == "dmframe: mine.yaml: expected a new file, found one; name another\n"
+    assert tmp_path.joinpath("mine.yaml").read_text() == "precious"
+
+
+def test_new_says_where_it_cannot_write(dmframe: Any) -> None:
+    said = dmframe("new", "pendulum", "no/mine.yaml")
+    assert (said.status, said.err) == (2, "dmframe: no/mine.yaml: cannot be written: No such file or directory\n")
+
+
+def test_check_names_each_block_wire_size_and_derived_signal(dmframe: Any) -> None:
+    said = dmframe("check", "ur10_fast")
+    assert (said.status, said.err) == (0, "")
+    assert "clock     every 8 ms, for 200 s" in said.out
+    assert "p = 36 (model)" in said.out
+    wires = {line.split()[0]: line for line in said.out.splitlines() if "<-" in line}
+    assert wires["servo.dq_c"].split()[2] == "inverse.dq_c"
+    assert wires["model.ddq_ref"].split()[2:] == ["d/dt", "model.dq_ref", "3", "rad/s^2"]
+    assert "0 (nobody drives it)" in wires["dynamics.tau_task"]
+
+
+def test_check_takes_overrides(dmframe: Any) -> None:
+    assert "continuous time" in dmframe("check", "ur10_fast", "--set", "clock=continuous").out
+    assert "every 4 ms" in dmframe("check", "ur10_fast", "--set", "clock=4 ms").out
+
+
+def test_check_leaves_no_file(dmframe: Any, tmp_path: Path) -> None:
+    dmframe("check", "pendulum")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_blocks_lists_every_type(dmframe: Any) -> None:
+    said = dmframe("blocks")
+    assert (said.status, said.err) == (0, "")
+    listed = {line.split()[0] for line in said.out.splitlines() if line.startswith("  ")}
+    assert listed == set(block_types())
+
+
+@pytest.mark.parametrize("kind", block_types())
+def test_a_blocks_page_has_its_ports_states_and_parameters(kind: str, dmframe: Any) -> None:
+    said = dmframe("blocks", kind)
+    block = block_types()[kind]
+    assert (said.status, said.err) == (0, "")
+    named = [*block.inputs, *block.outputs, *block.states]
+    assert all(f"\n  {item.name} " in said.out for item in named)
+    assert all(f"\n  {name} " in said.out for name in block.model_fields)
+    assert ":math:" not in said.out
+    assert "]_" not in said.out
+
+
+def test_a_users_own_block_has_a_page(dmframe: Any, tmp_path: Path) -> None:
+    source = block_types()["kinematic_command"]
+    text = Path(__import__(source.__module__, fromlist=["x"]).__file__).read_text(encoding="utf-8")
+    tmp_path.joinpath("mine.py").write_text(text, encoding="utf-8")
+    assert dmframe("blocks", "mine.py:KinematicCommand").out.startswith("kinematic_command (controller)")
+
+
+def test_draw_prints_mermaid_and_writes_svg(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("draw", "pendulum")
+    assert (said.status, said.err) == (0, "")
+    assert "flowchart" in said.out
+    said = dmframe("draw", "pendulum", "-o", "p.svg")
+    assert (said.status, said.out) == (0, "wrote p.svg\n")
+    texts = "".join(ElementTree.parse(tmp_path / "p.svg").getroot().itertext())
+    assert all(name in texts for name in ("path", "task", "model", "dynamics", "inverse", "servo", "arm"))
+    assert dmframe("draw", "pendulum", "-o", "p.mmd").status == 0
+    assert "flowchart" in tmp_path.joinpath("p.mmd").read_text(encoding="utf-8")
+
+
+def schema(dmframe: Any) -> jsonschema.Draft202012Validator:
+    said = dmframe("schema")
+    assert (said.status, said.err) == (0, "")
+    loaded = json.loads(said.out)
+    jsonschema.Draft202012Validator.check_schema(loaded)
+    return jsonschema.Draft202012Validator(loaded)
+
+
+def test_the_schema_accepts_every_packaged_graph(dmframe: Any) -> None:
+    validator = schema(dmframe)
+    for path in graphs().values():
+        validator.validate(read_file(path).data)
+
+
+BAD = {
+    "unknown parameter": ("  task:     {type: joint_tracking, alfa: 2}", "alfa"),
+    "missing parameter": ("  task:     {type: joint_tracking}", "alpha"),
+    "unknown type": ("  task:     {type: joint_trackin, alpha: 2}", "joint_trackin"),
+    "no type": ("  task:     {alpha: 2}", "type"),
+    "wrong kind of value": ("  task:     {type: joint_tracking, alpha: {a: 2}}", "a"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_the_schema_refuses_a_bad_block(case: str, dmframe: Any) -> None:
+    line, culprit = BAD[case]
+    good = graphs()["pendulum"].read_text(encoding="utf-8")
+    bad = good.replace("  task:     {type: joint_tracking, alpha: 2}", line)
+    assert bad != good
+    faults = list(schema(dmframe).iter_errors(read_document(bad, "bad.yaml").data))
+    assert any(culprit in fault.message for fault in faults)
+
+
+@pytest.mark.parametrize("change", [("dmframe: 1", "dmframe: 2"), ("clock:", "clok:"), ("duration: 30 s\n", "")])
+def test_the_schema_refuses_a_bad_file(change: tuple[str, str], dmframe: Any) -> None:
+    bad = graphs()["pendulum"].read_text(encoding="utf-8").replace(*change)
+    assert not schema(dmframe).is_valid(read_document(bad, "bad.yaml").data)
+
+
+def test_the_schema_accepts_a_robot_by_name_or_in_full_and_a_users_block(dmframe: Any) -> None:
+    good = read_file(graphs()["pendulum"]).data
+    validator = schema(dmframe)
+    validator.validate({**good, "robot": {"model": "ur10", "hold": {"wrist_2_joint": "-90 deg"}, "tool": [0, 0, 0.1]}})
+    validator.validate({**good, "blocks": {**good["blocks"], "mine": {"type": "mine.py:Mine", "anything": 1}}})
+    assert not validator.is_valid({**good, "robot": {"model": "ur10", "holt": {}}})
+
+
+def test_the_regressor_names_its_parameters_and_agrees_with_pinocchio(dmframe: Any) -> None:
+    said = dmframe("regressor", "arm2", "--friction", "viscous")
+    assert (said.status, said.err) == (0, "")
+    assert said.out.startswith("arm2: 22 parameters: m_1, mc_x1,")
+    assert "B_1, B_2\n" in said.out
+    differences = said.out.split("Pinocchio: ")[1].replace(",", "").split()
+    assert float(differences[1]) < 1e-10
+    assert float(differences[3]) < 1e-10
+
+
+UR10 = ("--free", "shoulder_pan_joint,shoulder_lift_joint,elbow_joint", "--hold", "wrist_2_joint=-90 deg")
+
+
+@pytest.mark.parametrize(("friction", "count"), [("", 15), ("viscous", 18), ("viscous,coulomb", 21)])
+def test_the_ur10_with_three_joints_has_the_known_number_of_base_parameters(
+    friction: str, count: int, dmframe: Any
+) -> None:
+    said = dmframe("regressor", "ur10", "--base", *UR10, "--friction", friction)
+    assert said.out.startswith(f"ur10: {count} base parameters of ")
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+def test_the_regressors_c_compiles_without_a_warning_and_computes_pinocchios_torque(
+    dmframe: Any, tmp_path: Path
+) -> None:
+    said = dmframe("regressor", "arm2", "--c", "y.c")
+    assert (said.status, said.out.splitlines()[-1]) == (0, "wrote y.c")
+    subprocess.run(
+        ["gcc", "-std=c99", "-Wall", "-Werror", "-O1", "-fPIC", "-shared", "y.c", "-o", "y.so", "-lm"],
+        cwd=tmp_path,
+        check=True,
+    )
+    library = ctypes.CDLL(str(tmp_path / "y.so"))
+    model = pin.buildModelFromUrdf(str(find_robot("arm2").urdf))
+    rng = np.random.default_rng(0)
+    q, dq, ddq = rng.normal(size=(3, 2))
+    Y_d = np.zeros((2, 20))
+    library.dmframe_regressor(*(np.ascontiguousarray(a).ctypes.data_as(ctypes.c_void_p) for a in (q, dq, dq, ddq, Y_d)))
+    wanted = pin.rnea(model, model.createData(), q, dq, ddq)
+    a_d = np.concatenate([model.inertias[joint].toDynamicParameters() for joint in (1, 2)])
+    np.testing.assert_allclose(Y_d @ a_d, wanted, rtol=1e-10, atol=1e-10)

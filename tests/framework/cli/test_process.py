@@ -1,0 +1,166 @@
+"""`dmframe` as a process: streams, pipes, signals, no terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray
+
+START = (sys.executable, "-c", "from dmframe.cli import main; main()")
+LONG = ("run", "arm2_joint", "--until", "2000 s", "--no-plots", "--out", "mine")
+FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
+
+
+def started(words: Sequence[str], cwd: Path, **options: Any) -> subprocess.Popen[str]:
+    streams: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "stdin": subprocess.DEVNULL}
+    return subprocess.Popen([*START, *words], cwd=cwd, text=True, **(streams | options))
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    try:
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert "Traceback" not in (out or "") + (err or "")
+    return process.returncode, out, err
+
+
+def test_without_a_terminal_there_is_no_progress_bar_and_no_colour(tmp_path: Path) -> None:
+    status, out, err = ended(started(("run", "arm2_joint", "--until", "1", "--no-plots"), tmp_path))
+    assert (status, err) == (0, "")
+    assert "\x1b" not in out
+    assert "\r" not in out
+
+
+def test_the_installed_script_is_the_same_command(tmp_path: Path) -> None:
+    script = Path(sys.executable).with_name("dmframe")
+    if not script.exists():
+        pytest.skip("the distribution is not installed here")
+    done = subprocess.run([script, "graphs"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("arm2_joint ")
+
+
+@pytest.mark.parametrize(
+    "words", [("blocks",), ("schema",), ("run", "arm2_joint", "--until", "0.1", "--no-plots", "--json")]
+)
+def test_a_reader_that_has_gone_is_no_fault(words: tuple[str, ...], tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = started(words, tmp_path, stdout=writer)
+    os.close(writer)
+    status, _, err = ended(process)
+    assert (status, err) == (0, "")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_is_told_in_one_line(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        status, _, err = ended(started(("blocks",), tmp_path, stdout=full))
+    assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
+
+
+def interrupted_while_running(words: Sequence[str], cwd: Path) -> tuple[int, str, str]:
+    """Ctrl-C as soon as the first progress is made: the process says so on a pipe, so that nobody waits for a clock."""
+    told, tell = os.pipe()
+    hook = (
+        "import os, dmframe.simulate.run as run\n"
+        "march = run._march\n"
+        "def hooked(*args, **kw):\n"
+        "    words = list(args)\n"
+        "    progress = words[4]\n"
+        "    def told(time):\n"
+        f"        os.write({tell}, b'x')\n"
+        "        progress(time)\n"
+        "    words[4] = told\n"
+        "    return march(*words, **kw)\n"
+        "run._march = hooked\n"
+        "from dmframe.cli import main\n"
+        "main()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hook, *words],
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        pass_fds=(tell,),
+    )
+    os.close(tell)
+    assert os.read(told, 1) == b"x"
+    process.send_signal(signal.SIGINT)
+    os.close(told)
+    return ended(process)
+
+
+def test_ctrl_c_leaves_a_complete_folder_with_what_was_computed(tmp_path: Path) -> None:
+    status, out, err = interrupted_while_running(LONG, tmp_path)
+    assert (status, err) == (130, "dmframe: stopped\n")
+    assert "what was done is kept" in out
+    assert out.splitlines()[-1] == "results: mine"
+    assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES
+    told = json.loads(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+    assert told["interrupted"] is True
+    signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
+    assert 1 < signals["time"].size < 500_000
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("moment", ["dmframe.cli.run", "dmframe.diagram", "scipy.optimize"])
+def test_ctrl_c_before_anything_was_computed_leaves_nothing(moment: str, tmp_path: Path) -> None:
+    hook = (
+        "import sys, signal\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {moment!r}:\n"
+        "            signal.raise_signal(signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from dmframe.cli import main\n"
+        "main()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hook, *LONG],
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert ended(process) == (130, "", "dmframe: stopped\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_in_the_second_graph_keeps_the_first(tmp_path: Path) -> None:
+    hook = (
+        "import signal, dmframe.cli.run as run\n"
+        "simulate, count = run.simulate, []\n"
+        "def hooked(*args, **kw):\n"
+        "    count.append(1)\n"
+        "    if len(count) == 2:\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "    return simulate(*args, **kw)\n"
+        "run.simulate = hooked\n"
+        "from dmframe.cli import main\n"
+        "main()\n"
+    )
+    words = ("run", "arm2_joint", "pendulum", "--until", "0.1", "--no-plots", "--json", "--out", "mine")
+    process = subprocess.Popen(
+        [sys.executable, "-c", hook, *words],
+        cwd=tmp_path,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    status, out, err = ended(process)
+    assert (status, err) == (130, "dmframe: stopped\n")
+    assert [told["graph"] for told in json.loads(out)] == ["arm2_joint"]
+    assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES

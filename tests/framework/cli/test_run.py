@@ -1,0 +1,200 @@
+"""``dmframe run``: figures, files, JSON, statuses."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+import xarray
+
+from dmframe.config import load_graph
+
+CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
+EXTRAS = {"divergence", "interrupted", "notices"}
+FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
+SHORT = ("--until", "0.5 s", "--no-plots")
+UNSTABLE = ("run", "arm2_joint", "--no-plots", "--set", "inverse.w_box=null", "--set", "dynamics.Gamma=1e9")
+
+
+def strict(text: str) -> Any:
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_a_run_prints_a_table_and_writes_a_folder(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (said.status, said.err) == (0, "")
+    lines = said.out.splitlines()
+    assert lines[0].split()[:3] == ["graph", "clock", "error"]
+    assert lines[1].startswith("arm2_joint")
+    assert lines[-1] == "results: mine"
+    assert {path.name for path in tmp_path.joinpath("mine").iterdir()} == FILES
+
+
+def test_results_go_to_a_folder_of_their_own_below_runs(dmframe: Any, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert dmframe("run", "arm2_joint", *SHORT).status == 0
+    assert len(list(tmp_path.joinpath("runs").glob("*_arm2_joint"))) == 2
+
+
+def test_json_is_one_object_with_the_keys_of_the_contract_and_nothing_else(dmframe: Any) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
+    assert (said.status, said.err) == (0, "")
+    told = strict(said.out)
+    assert set(told) == CONTRACT | EXTRAS
+    assert set(told["error"]) == {"signal", "unit", "rms_by_eighth", "rms_final"}
+    assert len(told["error"]["rms_by_eighth"]) == 8
+    assert told["error"]["rms_final"] == told["error"]["rms_by_eighth"][-1]
+    assert told["error"]["unit"] == "rad"
+    assert (told["graph"], told["clock"], told["out"]) == ("arm2_joint", 0.004, "mine")
+    assert told["duration"] == pytest.approx(0.5)
+    assert told["engine"] in ("compiled", "interpreted")
+    assert told["diverged"] is False
+
+
+def test_json_says_continuous_for_a_continuous_clock(dmframe: Any) -> None:
+    assert strict(dmframe("run", "pendulum", *SHORT, "--json").out)["clock"] == "continuous"
+
+
+def test_json_of_several_graphs_is_a_list_in_their_order(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--json", "--out", "two")
+    assert [told["graph"] for told in strict(said.out)] == ["pendulum", "arm2_joint"]
+    assert {path.name for path in tmp_path.joinpath("two").iterdir()} == {"pendulum", "arm2_joint"}
+    assert {path.name for path in tmp_path.joinpath("two", "pendulum").iterdir()} == FILES
+
+
+def test_json_is_what_the_folder_holds(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "mine")
+    assert strict(said.out) == strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+
+
+def test_the_same_graph_twice_gives_two_results(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("run", "arm2_joint", "arm2_joint", *SHORT, "--out", "two").status == 0
+    assert len(list(tmp_path.joinpath("two").iterdir())) == 2
+
+
+def test_until_replaces_the_duration(dmframe: Any, tmp_path: Path) -> None:
+    assert strict(dmframe("run", "arm2_joint", "--until", "200 ms", "--no-plots", "--json").out)["duration"] == 0.2
+    dmframe("run", "arm2_joint", "--until", "0.2", "--no-plots", "--out", "mine")
+    signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
+    assert float(signals["time"][-1]) == pytest.approx(0.2)
+
+
+def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Path) -> None:
+    plain = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
+    told = strict(
+        dmframe(
+            "run", "arm2_joint", *SHORT, "--json", "--out", "mine", "--set", "task.alpha=8", "--set", "clock=2 ms"
+        ).out
+    )
+    assert told["clock"] == 0.002
+    assert told["error"]["rms_final"] < plain["error"]["rms_final"]
+    kept = load_graph(tmp_path / "mine" / "graph.yaml")
+    assert kept.blocks["task"].alpha == 8  # type: ignore[attr-defined]
+    assert kept.file.clock == 0.002
+
+
+def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
+    first = strict(dmframe("run", "arm2_joint", *SHORT, "--json", "--out", "one").out)
+    again = strict(dmframe("run", "one/graph.yaml", "--no-plots", "--json", "--out", "two").out)
+    assert again["error"] == first["error"]
+
+
+def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("run", "pendulum", "--until", "0.5", "--out", "mine").status == 0
+    names = {path.name for path in tmp_path.joinpath("mine").iterdir()}
+    assert {"error.png", "error.svg", "commands.png"} <= names
+    assert tmp_path.joinpath("mine", "error.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("run", "arm2_joint", *SHORT, "--out", "mine").status == 0
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()}
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (said.status, said.out) == (2, "")
+    assert said.err == ("dmframe: mine: expected an empty or a new folder, found one with files; name another folder\n")
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()} == before
+
+
+def test_a_file_is_refused_as_a_folder(dmframe: Any, tmp_path: Path) -> None:
+    tmp_path.joinpath("mine").write_text("", encoding="utf-8")
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert (said.status, said.err) == (2, "dmframe: mine: expected a folder, found a file; name another folder\n")
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_run(dmframe: Any) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "/proc/mine")
+    assert (said.status, said.out) == (2, "")
+    assert said.err == (
+        "dmframe: /proc/mine: the results cannot be written: no such file or directory; name another folder\n"
+    )
+
+
+def test_a_folder_without_the_right_to_write_is_told(dmframe: Any, tmp_path: Path) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may write everywhere")
+    tmp_path.joinpath("closed").mkdir(mode=0o500)
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "closed/mine")
+    assert said.status == 2
+    assert "closed/mine: the results cannot be written: permission denied" in said.err
+
+
+def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "arm2_joint", "pendulm", *SHORT, "--out", "mine")
+    assert (said.status, said.out) == (2, "")
+    assert not tmp_path.joinpath("mine").exists()
+
+
+def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe(*UNSTABLE, "--out", "mine")
+    assert (said.status, said.err) == (1, "")
+    (line,) = (line for line in said.out.splitlines() if "diverged" in line)
+    told = strict(tmp_path.joinpath("mine", "summary.json").read_text(encoding="utf-8"))
+    assert line == f"arm2_joint: diverged: {told['divergence']}"
+    block, rest = told["divergence"].split(".", 1)
+    state, rest = rest.split("[", 1)
+    element, rest = rest.split("]", 1)
+    words, unit = rest.rsplit(" ", 1)
+    signals = xarray.open_dataset(tmp_path / "mine" / "signals.nc", engine="h5netcdf")
+    kept = signals[f"{block}.{state}"]
+    assert 0 <= int(element) < kept.shape[1]
+    assert (words.rsplit(" ", 1)[0], unit) == (" is no longer finite at t =", "s")
+    assert float(words.rsplit(" ", 1)[1]) == pytest.approx(float(signals["time"][-1]) + 0.004)
+    assert bool(kept.notnull().all())
+    assert told["diverged"] is True
+
+
+def test_divergence_is_valid_json_with_null_where_the_run_never_came(dmframe: Any) -> None:
+    said = dmframe(*UNSTABLE, "--json")
+    assert said.status == 1
+    told = strict(said.out)
+    assert told["diverged"] is True
+    assert told["error"]["rms_final"] is None
+
+
+def test_one_diverged_graph_of_two_gives_status_1_and_both_results(dmframe: Any, tmp_path: Path) -> None:
+    good = tmp_path / "good.yaml"
+    assert dmframe("run", "arm2_joint", *SHORT, "--out", "one").status == 0
+    good.write_text(tmp_path.joinpath("one", "graph.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    bad = tmp_path / "bad.yaml"
+    bad.write_text(good.read_text(encoding="utf-8").replace("Gamma: 100.0", "Gamma: 1.0e+300"), encoding="utf-8")
+    said = dmframe("run", "bad.yaml", "good.yaml", "--no-plots", "--json")
+    assert said.status == 1
+    assert [told["diverged"] for told in strict(said.out)] == [True, False]
+
+
+def test_a_stiff_plant_is_noticed(dmframe: Any) -> None:
+    said = dmframe("run", "ur10_fast_kinematic", *SHORT, "--set", "solver.step=2 ms")
+    assert said.status == 0
+    assert "ur10_fast_kinematic: notice: the plant is stiff" in said.out
+
+
+def test_sundials_can_be_chosen(dmframe: Any) -> None:
+    fixed = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
+    other = strict(dmframe("run", "arm2_joint", *SHORT, "--json", "--set", "solver.method=cvodes").out)
+    assert other["error"]["rms_final"] == pytest.approx(fixed["error"]["rms_final"], rel=1e-4)
