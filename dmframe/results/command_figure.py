@@ -9,7 +9,18 @@ import numpy as np
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels, sliding
 from dmframe.results.figures import Runs, joint_slides, short, shown_unit, told
-from dmframe.results.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, new_figure, styled, unit_text
+from dmframe.results.plotting import (
+    PAGE,
+    POINTS,
+    draw_curve,
+    frame,
+    look,
+    names_above,
+    new_figure,
+    styled,
+    tame,
+    unit_text,
+)
 from dmframe.simulate import Run
 
 WINDOW = 12.0
@@ -95,7 +106,7 @@ def _panel(
     curves = list[tuple[np.ndarray, bool]]()
     for place, (name, run) in enumerate(runs.items()):
         inside = (run.time >= begin) & (run.time <= end)
-        commanded, measured = (run[label][inside, row] for label in pairs[name][signal])
+        commanded, measured = (tame(run[label][inside, row]) for label in pairs[name][signal])
         times, diverged, color = run.time[inside], run.divergence is not None, look(place)["color"]
         if not times.size:
             continue

@@ -9,7 +9,7 @@ import numpy as np
 from dmframe.diagram.closed_loop import Variable
 from dmframe.results.dataset import element_labels
 from dmframe.results.figures import mark_divergence, set_times, short, told
-from dmframe.results.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, unit_text
+from dmframe.results.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
 from dmframe.simulate import Run
 
 WIDTH = 5.4
@@ -47,7 +47,7 @@ def is_estimate(variable: Variable) -> bool:
 
 
 def _panel(axes: Any, run: Run, variable: Variable, most: int, *, legend: bool) -> None:
-    values = run[variable.label]
+    values = tame(run[variable.label])
     size, letter = values.shape[1], variable.shape
     labels = element_labels(run.diagram, letter, size)
     diverged = run.divergence is not None

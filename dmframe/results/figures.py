@@ -21,6 +21,7 @@ from dmframe.results.plotting import (
     save,
     span,
     styled,
+    tame,
     unit_text,
 )
 from dmframe.simulate import Run
@@ -66,9 +67,9 @@ def error_figure(runs: Runs) -> Any:
         for row, (label, unit, scale) in enumerate(labels):
             for place, (name, error) in enumerate(same.items()):
                 draw_curve(
-                    panels[row], error.times, error.values[:, row] * scale, most, **_kind(place, name, runs[name])
+                    panels[row], error.times, tame(error.values[:, row]) * scale, most, **_kind(place, name, runs[name])
                 )
-            curves = [(e.values[:, row] * scale, runs[name].divergence is not None) for name, e in same.items()]
+            curves = [(tame(e.values[:, row]) * scale, runs[name].divergence is not None) for name, e in same.items()]
             frame(panels[row], curves, zero=True)
             panels[row].set_ylabel(f"{label} [{unit_text(unit)}]")
         _norms(panels[-1], same, runs, labels, most)
@@ -85,7 +86,7 @@ def _norms(
     units, scale = list(dict.fromkeys(unit for _, unit, _ in labels)), labels[0][2]
     tops, bottoms = list[float](), list[float]()
     for place, (name, error) in enumerate(errors.items()):
-        norm = error.norm * scale
+        norm = tame(error.norm) * scale
         positive = norm[norm > 0]
         draw_curve(axes, error.times, norm, most, **_kind(place, name, runs[name]))
         if positive.size:

@@ -10,7 +10,18 @@ import numpy as np
 from dmframe.results.dataset import axis_labels
 from dmframe.results.figures import Runs, coordinate_labels, told
 from dmframe.results.metrics import TrackingError, tracking_error
-from dmframe.results.plotting import GREY, PAGE, draw_curve, frame, look, names_above, new_figure, styled, unit_text
+from dmframe.results.plotting import (
+    GREY,
+    PAGE,
+    draw_curve,
+    frame,
+    look,
+    names_above,
+    new_figure,
+    styled,
+    tame,
+    unit_text,
+)
 from dmframe.simulate import Run
 
 MOST = 2000
@@ -60,7 +71,7 @@ def magnification(extent: float, deviation: float) -> float:
 def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
     laps = {name: slice(last_lap(e.times, runs[name][e.desired]), None) for name, e in errors.items()}
     desired = {name: runs[name][e.desired][laps[name]] for name, e in errors.items()}
-    actual = {name: desired[name] + e.values[laps[name]] for name, e in errors.items()}
+    actual = {name: desired[name] + tame(e.values[laps[name]]) for name, e in errors.items()}
     wide = np.ptp(np.concatenate(list(desired.values())), axis=0)
     still = not np.any(wide > 1e-9)
     if still:
@@ -162,7 +173,7 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
                 inside = error.times >= begin
                 desired = runs[name][error.desired][inside, row]
                 draw_curve(axes, error.times[inside], desired, MOST, color=GREY, linewidth=2.4)
-                actual = desired + error.values[inside, row]
+                actual = desired + tame(error.values[inside, row])
                 draw_curve(axes, error.times[inside], actual, MOST, label=told(name, runs[name]), **look(place))
                 curves += [(desired, False), (actual, runs[name].divergence is not None)]
             frame(axes, curves)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -106,14 +107,20 @@ def thin(values: np.ndarray, most: int) -> np.ndarray:
         return np.arange(size)
     edges = np.linspace(0, size, max(most // 2, 1) + 1).astype(int)
     kept = {0, size - 1}
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges.tolist()):
         part = values[first:last]
         kept |= {first + int(np.argmin(part)), first + int(np.argmax(part))}
     return np.array(sorted(kept))
 
 
+def tame(values: np.ndarray) -> np.ndarray:
+    """Values that can be scaled and drawn without overflow; no panel shows what a diverged run reaches at last."""
+    return np.asarray(np.clip(values, -1e30, 1e30))
+
+
 def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 2000, **kind: Any) -> None:
     """A thinned curve."""
+    values = tame(values)
     kept = thin(values, most)
     axes.plot(times[kept], values[kept], **kind)
 

@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from itertools import pairwise
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from PIL import Image
+
+from dmframe.results import write_run
+from dmframe.results.command_figure import command_figure
+from dmframe.results.estimate_figure import estimate_figure
+from dmframe.results.figures import error_figure
+from dmframe.results.path_figure import last_lap, magnification, path_figure
+from dmframe.results.plotting import look, save, styled, thin
+
+
+def drawn(name, run):
+    """Every figure of a run, drawn as far as a file would need it."""
+    makers = (error_figure, path_figure, command_figure)
+    for figure in [make({name: run}) for make in makers] + [estimate_figure(name, run)]:
+        if figure is not None:
+            with styled():
+                figure.draw_without_rendering()
+
+
+def test_figures_lie_beside_the_data_as_png_of_200_dpi_and_as_small_well_formed_svg(tmp_path, ur10, kinematic):
+    write_run(tmp_path / "out", [kinematic, ur10])
+    files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()}
+    names = {"error", "path", "commands", "estimates_ur10_fast"}
+    assert files == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
+    for name in names:
+        with Image.open(tmp_path / "out" / f"{name}.png") as picture:
+            assert picture.info["dpi"][0] == pytest.approx(200, abs=0.1)
+            assert picture.info["Description"] == "ur10_fast_kinematic, ur10_fast"
+            assert picture.info["Software"].startswith("dmframe ")
+        file = tmp_path / "out" / f"{name}.svg"
+        assert file.stat().st_size < 2_000_000
+        assert ET.parse(file).getroot().tag.endswith("svg")
+
+
+def test_the_same_run_gives_the_same_svg_and_no_setting_of_the_user_matters(tmp_path, kinematic):
+    (tmp_path / "again").mkdir()
+    save(error_figure({"one": kinematic.run}), tmp_path, "error", "one")
+    with mpl.rc_context({"lines.linewidth": 7.0, "font.size": 20.0}):
+        save(error_figure({"one": kinematic.run}), tmp_path / "again", "error", "one")
+    assert (tmp_path / "error.svg").read_bytes() == (tmp_path / "again" / "error.svg").read_bytes()
+
+
+@pytest.mark.parametrize("case", ["pendulum", "arm2", "planar"])
+def test_joints_alone_one_joint_and_a_plane_have_all_their_figures(request, case):
+    result = request.getfixturevalue(case)
+    drawn(case, result.run)
+    panels = error_figure({case: result.run}).axes
+    assert len(panels) == {"pendulum": 1, "arm2": 2, "planar": 2}[case] + 1
+
+
+def test_a_diverged_run_is_marked_where_it_diverged_and_does_not_dwarf_the_others(ur10, kinematic, blow_up):
+    wild = blow_up(ur10.run, 0.4)
+    runs = {"sound": kinematic.run, "wild": wild}
+    figure = error_figure(runs)
+    assert any(text.get_text() == "wild (diverged at 0.4 s)" for text in figure.legends[0].get_texts())
+    top = figure.axes[0].get_ylim()[1]
+    assert top < 100  # [mm]
+    marks = [line for line in figure.axes[0].lines if list(line.get_xdata()) == [wild.divergence.time] * 2]
+    assert len(marks) == 1
+    drawn("wild", wild)
+    drawn("sound", kinematic.run)
+
+
+def test_a_run_of_one_tick_and_one_that_diverged_at_once_have_figures(make_result, blow_up):
+    short = make_result("ur10_fast", 0.008)
+    drawn("short", short.run)
+    run = short.run
+    first = {label: rows[:1] for label, rows in run.states.items()}
+    outputs = {label: rows[:1] for label, rows in run.outputs.items()}
+    wild = blow_up(make_result("ur10_fast", 0.08).run, 0.03)
+    dead = replace(run, time=run.time[:1], states=first, outputs=outputs, divergence=wild.divergence)
+    drawn("dead", dead)
+
+
+def test_a_controller_without_estimates_has_no_figure_of_them(kinematic):
+    assert estimate_figure("kinematic", kinematic.run) is None
+
+
+def test_of_many_parameters_those_that_move_most_are_named(ur10):
+    figure = estimate_figure("ur10", ur10.run)
+    texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    moves = np.ptp(ur10.run["dynamics.a_d_hat"], axis=0)
+    assert len(texts) == 7
+    assert texts[-1] == f"{int(np.sum(moves > 0)) - 6} more"
+
+
+def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):
+    axes = path_figure({"ur10": ur10.run}).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
+    assert axes.get_aspect() == 1.0
+
+
+def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
+    times = np.arange(0, 20, 0.01)
+    circle = np.stack([np.cos(times), np.sin(times)], axis=1)
+    begin = last_lap(times, circle)
+    assert times[-1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)
+    assert last_lap(times, np.stack([times, times], axis=1)) == 0
+    assert last_lap(times, np.ones((times.size, 2))) == 0
+
+
+def test_deviations_are_magnified_by_round_numbers_and_never_reduced():
+    assert magnification(0.3, 0.001) == 100
+    assert magnification(0.3, 0.012) == 5
+    assert magnification(0.3, 0.2) == 1
+    assert magnification(0.0, 0.0) == 1
+
+
+def test_a_thinned_curve_keeps_its_spikes_and_its_ends():
+    values = np.sin(np.arange(100_000) * 1e-3)
+    values[43_210], values[77_777] = 50.0, -50.0
+    kept = thin(values, 500)
+    assert kept.size <= 502
+    assert {0, 43_210, 77_777, 99_999} <= set(kept.tolist())
+
+
+def test_no_two_of_many_curves_look_alike_and_neighbours_differ_in_grey():
+    looks = [look(index) for index in range(36)]
+    assert len({str(item) for item in looks}) == 36
+    grey = [sum(w * int(item["color"][i : i + 2], 16) for w, i in ((0.3, 1), (0.59, 3), (0.11, 5))) for item in looks]
+    assert all(abs(a - b) > 30 for a, b in pairwise(grey[:6]))

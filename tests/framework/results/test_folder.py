@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+import xarray
+
+import dmframe.results.folder as folder_module
+from dmframe.config.graph import load_graph
+from dmframe.errors import OutputError
+from dmframe.results import Result, reserve, write_run
+from dmframe.results.resolved import resolved_text
+from dmframe.simulate import simulate
+
+
+def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
+    (told,) = write_run(tmp_path / "out", [ur10], plots=False)
+    names = {item.name for item in (tmp_path / "out").iterdir()}
+    assert names == {"signals.nc", "summary.json", "graph.yaml", "provenance.json"}
+    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == told
+    assert told["out"] == str(tmp_path / "out")
+
+
+def test_signals_come_back_with_their_units(tmp_path, ur10):
+    write_run(tmp_path / "out", [ur10], plots=False)
+    with xarray.open_dataset(tmp_path / "out" / "signals.nc", engine="h5netcdf") as data:
+        assert np.array_equal(data["arm.x"].values, ur10.run["arm.x"])
+        assert data["arm.x"].attrs["units"] == "m"
+        assert data["arm.q"].encoding["zlib"]
+        assert np.array_equal(data.time.values, ur10.run.time)
+
+
+@pytest.mark.parametrize("name", ["ur10_fast_tuned", "ur10_slow_kinematic", "pendulum", "arm2_joint"])
+def test_the_resolved_graph_loads_again_and_gives_the_same_run(tmp_path, make_result, name):
+    result = make_result(name, 0.2, "clock=10 ms")
+    write_run(tmp_path / "out", [result], plots=False)
+    again = load_graph(tmp_path / "out" / "graph.yaml")
+    run = simulate(again.diagram(), again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
+    assert resolved_text(again) == resolved_text(result.graph)
+    assert run.clock == 0.01
+    for label in (*run.states, *run.outputs):
+        assert np.array_equal(run[label], result.run[label])
+
+
+def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
+    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").graph)
+    assert "Gamma: 7.0" in text
+    assert "w_box: [0.0, 0.004]" in text
+    assert "method: rk4" in text  # a default
+    assert "plane: xy" in text
+
+
+def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_result):
+    source = load_graph("pendulum")
+    block = "from dmframe_blocks.joint_tracking import JointTracking\n\n\nclass MyTracking(JointTracking):\n    pass\n"
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.py").write_text(block, encoding="utf-8")
+    from dmframe.robot.library import find_robot
+
+    (tmp_path / "sub" / "arm.urdf").write_bytes(find_robot("pendulum").urdf.read_bytes())
+    text = resolved_text(source).replace("type: joint_tracking", "type: sub/mine.py:MyTracking")
+    text = text.replace("model: pendulum", "model: sub/arm.urdf")
+    (tmp_path / "own.yaml").write_text(text, encoding="utf-8")
+    result = make_result(tmp_path / "own.yaml", 0.1)
+    write_run(tmp_path / "out", [result], plots=False)
+    assert {"mine.py", "arm.urdf"} < {item.name for item in (tmp_path / "out").iterdir()}
+    again = load_graph(tmp_path / "out" / "graph.yaml")
+    assert type(again.blocks["task"]).__name__ == "MyTracking"
+    assert resolved_text(again) == resolved_text(result.graph)
+
+
+def test_several_graphs_have_a_folder_each_with_distinct_names(tmp_path, kinematic, pendulum):
+    told = write_run(tmp_path / "out", [kinematic, pendulum, kinematic], plots=False)
+    names = ["ur10_fast_kinematic", "pendulum", "ur10_fast_kinematic_2"]
+    assert [item["out"] for item in told] == [str(tmp_path / "out" / name) for name in names]
+    assert all((tmp_path / "out" / name / "signals.nc").is_file() for name in names)
+
+
+def test_provenance_has_versions_digests_command_and_time(tmp_path, ur10):
+    now = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
+    write_run(tmp_path / "out", [ur10], plots=False, seed=5, command=["dmframe", "run", "ur10_fast"], now=now)
+    told = json.loads((tmp_path / "out" / "provenance.json").read_text())
+    text = (tmp_path / "out" / "graph.yaml").read_bytes()
+    assert told["graph_sha256"] == hashlib.sha256(text).hexdigest()
+    assert (told["time"], told["seed"]) == ("2026-01-02T03:04:05+00:00", 5)
+    assert told["command"] == ["dmframe", "run", "ur10_fast"]
+    assert told["versions"]["numpy"] == np.__version__
+    assert len(told["urdf_sha256"]) == 64
+
+
+def test_a_folder_with_files_is_refused_and_left_alone(tmp_path, ur10):
+    (tmp_path / "kept.txt").write_text("mine", encoding="utf-8")
+    with pytest.raises(OutputError, match="expected an empty or a new folder, found one with files; name another"):
+        reserve(tmp_path)
+    with pytest.raises(OutputError, match="found one with files"):
+        write_run(tmp_path, [ur10])
+    assert [item.name for item in tmp_path.iterdir()] == ["kept.txt"]
+
+
+def test_a_file_in_the_way_is_refused(tmp_path):
+    (tmp_path / "out").write_text("", encoding="utf-8")
+    with pytest.raises(OutputError, match="expected a folder, found a file"):
+        reserve(tmp_path / "out")
+    with pytest.raises(OutputError, match="the results cannot be written"):
+        reserve(tmp_path / "out" / "deeper")
+
+
+def test_an_empty_folder_is_taken_and_parents_are_made(tmp_path, kinematic):
+    (tmp_path / "empty").mkdir()
+    write_run(tmp_path / "empty", [kinematic], plots=False)
+    write_run(tmp_path / "a" / "b", [kinematic], plots=False)
+    assert (tmp_path / "empty" / "signals.nc").is_file()
+    assert (tmp_path / "a" / "b" / "signals.nc").is_file()
+
+
+def test_reserving_leaves_nothing_behind(tmp_path):
+    assert reserve(tmp_path / "a" / "b") == tmp_path / "a" / "b"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("fault", [RuntimeError("from a figure"), KeyboardInterrupt()])
+def test_a_fault_in_the_middle_leaves_nothing(tmp_path, ur10, monkeypatch, fault):
+    def fail(*_):
+        raise fault
+
+    monkeypatch.setattr(folder_module, "_write_signals", fail)
+    with pytest.raises(type(fault)):
+        write_run(tmp_path / "new" / "out", [ur10])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_with_the_folder_and_a_remedy_and_leaves_nothing(tmp_path, ur10, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(folder_module, "_write_json", full)
+    with pytest.raises(OutputError, match="out: the results cannot be written: no space left on device; free some"):
+        write_run(tmp_path / "out", [ur10])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_hdf5_finds_full_is_told_alike(tmp_path, ur10, monkeypatch):
+    def full(*_, **__):
+        raise RuntimeError("Unable to flush file (No space left on device)")
+
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", full)
+    with pytest.raises(OutputError, match="no space left on device"):
+        write_run(tmp_path / "out", [ur10])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
+    write_run(tmp_path / "out", [Result(ur10.graph, blow_up(ur10.run, 0.4))], plots=False)
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert told["diverged"]
+    assert told["error"]["rms_by_eighth"][4:] == [None] * 4

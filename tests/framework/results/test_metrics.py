@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dmframe.results import summary, tracking_error
+from dmframe.results.metrics import euclidean, rms_by_eighth
+
+
+def test_rms_of_a_staircase_is_each_of_its_steps():
+    times = np.arange(8001) * 0.001
+    assert rms_by_eighth(times, np.minimum(np.floor(times + 1e-12), 7.0), 8.0) == tuple(float(k) for k in range(8))
+
+
+def test_rms_of_a_sine_over_whole_periods_is_its_amplitude_over_root_two():
+    times = np.arange(80_000) * 1e-3
+    for value in rms_by_eighth(times, np.abs(3.0 * np.sin(2 * np.pi * times)), 80.0):
+        assert value == pytest.approx(3.0 / np.sqrt(2), rel=1e-9)
+
+
+def test_eighths_are_of_the_planned_duration_and_those_never_reached_are_none():
+    times = np.arange(250) * 0.01  # 2.5 s of 8 s
+    assert rms_by_eighth(times, np.ones(250), 8.0) == (1.0, 1.0, 1.0, None, None, None, None, None)
+
+
+def test_an_instant_that_opens_an_eighth_is_not_counted_before_it():
+    times = np.arange(8 * 3 + 1) * 0.1  # 0.3 and 0.6 are no exact floats
+    counts = [int(np.sum(np.floor(times * 8 / 2.4 + 1e-9).astype(int).clip(0, 7) == k)) for k in range(8)]
+    norm = (np.arange(times.size) // 3).clip(0, 7).astype(float)
+    assert counts == [3] * 7 + [4]
+    assert rms_by_eighth(times, norm, 2.4) == tuple(map(float, range(8)))
+
+
+def test_norms_of_numbers_whose_squares_overflow_are_right():
+    assert euclidean(np.array([[3e200, 4e200], [0.0, 0.0]])) == pytest.approx([5e200, 0.0])
+
+
+def test_the_error_is_actual_minus_desired_with_the_unit_of_the_signal(ur10):
+    error = tracking_error(ur10.run)
+    assert (error.signal, error.unit) == ("x - x_d", "m")
+    assert np.array_equal(error.values, ur10.run["arm.x"] - ur10.run["path.x_d"])
+    assert error.norm == pytest.approx(np.linalg.norm(error.values, axis=1))
+    assert error.rms_final == error.rms_by_eighth[-1]
+
+
+def test_a_synthetic_constant_error_has_its_length_as_rms(arm2):
+    states = dict(arm2.run.states) | {"arm.q": arm2.run["path.q_d"] + np.array([3.0, -4.0])}
+    error = tracking_error(replace(arm2.run, states=states))
+    assert error.signal == "q - q_d"
+    assert error.rms_by_eighth == pytest.approx([5.0] * 8)
+
+
+def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up):
+    told = json.loads(json.dumps(summary("a", blow_up(ur10.run, 0.4), "out"), allow_nan=False))
+    assert list(told) == [
+        "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "engine", "wall_time",
+        "real_time_factor", "notices", "out",
+    ]  # fmt: skip
+    assert list(told["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
+    assert (told["diverged"], told["clock"], told["error"]["rms_final"]) == (True, 0.008, None)
+    assert "arm.q[0] is no longer finite" in told["divergence"]
+
+
+def test_a_summary_of_a_run_that_took_no_time_has_no_factor(pendulum):
+    told = summary("a", replace(pendulum.run, wall_time=0.0))
+    assert (told["real_time_factor"], told["clock"], told["out"]) == (None, "continuous", None)
