@@ -13,6 +13,7 @@ from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.diagram.wiring import End, Outputs, Source, check_wires, wire_blocks
 from dmframe.errors import DmframeError, MissingError, raise_all
+from dmframe.port import Port
 
 
 @final
@@ -118,7 +119,13 @@ def _symbolic(robot: Any) -> Any:
 
 
 def _declared(blocks: Mapping[str, AbstractBlock]) -> Outputs:
-    return {name: {port.name: port for port in block.outputs if not port.optional} for name, block in blocks.items()}
+    """Outputs as far as the classes say; an optional one is taken for stated where no other block surely has it."""
+    sure = {port.name for block in blocks.values() for port in block.outputs if not port.optional}
+    declared = dict[str, dict[str, Port]]()
+    for name, block in blocks.items():
+        declared[name] = {port.name: port for port in block.outputs if not port.optional or port.name not in sure}
+        sure |= declared[name].keys()
+    return declared
 
 
 def _produced(models: Mapping[str, BlockModel]) -> Outputs:
