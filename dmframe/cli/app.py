@@ -166,11 +166,14 @@ def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Prin
 
 
 @app.command()
-def schema() -> None:
+def schema(
+    verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
+) -> None:
     """Print the JSON Schema of graph files, for an editor."""
+    from dmframe.certify.schema import verdict_schema
     from dmframe.config.schema import json_schema
 
-    typer.echo(json.dumps(json_schema(), indent=2))
+    typer.echo(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
 
 
 @app.command()

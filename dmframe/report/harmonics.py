@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from functools import reduce
 from math import gcd, lcm
 from typing import Any, Final, final
 
@@ -28,7 +27,7 @@ class Harmonics:
     """A sum of terms c m exp(i k'q): complex c, monomial m in other symbols, integer k."""
 
     def __init__(self, terms: Mapping[tuple[Wave, Monomial], Complex]) -> None:
-        self.terms = {key: value for key, value in terms.items() if value != (0, 0)}
+        self.terms = {key: value for key, value in terms.items() if any(value)}
 
     def __add__(self, other: Harmonics) -> Harmonics:
         terms = dict(self.terms)
@@ -156,7 +155,7 @@ def _group(coefficients: Mapping[Monomial, Fraction], trig: str, names: Sequence
     if len(coefficients) == 1:
         ((monomial, coefficient),) = coefficients.items()
         return _product(coefficient, monomial, names, trig)
-    common = dict(reduce(_shared, coefficients))
+    common = dict(_shared(list(coefficients)))
     sizes = list(coefficients.values())
     scale = Fraction(gcd(*(c.numerator for c in sizes)), lcm(*(c.denominator for c in sizes)))
     if all(c < 0 for c in sizes):
@@ -170,9 +169,11 @@ def _without(monomial: Monomial, common: Mapping[int, int]) -> Monomial:
     return tuple((name, power) for name, power in left if power)
 
 
-def _shared(a: Monomial, b: Monomial) -> Monomial:
-    other = dict(b)
-    return tuple((name, min(power, other[name])) for name, power in a if name in other)
+def _shared(monomials: Sequence[Monomial]) -> Monomial:
+    """The largest monomial that divides all of them."""
+    first, *others = monomials
+    least = ((name, min([power, *(dict(other).get(name, 0) for other in others)])) for name, power in first)
+    return tuple((name, power) for name, power in least if power)
 
 
 def _sum(coefficients: Mapping[Monomial, Fraction], names: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ _TOKEN: Final = re.compile(
 )
 _DEPTH: Final = {"{": 1, "(": 1, "[": 1, "}": -1, ")": -1, "]": -1}
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
+_FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<mo>(?:sin|cos|tanh|min|max)</mo>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
 """Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""
@@ -32,6 +33,7 @@ def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
     text = text.replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
     text = text.replace('display="inline"', 'displaystyle="true"' if display else 'displaystyle="false"', 1)
     text = text.replace("<mo>&#x0002F;</mo>", '<mo lspace="0.05em" rspace="0.05em">&#x0002F;</mo>')
+    text = _FUNCTION.sub(r'\1<mspace width="0.167em"/>\2', text)
     text = _ACCENT.sub(lambda found: f'<mo stretchy="false">{_ACCENTS[found[1]]}</mo></mover>', text)
     text = text.replace("<mover>", '<mover accent="true">')
     if joined or latex.startswith(("=", r"\le", r"\ge")):

@@ -161,7 +161,7 @@ def _finished(run: list[re.Match[str]]) -> str:
     signs = any(token["sign"] in ("+", "=", "<", ">", ">=", "<=", "/", "^", "|", "-") for token in run)
     rates = any(token["rate"] for token in run)
     if not rates and (not names or (not signs and all(name in _ARTICLES for name in names))):
-        return source
+        return source.replace("<=", "≤").replace(">=", "≥")
     body = source.strip()
     start, end = source.index(body), source.index(body) + len(body)
     while end > start and (source[end - 1] in "-+/*^=<> " or _open(source[start:end], ")")):

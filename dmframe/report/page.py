@@ -15,6 +15,9 @@ from dmframe.report.references import reference
 
 MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\[([A-Z]\w+\d{4}\w?)\]")
 
+SHORT = 48
+"""Characters of LaTeX up to which a formula in a sentence is not broken."""
+
 
 def as_html(contents: Sequence[Content]) -> str:
     """One file: formulas in MathML, pictures in SVG, nothing fetched from anywhere."""
@@ -68,7 +71,7 @@ def _html_filters() -> dict[str, Callable[..., Any]]:
             out += escape(text[place : found.start()], quote=False)
             formula, code, key = found.groups()
             if formula:
-                out += breakable(formula)
+                out += mathml(formula) if len(formula) < SHORT else breakable(formula)
             elif code:
                 out += f"<code>{escape(code, quote=False)}</code>"
             else:
@@ -94,9 +97,16 @@ def _html_filters() -> dict[str, Callable[..., Any]]:
         "display": display,
         "whole": whole,
         "picture": picture,
+        "width": _width,
         "units": _units,
         "aligned": _aligned,
     }
+
+
+def _width(svg: str) -> float:
+    """Of a picture, as it says itself."""
+    found = re.search(r'<svg[^>]* width="([\d.]+)', svg)
+    return float(found[1]) if found else 0.0
 
 
 def _aligned(rows: Sequence[Row]) -> list[Row]:

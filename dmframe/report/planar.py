@@ -120,7 +120,7 @@ def _about(chain: SerialChain) -> str:
     joints = ", ".join(chain.joint_names)
     return (
         f"The equations of {chain.name} (joints {joints}), printed from the very expressions that are simulated and "
-        "proved. $c_{12}$ stands for $\\cos(q_1 + q_2)$ and $s_2$ for $\\sin q_2$; $m_i$, $\\mathrm{mc}_i$ and $I_i$ "
+        "proved. $c_{12}$ stands for $\\cos(q_1 + q_2)$ and $s_2$ for $\\sin(q_2)$; $m_i$, $\\mathrm{mc}_i$ and $I_i$ "
         "are mass, first moments and inertia of link i about the origin of joint i, in its frame; $p_{x2}$ is the x "
         "coordinate of joint 2 in the frame of joint 1, $g_0$ the gravity. Parameters that are zero in this robot are "
         "left away in M, C and g, not in the regressor, where $v = \\dot q_{ref}$."

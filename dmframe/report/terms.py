@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Lemma, Square
-from dmframe.certify.claim import Claim, Part
+from dmframe.certify.claim import Claim, Part, total
 from dmframe.report.expression import expression_latex
 from dmframe.report.laws import Row
 from dmframe.report.notation import latex, name_latex
@@ -33,7 +33,7 @@ class TermRow:
     factor
         ``kappa`` or ``1``, as in the JSON.
     weight
-        The weight in the graph's parameters, LaTeX; empty for a lemma.
+        The weight in the graph's parameters, LaTeX.
     value
         The weight at the graph's numbers.
     """
@@ -78,8 +78,8 @@ def terms_of(claim: Claim) -> Terms:
     storage = _numbered(claim, names, "storage", "W")
     dissipation = _numbered(claim, names, "dissipation", "D")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
-    c = names.weight(ca.SX(sum((p.certificate.consumes for p in claim.parts if p.cascade), ca.SX(0))))
-    consumption = rf"{c}\, |\sigma|^2" if any(part.cascade for part in claim.parts) else ""
+    consumed = [part.certificate.consumes for part in claim.parts if part.cascade]
+    consumption = rf"{names.weight(total(consumed))}\, |\sigma|^2" if consumed else ""
     lost = [(row, _lost(row)) for row in dissipation]
     gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
     return Terms(
@@ -123,7 +123,8 @@ def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermR
 def _row(claim: Claim, names: Names, part: Part, term: Square | Lemma, symbol: str) -> TermRow:
     factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
     if isinstance(term, Lemma):
-        return TermRow(part.block, "lemma", symbol, term.of, factor, "", "")
+        weight, value = names.weight(term.weight), names.value(term.weight)
+        return TermRow(part.block, "lemma", symbol, term.of, factor, weight, value)
     written = names.weight(term.weight) if term.weight.is_column() else names.matrix(part.block, term.weight)
     return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight))
 

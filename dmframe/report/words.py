@@ -105,6 +105,7 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
 
 def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
     failing = [condition.name for condition in verdict.conditions if not condition.holds]
+    means: tuple[str, ...]
     if verdict.claim is None:
         means = (
             "A proof needs a certificate from every block: what it stores and what it loses. Here there is none to be "
