@@ -48,7 +48,7 @@ def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
     try:
         return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain))
     except DmframeError as error:
-        raise placed(error, graph.document) from None
+        raise placed(error, graph.document, graph.overrides) from None
 
 
 def page(graph: Graph, verdict: Verdict) -> str:
