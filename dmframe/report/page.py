@@ -10,6 +10,7 @@ from typing import Any
 from dmframe.report.content import Content
 from dmframe.report.embed import embedded
 from dmframe.report.laws import Row
+from dmframe.report.linear import JOINT_HEADS
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.references import reference
 
@@ -41,7 +42,8 @@ def _rendered(template: str, contents: Sequence[Content], filters: dict[str, Cal
         undefined=StrictUndefined,
     )
     environment.filters |= filters
-    return environment.get_template(template).render(reports=contents, references=_cited(contents), style=_style())
+    page = environment.get_template(template)
+    return page.render(reports=contents, references=_cited(contents), style=_style(), heads=JOINT_HEADS)
 
 
 def _style() -> str:
