@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Mapping
 from typing import Final
 
 _TOKEN: Final = re.compile(
     r"\\(?:left|right)\s*(?:\\[a-zA-Z]+|\\.|.)|\\(?:begin|end)\{\w+\*?\}|\\[a-zA-Z]+|\\.|.", re.DOTALL
 )
 _DEPTH: Final = {"{": 1, "(": 1, "[": 1, "}": -1, ")": -1, "]": -1}
+_BRACES: Final = {"{": 1, "}": -1}
+LONG: Final = 120
+"""Characters of LaTeX beyond which a term may be broken inside of its brackets."""
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
 _FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<mo>(?:sin|cos|tanh|min|max)</mo>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
@@ -48,7 +52,12 @@ def breakable(latex: str, *, display: bool = False) -> str:
 
 
 def terms(latex: str) -> list[str]:
-    r"""A formula cut before each sign that stands outside of all brackets, and at each ``\quad``."""
+    r"""A formula cut before each sign outside of all brackets, and at each ``\quad``; a long term inside of ( ) too."""
+    pieces = _cut(latex, _DEPTH)
+    return [part for piece in pieces for part in (_cut(piece, _BRACES) if len(piece) > LONG else [piece])]
+
+
+def _cut(latex: str, brackets: Mapping[str, int]) -> list[str]:
     pieces, current, depth, bars = list[str](), "", 0, False
     for token in _TOKEN.findall(latex):
         if token == "|":
@@ -57,9 +66,9 @@ def terms(latex: str) -> list[str]:
             depth += 1
         elif token.startswith((r"\right", r"\end")):
             depth -= 1
-        depth += _DEPTH.get(token, 0)
+        depth += brackets.get(token, 0)
         outside = depth == 0 and not bars
-        if outside and token in _SIGNS and current.strip() and not current.strip().endswith(_SIGNS):
+        if outside and token in _SIGNS and current.strip() and not current.strip().endswith((*_SIGNS, "(")):
             pieces.append(current.strip())
             current = ""
         elif outside and token in (r"\quad", r"\qquad"):
