@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from types import FunctionType
 from typing import Any
 
+from closed_loops import Loop, known_blocks, loops, same_field, true_in_numbers
+
 import dmframe.linalg
 import dmframe.robot.symbolic
 from dmframe.block import AbstractBlock
@@ -28,11 +30,6 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.parameter import specs
-
-if __package__:
-    from .closed_loops import Loop, known_blocks, loops, same_field, true_in_numbers
-else:
-    from closed_loops import Loop, known_blocks, loops, same_field, true_in_numbers
 
 OUTCOMES = {
     "refuted": "the certifier refutes it",
