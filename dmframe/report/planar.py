@@ -82,8 +82,10 @@ def _roman(latex: str) -> str:
 
 def _entries(matrix: Matrix) -> list[Row]:
     """Entry by entry; of the symmetric M, each pair once."""
-    rows = list[Row]()
-    for i, row in enumerate(_printed(matrix), start=1):
+    rows, printed = list[Row](), _printed(matrix)
+    if len(printed) == len(printed[0]) == 1:
+        return [Row(matrix.name, f"= {printed[0][0]}")]
+    for i, row in enumerate(printed, start=1):
         for j, entry in enumerate(row, start=1):
             if matrix.name == "M" and j < i:
                 continue
