@@ -11,13 +11,16 @@ import casadi as ca
 import numpy as np
 import pytest
 from closed_loops import known_blocks, loop_of
+from jsonschema import Draft202012Validator
 
 from dmframe.block import Signals
 from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.conditions import Checked, Numbers, conditions_of, payment
 from dmframe.certify.definite import pivots, pseudo_inertia
+from dmframe.certify.schema import verdict_schema
 from dmframe.certify.stability import common_margin
+from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
@@ -223,6 +226,7 @@ def test_a_divisor_whose_interval_holds_zero_leaves_a_condition_undecided_and_sa
     (failing,) = (condition for condition in verdict.conditions if not condition.holds)
     assert (failing.value, failing.how) == (None, "undecided")
     assert failing.expression == "mine; undecided: a divisor is zero, or its interval holds zero"
+    Draft202012Validator(verdict_schema()).validate(summary("undecided", verdict))
 
 
 def test_a_divisor_that_is_zero_leaves_a_condition_undecided() -> None:
