@@ -104,7 +104,8 @@ def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
 
 def _load(path: Path, where: str) -> ModuleType:
     """A user's file as a module of its own name, so that it can shadow nothing; loaded once."""
-    digest = hashlib.sha256(str(path.resolve()).encode() + path.read_bytes()).hexdigest()[:16]
+    source = path.read_bytes()
+    digest = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"dmframe_file_{path.stem}_{digest}"
     if name in sys.modules:
         return sys.modules[name]
@@ -114,7 +115,8 @@ def _load(path: Path, where: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # not by the loader: it trusts a cached compilation of a file that has the same size and second
+        exec(compile(source, path, "exec"), vars(module))
     except Exception as error:  # whatever a user's file raises is told with its line, and nothing else is lost
         del sys.modules[name]
         frames = traceback.extract_tb(error.__traceback__)
