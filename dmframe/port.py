@@ -89,5 +89,8 @@ class State:
     box: str = ""
 
 
+ANY = "*"
+"""The unit of an input that takes any unit: an error that drives an adaptation, say."""
+
 TIME = Port("t", "", "s")
 """The input that every block may declare without anyone driving it."""

@@ -54,6 +54,7 @@ class Manipulator(AbstractBlock):
         Port("q", "n", "rad", Access.MEASURED),
         Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
         Port("x", "m", "m", Access.MEASURED),
+        Port("dx", "m", "m/s", derivative_of="x"),
         Port("ddq", "n", "rad/s^2", derivative_of="dq"),
         Port("g", "n", "N m"),
         Port("K", "n", "N m/V"),
@@ -82,6 +83,7 @@ class Manipulator(AbstractBlock):
                 "q": x.q,
                 "dq": x.dq,
                 "x": robot.position(x.q),
+                "dx": robot.jacobian(x.q) @ x.dq,
                 "ddq": ddq,
                 "g": robot.gravity_torque(x.q),
                 "K": p.K,
@@ -92,7 +94,9 @@ class Manipulator(AbstractBlock):
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(2) and (3)."""
+        """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
+        if "sigma" not in truth:
+            return Certificate()
         robot, sigma = p.robot, truth.sigma
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref)
         friction = p.viscous * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)

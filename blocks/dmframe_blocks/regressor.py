@@ -28,6 +28,8 @@ class Regressor(AbstractBlock):
     ----------
     friction : list of viscous, coulomb
         Friction that the compensator estimates along with the inertial parameters.
+    bias : true or false
+        Estimate a constant torque a joint too, such as the offset of the servo's integrator.
 
     Notes
     -----
@@ -46,13 +48,18 @@ class Regressor(AbstractBlock):
         Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("B", "n", "N m s/rad"), Port("D", "n", "N m"))
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+        Port("bias", "n", "N m"),
+    )
 
     friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    bias: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """p: ten a link, and one a joint for each kind of friction."""
-        return {"p": (10 + len(set(self.friction))) * robot.n}
+        return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
@@ -61,7 +68,9 @@ class Regressor(AbstractBlock):
             columns.append(ca.diag(u.dq_ref))
         if "coulomb" in self.friction:
             columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
-        return Equations(outputs={"Y_d": ca.horzcat(*columns)})
+        if self.bias:
+            columns.append(ca.SX.eye(p.robot.n))
+        return Equations(outputs={"Y_d": ca.densify(ca.horzcat(*columns))})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; the true a_d."""
@@ -70,4 +79,6 @@ class Regressor(AbstractBlock):
             parts.append(truth.B)
         if "coulomb" in self.friction:
             parts.append(truth.D)
+        if self.bias:
+            parts.append(truth.bias)
         return Certificate(truth={"a_d": ca.vertcat(*parts)})

@@ -48,7 +48,7 @@ class TaskTracking(AbstractBlock):
         Port("x", "m", "m"),
         Port("x_d", "m", "m"),
         Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("J", "m n", "m/rad"),
+        Port("J_hat", "m n", "m/rad"),
         Port("dq", "n", "rad/s"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"), Port("sigma", "n", "rad/s"))
@@ -57,14 +57,14 @@ class TaskTracking(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        dq_ref = u.J.T @ (solve_spd(u.J @ u.J.T, u.dx_d) - p.gamma * (u.x - u.x_d))
+        dq_ref = u.J_hat.T @ (solve_spd(u.J_hat @ u.J_hat.T, u.dx_d) - p.gamma * (u.x - u.x_d))
         return Equations(outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4); of the supply, dx is J dq."""
         x_err = u.x - u.x_d
         sigma = self.equations(u, x, p).outputs["sigma"]
-        b = u.J.T @ x_err
+        b = u.J_hat.T @ x_err
         return Certificate(
             storage=(Square("x - x_d", x_err, ca.SX(1)),),
             dissipation=(

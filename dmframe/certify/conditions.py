@@ -72,7 +72,7 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
     checked += _weights(claim, numbers)
     checked += _boxes(claim, numbers)
     checked += _physical(claim)
-    if any(part.cascade for part in claim.parts):
+    if claim.cascaded:
         checked.append(_payment(claim, numbers))
     return checked, assumed
 
@@ -149,7 +149,7 @@ def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
         return None
     (part,) = payers
     shares = zip(part.certificate.sigma, part.certificate.dissipation, strict=True)
-    c = sum((other.certificate.consumes for other in claim.parts if other.cascade), ca.SX(0))
+    c = sum((other.certificate.consumes for other in claim.parts if other.certificate.consumes is not None), ca.SX(0))
     ones = ca.SX.ones(claim.sigma.shape[0])
     need = sum((share * share * ones / _weight(term) for share, term in shares), ca.SX(0)) * c
     try:

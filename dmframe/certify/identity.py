@@ -55,15 +55,10 @@ class Refutation:
 def check_identity(claim: Claim, symbols: Symbols, *, trials: int, seed: int) -> ZeroTest:
     """Is the residual identically zero, and every block's sigma composed as it says?"""
     composed = [
-        total_sigma(part) - claim.sigma for part in claim.parts if part.certificate.sigma and claim_cascades(claim)
+        total_sigma(part) - claim.sigma for part in claim.parts if part.certificate.sigma and claim.cascaded
     ]
     expressions = [claim.residual, *composed]
     return zero_test(symbols.function("residual", expressions), values=symbols.fixed, trials=trials, seed=seed)
-
-
-def claim_cascades(claim: Claim) -> bool:
-    """Is there a cascade that the servo level pays for?"""
-    return any(part.cascade for part in claim.parts)
 
 
 def total_sigma(part: Part) -> SX:

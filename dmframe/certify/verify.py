@@ -93,7 +93,7 @@ def verify(
         reason=reason,
         claim=claim,
         test=test,
-        kappa=payment(claim, Numbers(claim, uncertain or {})) if any(p.cascade for p in claim.parts) else None,
+        kappa=payment(claim, Numbers(claim, uncertain or {})) if claim.cascaded else None,
         conditions=tuple(conditions),
         assumptions=(*assumptions, *STANDING),
         controls=controls,

@@ -9,7 +9,7 @@ from typing import final
 from dmframe.block import AbstractBlock
 from dmframe.diagram.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
-from dmframe.port import TIME, Access, Port, Side
+from dmframe.port import ANY, TIME, Access, Port, Side
 from dmframe.units import compatible
 
 End = tuple[str, str]
@@ -132,7 +132,7 @@ def check_wires(
                 faults.append(barred)
                 continue
             faults.append(_shape(text, out, into, sizes, path))
-            if not compatible(out.unit, into.unit):
+            if into.unit != ANY and not compatible(out.unit, into.unit):
                 found = out.unit or "a plain number"
                 faults.append(UnitError(f"{text}: expected {into.unit or 'a plain number'}, found {found}", path=path))
     return [fault for fault in faults if fault is not None]
