@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from statistics import median
+from statistics import median_low
 from typing import final
 
 from dmframe.diagram.wiring import End
@@ -16,6 +16,7 @@ from dmframe.draw.netlist import Box, Netlist, Pin, columns
 from dmframe.port import Side
 
 PITCH, TRACK, LANE = 18.0, 10.0, 17.0
+GRID = PITCH / 2
 HEADER, STATE_LINE, GAP, MARGIN = 42.0, 13.0, 26.0, 16.0
 ARROW, MARK, WALL = 11.0, 40.0, 30.0
 CLEAR, COVERED = 4.0, 1000
@@ -166,14 +167,14 @@ def _set_heights(net: Netlist, order: list[list[str]], placed: dict[str, Placed]
         wishes = dict[str, float]()
         for name in names:
             aims = [placed[s].output_y(port) - placed[t].inputs[pin] for (s, port), (t, pin) in direct if t == name]
-            wishes[name] = median(sorted(aims)) if aims else 0.0
+            wishes[name] = median_low(aims) if aims else 0.0
         _stack(names, placed, wishes)
     for names in reversed(order):  # boxes that nothing drives directly look to the right
         wishes = {}
         for name in names:
             aims = [placed[t].input_y(pin) - placed[s].outputs[port] for (s, port), (t, pin) in direct if s == name]
             driven = any(t == name for _, (t, _) in direct)
-            wishes[name] = median(sorted(aims)) if aims and not driven else placed[name].y
+            wishes[name] = median_low(aims) if aims and not driven else placed[name].y
         _stack(names, placed, wishes)
 
 
@@ -185,7 +186,8 @@ def _stack(names: list[str], placed: dict[str, Placed], wishes: Mapping[str, flo
         below = placed[name].y + placed[name].height + GAP
     pushed = sum(placed[name].y - wishes[name] for name in names) / len(names)
     for name in names:
-        placed[name].y -= pushed
+        # on a grid, so that a wire is straight or has a step that one sees
+        placed[name].y = round((placed[name].y - pushed) / GRID) * GRID
 
 
 def _lanes(
@@ -260,7 +262,7 @@ def _crossings(order: list[End], channel: Mapping[End, Trunk]) -> int:
 def _set_apart(net: Netlist, order: list[list[str]], placed: dict[str, Placed]) -> None:
     """Shift a column a little where no order of tracks keeps the stubs on its left off one another."""
     for index in range(1, len(order)):
-        for shift in (0.0, 6.0, -12.0, 17.0, -22.0):  # one after another: 6, -6, 11 and -11 in all
+        for shift in (0.0, GRID, -2 * GRID, 3 * GRID, -4 * GRID):  # one after another: both ways
             for name in order[index]:
                 placed[name].y += shift
             channel = _trunks(net, placed, {}, len(order))[index]

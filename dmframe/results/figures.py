@@ -169,8 +169,11 @@ def mark_divergence(panels: Any, runs: Runs) -> None:
 
 def set_times(axes: Any, runs: list[Run]) -> None:
     """The time axis from 0 to the longest run's planned end."""
+    from matplotlib.ticker import MaxNLocator
+
     axes.set_xlim(0.0, max(run.duration if run.divergence is None else run.divergence.time * 1.02 for run in runs))
     axes.set_xlabel("time [s]")
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
 
 
 def _kind(place: int, name: str, run: Run) -> dict[str, Any]:

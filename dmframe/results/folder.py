@@ -152,10 +152,8 @@ def _write_signals(file: Path, result: Result, seed: int | None) -> None:
 
     data = dataset(result.run, result.graph, seed)
     packed = {str(name): {"zlib": True, "complevel": 4} for name in data.data_vars}
-    try:
-        data.to_netcdf(file, engine="h5netcdf", encoding=packed)
-    except RuntimeError as error:  # HDF5's word for a disk that is full
-        raise OSError(str(error)) from error
+    # in memory first: on a full disk HDF5 itself prints tracebacks and can take the process down
+    file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:

@@ -89,7 +89,8 @@ def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
             _plane_panel(axes, runs, desired, actual, plane, times)
             axes.set_xlabel(f"${labels[plane[0]]}$ [m]")
             axes.set_ylabel(f"${labels[plane[1]]}$ [m]")
-            _fit(axes, [_magnified(desired[n], actual[n], times)[:, plane] for n in sound], desired, plane)
+            shown = [_magnified(desired[name], actual[name], times)[:, plane] for name in sound]
+            _fit(axes, shown, desired, plane, wild=runs[sound[0]].divergence is not None)
         panels[0].set_title("path, last lap" if any(lap.start for lap in laps.values()) else "path")
         if len(factors) > 1:
             panels[1].set_title(f"deviation × {factor:g}")
@@ -110,6 +111,8 @@ def _plane_panel(
     plane: list[int],
     factor: float,
 ) -> None:
+    from matplotlib.ticker import MaxNLocator
+
     drawn = list[np.ndarray]()
     for path in desired.values():
         box = np.array([path.min(axis=0), path.max(axis=0)])
@@ -126,16 +129,20 @@ def _plane_panel(
         if runs[name].divergence is not None:
             axes.plot(path[-1, plane[0]], path[-1, plane[1]], "x", color=look(place)["color"], markersize=5)
     axes.set_aspect("equal", adjustable="box")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
 
 
 def _thin(path: np.ndarray) -> np.ndarray:
     return np.unique(np.linspace(0, len(path) - 1, min(len(path), MOST)).astype(int))
 
 
-def _fit(axes: Any, paths: list[np.ndarray], desired: Mapping[str, np.ndarray], plane: list[int]) -> None:
-    """Room for the sound runs; diverged ones leave the panel."""
+def _fit(
+    axes: Any, paths: list[np.ndarray], desired: Mapping[str, np.ndarray], plane: list[int], *, wild: bool
+) -> None:
+    """Room for the goal and the sound runs; wild ones leave the panel."""
     goal = np.concatenate([path[:, plane] for path in desired.values()])
-    half = max(float(np.max(np.ptp(goal, axis=0))), 1e-6)
+    half = max(float(np.max(np.ptp(goal, axis=0))), 0.1) if wild else np.inf
     low, high = goal.min(axis=0) - half, goal.max(axis=0) + half
     shown = np.concatenate([goal, *(np.clip(path, low, high) for path in paths)])
     low, high = shown.min(axis=0), shown.max(axis=0)

@@ -13,7 +13,7 @@ import numpy as np
 COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of a page of two [inch]."""
 
-COLORS = ("#00467f", "#e69f00", "#a5192b", "#56b4e9", "#1a1a1a", "#009e73")
+COLORS = ("#00467f", "#e69f00", "#c8503c", "#56b4e9", "#1a1a1a", "#009e73")
 """Told apart by those who see no red or green; neighbours differ in lightness, for grey printing."""
 
 DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (5, 1.2, 1, 1.2)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1, 1, 1)))

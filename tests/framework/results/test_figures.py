@@ -99,6 +99,16 @@ def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):
     assert axes.get_aspect() == 1.0
 
 
+def test_the_way_to_a_goal_that_stands_still_is_shown_whole(ur10):
+    outputs = dict(ur10.run.outputs)
+    outputs["path.x_d"] = np.tile([0.2, 0.6, 0.5], (ur10.run.time.size, 1))
+    (axes,) = path_figure({"ur10": replace(ur10.run, outputs=outputs)}).axes
+    plane = ["xyz".index(label[1]) for label in (axes.get_xlabel(), axes.get_ylabel())]
+    ends = np.array([axes.get_xlim(), axes.get_ylim()])
+    for point in (outputs["path.x_d"][0], ur10.run["arm.x"][0], ur10.run["arm.x"][-1]):
+        assert np.all((ends[:, 0] < point[plane]) & (point[plane] < ends[:, 1]))
+
+
 def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
     times = np.arange(0, 20, 0.01)
     circle = np.stack([np.cos(times), np.sin(times)], axis=1)

@@ -1,0 +1,139 @@
+"""What every block of the catalogue and every packaged graph keeps."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.catalogue import block_types, graphs
+from dmframe.config.graph import load_graph
+from dmframe.parameter import specs
+from dmframe.port import Access, Port, Side, State
+from dmframe.simulate import simulate
+from dmframe.units import compatible
+
+BLOCKS = block_types()
+GRAPHS = sorted(graphs())
+LETTERS = set("nmpk")
+
+# blocks that no packaged graph uses run in one of these
+EXAMPLES = {
+    "setpoint": """
+dmframe: 1
+robot: arm2
+clock: 4 ms
+duration: 2 s
+start: {q: [0.5, 0.9]}
+blocks:
+  goal:     {type: setpoint, x_d: [0.5, 0.4]}
+  geometry: {type: kinematics}
+  task:     {type: task_tracking, gamma: 1}
+  inverse:  {type: kinematic_command}
+  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:      {type: manipulator}
+""",
+}
+
+
+def types_in(file: Path) -> set[str]:
+    return set(re.findall(r"type: (\w+)", file.read_text()))
+
+
+def test_the_catalogue_is_not_empty() -> None:
+    assert len(BLOCKS) >= 15
+    assert len(GRAPHS) >= 7
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_block_is_one_final_frozen_class_in_a_file_of_its_name(name: str) -> None:
+    kind = BLOCKS[name]
+    assert type_name(kind) == name
+    assert Path(inspect.getfile(kind)).stem == name
+    assert getattr(kind, "__final__", False)
+    assert kind.model_config.get("frozen") is True
+    assert kind.model_config.get("extra") == "forbid"
+    assert "__init__" not in vars(kind)
+    module = inspect.getmodule(kind)
+    here = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == kind.__module__]
+    assert here == [kind]
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_blocks_page_has_its_equations_parameters_and_source(name: str) -> None:
+    kind = BLOCKS[name]
+    page = inspect.getdoc(kind) or ""
+    assert ".. math::" in page
+    assert r"\tag{1}" in page
+    parameters = page.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    for field in kind.model_fields:
+        assert re.search(rf"^(\w+, )*{field}(, \w+)* : ", parameters, re.MULTILINE), f"{field} is not documented"
+    assert parameters.startswith("None") == (not kind.model_fields)
+    assert "References\n----------\n" in page or kind.side is Side.SOURCE, "a source, or a trajectory that needs none"
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_blocks_equations_are_numbered_as_its_methods_cite_them(name: str) -> None:
+    kind = BLOCKS[name]
+    known = set(re.findall(r"\\tag\{(\d+)\}", inspect.getdoc(kind) or ""))
+    for method in (kind.equations, kind.certificate, kind.conditions):
+        cited = set(re.findall(r"\((\d+)\)", method.__doc__ or ""))
+        assert cited <= known, f"{method.__name__} cites {cited - known}"
+    assert "(1)" in (kind.equations.__doc__ or "")
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_blocks_ports_have_shapes_and_units_and_keep_to_their_side(name: str) -> None:
+    kind = BLOCKS[name]
+    assert kind.contract(name) == []
+    for item in (*kind.inputs, *kind.outputs, *kind.states, *kind.truth):
+        assert isinstance(item, Port | State)
+        assert {word for word in item.shape.split() if not word.isdigit()} <= LETTERS
+        compatible(item.unit, "")
+    for port in kind.outputs:
+        allowed = (
+            {Access.MEASURED, Access.HIDDEN, Access.INTERNAL}
+            if kind.side is Side.PLANT
+            else {
+                Access.INTERNAL,
+                Access.COMMANDED,
+            }
+        )
+        assert port.access in allowed
+    for spec in specs(kind).values():
+        compatible(spec.unit, "")
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_certificate_is_stated_by_all_but_sources_and_the_baseline(name: str) -> None:
+    kind: type[AbstractBlock] = BLOCKS[name]
+    states_one = kind.certificate is not AbstractBlock.certificate
+    assert states_one == (kind.side is not Side.SOURCE and name != "kinematic_command")
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_block_runs_in_a_packaged_graph_or_an_example(name: str, tmp_path: Path) -> None:
+    if any(name in types_in(path) for path in graphs().values()):
+        return
+    file = tmp_path / "example.yaml"
+    file.write_text(EXAMPLES[name])
+    assert name in types_in(file)
+    graph = load_graph(file)
+    run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, start=graph.start)
+    assert run.divergence is None
+    assert np.linalg.norm(run["arm.x"][-1] - [0.5, 0.4]) < np.linalg.norm(run["arm.x"][0] - [0.5, 0.4])
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_packaged_graph_builds_and_stays_finite(name: str) -> None:
+    graph = load_graph(name)
+    run = simulate(graph.diagram(), 2.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+    assert graph.file.title
+    assert run.divergence is None
+    assert run.time[-1] == pytest.approx(2.0, abs=0.1)
+    assert all(np.all(np.isfinite(rows)) for rows in (*run.states.values(), *run.outputs.values()))
+    assert np.ptp(run["arm.q"], axis=0).max() > 1e-3  # something moves
