@@ -10,7 +10,7 @@ Squares and lemmas are kept apart, term by term, so that boundedness and integra
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -44,6 +44,10 @@ class Square:
         """Its expressions."""
         return self.vector, self.weight
 
+    def with_pieces(self, pieces: Sequence[SX]) -> Square:
+        """The same form of other expressions."""
+        return Square(self.of, *pieces)
+
     @property
     def value(self) -> SX:
         """The form as one scalar expression."""
@@ -52,18 +56,56 @@ class Square:
         return ca.dot(self.vector, self.weight @ self.vector)
 
 
+MONOTONE: Mapping[str, Callable[[SX], SX]] = {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan}
+"""Functions that never decrease, by the name that a `Lemma` gives."""
+
+
 @final
 @dataclass(frozen=True)
 class Lemma:
-    """A term that is not a square, and that the lemma of this name shows to be non-negative."""
+    r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
+
+    .. math:: \sum_i w_i (a_i - b_i) (\phi(a_i / v_i) - \phi(b_i / v_i)), \quad w_i \ge 0, \; v_i > 0
+
+    The term is built here of its parts, never stated as a whole: nobody can call a term non-negative that is not.
+
+    Parameters
+    ----------
+    of
+        How a reader names it: ``"monotone friction"``.
+    weight
+        w, a column or a scalar of parameters.
+    first, second
+        a and b, columns.
+    scale
+        v, a column or a scalar of parameters.
+    phi
+        A name of `MONOTONE`.
+    """
 
     of: str
-    value: SX
+    weight: SX
+    first: SX
+    second: SX
+    scale: SX
+    phi: str = "tanh"
 
     @property
     def pieces(self) -> tuple[SX, ...]:
         """Its expressions."""
-        return (self.value,)
+        return self.weight, self.first, self.second, self.scale
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        phi = MONOTONE[self.phi]
+        slip = phi(self.first / self.scale) - phi(self.second / self.scale)
+        return ca.sum1(self.weight * (self.first - self.second) * slip)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Lemma:
+        """The same term of other expressions."""
+        weight, first, second, scale = pieces
+        return Lemma(self.of, weight, first, second, scale, self.phi)
 
 
 @final
@@ -104,7 +146,7 @@ class Certificate:
         pieces = [ca.SX(piece) for term in terms for piece in term.pieces]
         consumes = [] if self.consumes is None else [self.consumes]
         done = iter(transform([*pieces, ca.SX(self.supply), *consumes, *self.sigma]))
-        rebuilt = [type(term)(term.of, *(next(done) for _ in term.pieces)) for term in terms]
+        rebuilt = [term.with_pieces([next(done) for _ in term.pieces]) for term in terms]
         return Certificate(
             storage=tuple(term for term in rebuilt[: len(self.storage)] if isinstance(term, Square)),
             dissipation=tuple(rebuilt[len(self.storage) :]),

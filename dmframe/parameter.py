@@ -165,7 +165,7 @@ def array(value: Any, spec: Spec, size: Sequence[int]) -> np.ndarray:
     """
     if spec.form == "box":
         ends = [array(end, Spec(spec.shape, spec.unit), size) for end in value]
-        return np.stack(ends, axis=-1)
+        return np.stack([np.atleast_1d(end) for end in ends], axis=-1)
     numbers = np.asarray(value, dtype=float)
     if numbers.ndim and numbers.shape != tuple(size):
         raise ValueError(f"expected {list(size)} numbers, found {list(numbers.shape)}")

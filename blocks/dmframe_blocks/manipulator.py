@@ -100,9 +100,8 @@ class Manipulator(AbstractBlock):
         robot, sigma = p.robot, truth.sigma
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref)
         friction = p.viscous * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
-        slip = robot.coulomb(x.dq) - robot.coulomb(truth.dq_ref)
         return Certificate(
             storage=(Square("sigma", sigma, robot.mass_matrix(x.q)),),
-            dissipation=(Lemma("monotone friction", ca.dot(sigma, p.coulomb * slip)),),
+            dissipation=(Lemma("monotone friction", p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
             supply=ca.dot(sigma, p.K * u.u - p.viscous * sigma - reference - friction),
         )

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.certificate import Assumption, Certificate, Condition, Square
 from dmframe.linalg import solve_spd
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
@@ -74,3 +75,7 @@ class TaskTracking(AbstractBlock):
             supply=ca.dot(sigma, sigma) / p.gamma,
             consumes=1 / p.gamma,
         )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """(1) needs the inverse of J J'."""
+        return (Assumption("the Jacobian keeps full row rank along the motion, uniformly", "eq. (30)"),)

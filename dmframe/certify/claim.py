@@ -11,19 +11,19 @@ with kappa a free symbol; without a cascade kappa is 1. dV/dt is differentiated 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Certificate
+from dmframe.certificate import MONOTONE, SX, Certificate, Lemma, Square
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.resolve import Projection
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, DmframeError
+from dmframe.errors import BlockError, DmframeError, nearest
 from dmframe.port import Side
 
 
@@ -124,7 +124,8 @@ def total(items: Sequence[SX]) -> SX:
 def claim_of(diagram: Diagram) -> Claim:
     """Assemble what the blocks claim.
 
-    Raises `NotApplicableError` where a block has no certificate, or needs a truth that the diagram does not have.
+    Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a truth that the diagram
+    does not have.
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
@@ -145,8 +146,9 @@ class Field:
         self.diagram, self.loop = diagram, diagram.loop
         loop = self.loop
         variables = (*loop.controller, *loop.plant)
-        self._leaves = [variable.symbol for variable in variables]
-        self._rates = loop.joined([variable.rate for variable in variables])
+        self._leaves = [loop.time, *(variable.symbol for variable in variables)]
+        self._rates = [ca.SX(1), *loop.joined([variable.rate for variable in variables])]
+        self._labels = ["", *(variable.label for variable in variables)]
 
     def with_parameters(self, symbols: SX, others: SX) -> Field:
         """The same field with other parameters in its equations."""
@@ -154,8 +156,16 @@ class Field:
         field._rates = list(ca.substitute(self._rates, [symbols], [others]))
         return field
 
+    def with_factors(self, factors: Mapping[str, SX]) -> Field:
+        """The same field with the rates of these states, by label, multiplied."""
+        field = Field(self.diagram)
+        named = zip(self._labels, self._rates, strict=True)
+        field._rates = [rate * factors[label] if label in factors else rate for label, rate in named]
+        return field
+
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
+        _check_form(name, certificate)
         joined = certificate.mapped(self.loop.joined)
         storage = total([square.value for square in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(storage)])
@@ -200,9 +210,8 @@ def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], dict[str, S
     while waiting:
         later = []
         for name in waiting:
-            seen = view(diagram, name, truths)
             try:
-                certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
+                certificate = _certificate(diagram, name, truths)
             except BlockError as error:
                 faults[name] = error.text
                 later.append(name)
@@ -215,6 +224,55 @@ def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], dict[str, S
             raise NotApplicableError("; ".join(faults[name] for name in later))
         waiting = later
     return {name: found[name] for name in diagram.blocks if name in found}, truths
+
+
+def _certificate(diagram: Diagram, name: str, truths: Mapping[str, SX]) -> Certificate | None:
+    known = len(diagram.resolver.faults)
+    seen = view(diagram, name, truths)
+    if faults := diagram.resolver.faults[known:]:  # a truth that would need what cannot be had
+        del diagram.resolver.faults[known:]
+        raise NotApplicableError(f"{name}: {faults[0].text}")
+    with told_by(name, "certificate()"):
+        certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
+    if certificate is not None and not isinstance(certificate, Certificate):
+        raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
+    return certificate
+
+
+def _check_form(name: str, certificate: Certificate) -> None:
+    """Hold a certificate to the shapes that the conditions decide on; raises `NotApplicableError`."""
+    for text in _ill_formed(certificate):
+        raise NotApplicableError(f"{name}: {text}")
+
+
+def _ill_formed(certificate: Certificate) -> Iterator[str]:
+    terms = certificate.dissipation
+    if not all(isinstance(term, Square) for term in certificate.storage):
+        yield "expected each term of the storage to be a Square; nothing else is known to be positive"
+    if not all(isinstance(term, Square | Lemma) for term in terms):
+        yield "expected each term of the dissipation to be a Square or a Lemma"
+    for term in (*certificate.storage, *terms):
+        pieces = [ca.SX(piece) for piece in term.pieces]
+        if isinstance(term, Lemma):
+            rows = max(piece.shape[0] for piece in pieces)
+            if term.phi not in MONOTONE:
+                yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
+            good = all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)
+        else:
+            rows = pieces[0].shape[0]
+            good = pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
+        if not good:
+            yield f"{term.of}: expected columns of one length, or a square matrix of weights, found other shapes"
+    for what, value in (("supply", certificate.supply), ("consumes", certificate.consumes)):
+        if value is not None and not ca.SX(value).is_scalar():
+            yield f"expected a scalar {what}, found {ca.SX(value).shape[0]} x {ca.SX(value).shape[1]}"
+    if certificate.sigma:
+        if certificate.consumes is not None:
+            yield "a cascade consumes and cannot pay; expected one of consumes and sigma"
+        if len(certificate.sigma) != len(terms):
+            yield f"sigma has {len(certificate.sigma)} shares, expected one for each of {len(terms)} dissipated squares"
+        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in terms):
+            yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
 
 
 def _sigma(diagram: Diagram, loop: ClosedLoop) -> SX:

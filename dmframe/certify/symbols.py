@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, final
@@ -10,7 +10,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.certify.claim import Claim
+from dmframe.certify.claim import Claim, NotApplicableError
 from dmframe.diagram import Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
 from dmframe.port import Side
@@ -35,9 +35,17 @@ class Symbols:
 
     groups: tuple[Group, ...]
 
-    def function(self, name: str, expressions: Sequence[SX]) -> Any:
-        """Expressions as a function of all groups."""
-        return ca.Function(name, [stack([group.symbol]) for group in self.groups], [ca.vec(x) for x in expressions])
+    def function(self, name: str, expressions: Sequence[SX], more: Sequence[SX] = ()) -> Any:
+        """Expressions as a function of all groups, and of more symbols.
+
+        Raises `NotApplicableError` where they hold any other symbol.
+        """
+        inputs = [stack([group.symbol]) for group in self.groups] + [ca.vec(symbol) for symbol in more]
+        function = ca.Function(name, inputs, [ca.vec(x) for x in expressions], {"allow_free": True})
+        if function.has_free():
+            free = ", ".join(str(symbol) for symbol in function.get_free())
+            raise NotApplicableError(f"a certificate holds {free}, which is no signal and no parameter of this diagram")
+        return function
 
     @property
     def fixed(self) -> dict[int | str, Sequence[Fraction]]:
@@ -45,26 +53,39 @@ class Symbols:
         return {k: group.values for k, group in enumerate(self.groups) if group.values is not None}
 
 
-def symbols_of(claim: Claim) -> Symbols:
+def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
     """The claim's symbols.
 
-    Free are all states, trajectories, projections' corrections, gains, servo and inertial parameters. Fixed are the
-    robot's rotations, which must be orthogonal, and what the plant has not: its parameters that are zero.
+    Free are the time, all states, trajectories, projections' corrections, gains, servo and inertial parameters. Fixed
+    are the robot's rotations, which must be orthogonal, and what the plant has not: its parameters that are zero, and
+    that are not `uncertain`, by label.
     """
     loop, diagram = claim.loop, claim.diagram
     states = [Group(v.label, "state", v.symbol) for v in (*loop.controller, *loop.plant)]
     trajectories = [Group(leaf.name, "trajectory", leaf.symbol) for leaf in diagram.resolver.trajectories.values()]
-    corrections = [Group(p.name, "projection", p.correction) for p in loop.projections]
-    parameters = [_parameter(diagram, parameter) for parameter in loop.parameters]
+    corrections = [Group(f"{p.name}, correction", "projection", p.correction) for p in loop.projections]
+    parameters = [
+        _parameter(diagram, parameter, parameter.label in uncertain)
+        for parameter in loop.parameters
+        if not _of_source(diagram, parameter)
+    ]
     kappa = [] if claim.kappa.is_constant() else [Group("kappa", "weight", claim.kappa)]
-    return Symbols((*states, *trajectories, *corrections, *parameters, *kappa))
+    time = Group("t", "time", loop.time)
+    return Symbols((time, *states, *trajectories, *corrections, *parameters, *kappa))
 
 
-def _parameter(diagram: Diagram, parameter: Parameter) -> Group:
+def _of_source(diagram: Diagram, parameter: Parameter) -> bool:
+    """Does it only shape a trajectory? Those are free as a whole, and some bear the name of their parameter."""
+    block = parameter.label.partition(".")[0]
+    return block in diagram.blocks and diagram.blocks[block].side is Side.SOURCE
+
+
+def _parameter(diagram: Diagram, parameter: Parameter, uncertain: bool) -> Group:
     label, block = parameter.label, parameter.label.partition(".")[0]
     if label == "robot.rotations":
         return Group(label, "parameter", parameter.symbol, exact_values(diagram)[label])
-    absent = block in diagram.blocks and diagram.blocks[block].side is Side.PLANT and not parameter.value.any()
+    plant = block in diagram.blocks and diagram.blocks[block].side is Side.PLANT
+    absent = plant and not parameter.value.any() and not uncertain
     values = (Fraction(0),) * parameter.symbol.numel() if absent else None
     return Group(label, "parameter", parameter.symbol, values)
 

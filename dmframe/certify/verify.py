@@ -10,10 +10,13 @@ from typing import Literal, final
 from dmframe.certificate import Assumption
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
-from dmframe.certify.identity import Control, Refutation, check_identity, is_trivial, negative_controls, refute
+from dmframe.certify.controls import Control, negative_controls
+from dmframe.certify.identity import check_identity, holds_in_reals, is_trivial
+from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
+from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval
 
@@ -24,6 +27,12 @@ STANDING = (
     Assumption("the robot is rigid, with constant inertial parameters and the friction of the graph", "eq. (3)"),
     Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
     Assumption("the desired trajectory and its derivatives that appear are bounded", "Theorems 1 to 4"),
+)
+
+
+UNDECIDED = (
+    "not decided: dV/dt is what the blocks claim to rounding, at real points, but only by a property of a function "
+    "(tanh, sqrt, sin of a sum) that the exact test does not know"
 )
 
 
@@ -72,40 +81,74 @@ def verify(
     uncertain
         True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
     """
-    begin = time.perf_counter()
+    clock = _Clock()
     try:
-        claim = claim_of(diagram)
-        symbols = symbols_of(claim)
+        return _verified(diagram, trials, seed, uncertain or {}, clock)
     except NotApplicableError as error:
-        return Verdict("not_applicable", error.text, build=time.perf_counter() - begin)
-    built = time.perf_counter()
-    test = check_identity(claim, symbols, trials=trials, seed=seed)
+        return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
+
+
+@final
+class _Clock:
+    """Seconds since it was made, until V is built, and from then on."""
+
+    def __init__(self) -> None:
+        self._begin, self._built = time.perf_counter(), 0.0
+
+    def built(self) -> None:
+        """V and dV/dt are written."""
+        self._built = time.perf_counter()
+
+    @property
+    def build(self) -> float:
+        """Seconds spent on writing V and dV/dt."""
+        return (self._built or time.perf_counter()) - self._begin
+
+    @property
+    def check(self) -> float:
+        """Seconds spent on deciding."""
+        return time.perf_counter() - self._built if self._built else 0.0
+
+
+def _verified(
+    diagram: Diagram, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]], clock: _Clock
+) -> Verdict:
+    claim = claim_of(diagram)
+    symbols = symbols_of(claim, uncertain)
+    clock.built()
+    try:
+        test = check_identity(claim, symbols, trials=trials, seed=seed)
+    except ValueFault as error:
+        return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
+    if not test.zero and holds_in_reals(claim, symbols, seed):
+        return Verdict("not_applicable", UNDECIDED, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
-        reason = _blame(refutation)
-        check = time.perf_counter() - built
-        return Verdict("refuted", reason, claim, test, refutation, build=built - begin, check=check)
+        return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
     controls = negative_controls(claim, symbols, seed=seed)
-    conditions, assumptions = conditions_of(claim, uncertain or {})
+    conditions, assumptions = conditions_of(claim, uncertain)
     outcome, reason = _judge(conditions, controls, is_trivial(claim, symbols, seed))
     return Verdict(
         outcome=outcome,
         reason=reason,
         claim=claim,
         test=test,
-        kappa=payment(claim, Numbers(claim, uncertain or {})) if claim.cascaded else None,
+        kappa=payment(claim, Numbers(claim, uncertain)) if claim.cascaded else None,
         conditions=tuple(conditions),
         assumptions=(*assumptions, *STANDING),
         controls=controls,
         statements=tuple(statements_of(claim)),
-        build=built - begin,
-        check=time.perf_counter() - built,
+        build=clock.build,
+        check=clock.check,
     )
 
 
 def _blame(refutation: Refutation) -> str:
-    where = ", ".join(refutation.blame) or "no single block: each keeps its own claim, but what they exchange differs"
-    return f"dV/dt is not what the blocks claim; to blame: {where}"
+    where = ", ".join(refutation.blame)
+    if refutation.says != "dV/dt":
+        return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"
+    none = "no single block: each keeps its own claim, but what they exchange differs"
+    return f"dV/dt is not what the blocks claim; to blame: {where or none}"
 
 
 def _judge(conditions: Sequence[Checked], controls: Sequence[Control], trivial: bool) -> tuple[Outcome, str]:

@@ -118,6 +118,19 @@ def verify(
 
 
 @app.command()
+def analyse(
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006
+    horizon: Annotated[float, typer.Option(metavar="S", help="Length of the runs that look for the period.")] = 20,
+    as_json: AsJson = False,
+) -> None:
+    """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
+    from dmframe.cli.analyse import analyse_graph
+
+    analyse_graph(graph, overrides, horizon=horizon, as_json=as_json)
+
+
+@app.command()
 def draw(
     graph: OneGraph,
     out: Annotated[
@@ -134,7 +147,7 @@ def draw(
         raise OutputError(f"{out}: expected a name that ends in .svg or .mmd, found {out.suffix or 'no ending'}")
     text = makers[out.suffix if out else ".mmd"](loaded.diagram(), loaded.file.title)
     if out is None:
-        typer.echo(text)
+        typer.echo(text.rstrip())
         return
     try:
         out.write_text(text, encoding="utf-8")

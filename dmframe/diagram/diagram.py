@@ -12,7 +12,8 @@ from dmframe.diagram.model import BlockModel, model_block
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.diagram.wiring import End, Outputs, Source, check_wires, wire_blocks
-from dmframe.errors import DmframeError, MissingError, raise_all
+from dmframe.errors import DmframeError, MissingError, WiringError, raise_all
+from dmframe.port import Port
 
 
 @final
@@ -91,7 +92,11 @@ class Diagram:
         faults += check_wires(blocks, produced, sources, sizes, wires or {})
         raise_all(faults)
         resolver = Resolver(models, sources)
-        loop = flatten(resolver, _parameters(models, symbolic))
+        try:
+            loop = flatten(resolver, _parameters(models, symbolic))
+        except RecursionError:
+            text = "blocks: too many blocks pass a signal on within one instant; put one with a state between them"
+            raise WiringError(text, path=("blocks",)) from None
         raise_all(resolver.faults)
         return cls(dict(blocks), sources, models, sizes, robot, loop, resolver)
 
@@ -118,7 +123,13 @@ def _symbolic(robot: Any) -> Any:
 
 
 def _declared(blocks: Mapping[str, AbstractBlock]) -> Outputs:
-    return {name: {port.name: port for port in block.outputs if not port.optional} for name, block in blocks.items()}
+    """Outputs as far as the classes say; an optional one is taken for stated where no other block surely has it."""
+    sure = {port.name for block in blocks.values() for port in block.outputs if not port.optional}
+    declared = dict[str, dict[str, Port]]()
+    for name, block in blocks.items():
+        declared[name] = {port.name: port for port in block.outputs if not port.optional or port.name not in sure}
+        sure |= declared[name].keys()
+    return declared
 
 
 def _produced(models: Mapping[str, BlockModel]) -> Outputs:

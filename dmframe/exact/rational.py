@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -61,10 +62,16 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
         elif code == ca.OP_INPUT:
             register[targets[0]] = inputs[arguments[0]][arguments[1]]
         elif code == ca.OP_CONST:
-            register[targets[0]] = Fraction(f.instruction_constant(k))
+            register[targets[0]] = _exact(f.instruction_constant(k), f.name())
         else:
             register[targets[0]] = _operate(code, [register[a] for a in arguments], f.name())
     return outputs
+
+
+def _exact(constant: float, name: str) -> Fraction:
+    if not math.isfinite(constant):
+        raise ValueFault(f"{name}: expected finite constants, found {constant}")
+    return Fraction(constant)
 
 
 def _operate(code: int, values: list[Any], name: str) -> Any:

@@ -37,7 +37,7 @@ _OPAQUE_NAMES: Final = (
     "EXP LOG POW CONSTPOW SQRT TAN ASIN ACOS ATAN LT LE EQ NE NOT AND OR FLOOR CEIL FMOD COPYSIGN IF_ELSE_ZERO "
     "ERF FMIN FMAX SINH COSH TANH ASINH ACOSH ATANH ATAN2 ERFINV LOG1P EXPM1 HYPOT REMAINDER"
 )
-_OPAQUE: Final = frozenset(getattr(ca, "OP_" + name) for name in _OPAQUE_NAMES.split())
+_OPAQUE: Final = {getattr(ca, "OP_" + name): name.lower() for name in _OPAQUE_NAMES.split()}
 _TRANSPARENT: Final = frozenset((ca.OP_ASSIGN, ca.OP_LIFT))
 _FIELD: Final = frozenset((_ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV, _SIN, _COS, _SIGN, _FABS))
 _OPAQUE_CALL: Final = -1
@@ -121,6 +121,14 @@ class Tape:
     def __len__(self) -> int:
         return len(self._nodes)
 
+    @property
+    def has_opaque(self) -> bool:
+        """Does it hold a function of which the field knows no property, or an angle that is no input?"""
+        angles = {node.a for node in self._nodes if node.code in (_SIN, _COS)}
+        return any(node.code == _OPAQUE_CALL for node in self._nodes) or any(
+            self._nodes[angle].code != _INPUT for angle in angles
+        )
+
     def evaluate(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[list[int]]:
         """The outputs' residues at the inputs' residues, both dense and column-major.
 
@@ -176,7 +184,8 @@ class Tape:
             elif code == _POWER:
                 append(pow(values[a], b, p) if b >= 0 else pow(trial.inverse(values[a]), -b, p))
             else:
-                append(trial.opaque((a, *(values[argument] % p for argument in arguments))))
+                at = ", ".join(str(values[argument] % p) for argument in arguments)
+                append(trial.opaque(f"{_OPAQUE[a]} of {at}"))
         return values
 
     def degrees(self, fixed: Mapping[int, Sequence[Fraction | None]] | None = None) -> Bound:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Hashable
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Final, final
 
+CIRCLE: Final = "cos, sin"
+SIGN: Final = "sign"
 SIGN_LIMIT: Final = 8
 """Different signs whose two values are both tried; one trial then takes at most 2**8 evaluations."""
 
@@ -30,13 +32,31 @@ class Trial:
       that the function takes. It is not complete: tanh(x) + tanh(-x) = 0 is not seen.
     """
 
-    def __init__(self, prime: int, rng: random.Random) -> None:
+    def __init__(self, prime: int, rng: random.Random, functions: Mapping[str, Sequence[int]] | None = None) -> None:
         self.prime = prime
         self.rng = rng
-        self._values: dict[Hashable, int] = {}
+        self._values: dict[str, int] = {}
         self._circle: dict[int, tuple[int, int]] = {}
         self._signs: dict[int, int] = {}
         self._script: list[int] = []
+        for name, values in (functions or {}).items():
+            kind, _, argument = name.partition(" of ")
+            if kind == CIRCLE:
+                self._circle[int(argument)] = (values[0], values[1])
+            elif kind == SIGN:
+                self._signs[int(argument)] = values[0]
+            else:
+                self._values[name] = values[0]
+
+    @property
+    def functions(self) -> dict[str, tuple[int, ...]]:
+        """The values chosen so far, by function and argument: with them another trial evaluates alike.
+
+        ``{"cos, sin of 12": (3, 4), "tanh of 5": (6,), "sign of 7": (-1,)}``
+        """
+        chosen: dict[str, tuple[int, ...]] = {f"{CIRCLE} of {key}": pair for key, pair in self._circle.items()}
+        chosen |= {f"{SIGN} of {key}": (value,) for key, value in self._signs.items()}
+        return chosen | {name: (value,) for name, value in self._values.items()}
 
     def random(self) -> int:
         """A residue, each equally likely."""
@@ -77,7 +97,7 @@ class Trial:
         if key not in self._signs:
             position = len(self._signs)
             if position >= SIGN_LIMIT:
-                self._signs[key] = self.opaque(("sign", key))
+                self._signs[key] = self.opaque(f"free sign of {key}")
             else:
                 if position == len(self._script):
                     self._script.append(1)
@@ -94,8 +114,8 @@ class Trial:
         self._script[-1] = -1
         return True
 
-    def opaque(self, key: Hashable) -> int:
-        """The free value of a function at reduced arguments; `key` names both."""
+    def opaque(self, key: str) -> int:
+        """The free value of a function at reduced arguments; `key` names both, ``"tanh of 5"``."""
         if key not in self._values:
             self._values[key] = self.random()
         return self._values[key]

@@ -215,7 +215,12 @@ class SymbolicRobot:
 
         :math:`v_0` is `friction_velocity` [rad/s]; the function is odd and increasing, which is what the proofs need.
         """
-        return ca.tanh(dq / self._friction.symbol)
+        return ca.tanh(dq / self.friction_velocity)
+
+    @property
+    def friction_velocity(self) -> Any:
+        """v_0 of `coulomb`, SX [rad/s]."""
+        return self._friction.symbol
 
     def _task(self, rows: Any) -> Any:
         return ca.densify(rows[["xyz".index(letter) for letter in self.chain.axes], :])

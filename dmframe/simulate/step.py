@@ -132,10 +132,14 @@ def _symbols(loop: ClosedLoop) -> tuple[Any, Any, Any]:
 
 
 def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[SX]) -> Any:
-    """Joined expressions as a function of (inputs..., trajectories, p); projections act as their law says."""
+    """Joined expressions as a function of (inputs..., w, p); projections act as their law says."""
     joined = project(loop, loop.joined(expressions))
-    w = stack(leaf.symbol for leaf in loop.trajectories)
-    return ca.Function(name, [*inputs, w, loop.p], ca.cse(joined))
+    return ca.Function(name, [*inputs, _signals(loop), loop.p], ca.cse(joined))
+
+
+def _signals(loop: ClosedLoop) -> SX:
+    """w: what moves by itself, the trajectories and, for blocks that read it, the time."""
+    return stack([*(leaf.symbol for leaf in loop.trajectories), loop.time])
 
 
 def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> list[SX]:
@@ -157,7 +161,7 @@ def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> 
 
 def _trajectory(loop: ClosedLoop) -> Any:
     _, meanings = columns(loop.trajectories)
-    return ca.Function("trajectory", [loop.time, loop.p], [meanings])
+    return ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)])
 
 
 def _plant_rate(loop: ClosedLoop) -> Any:
@@ -204,8 +208,7 @@ def _continuous_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: 
 def _held_rate(loop: ClosedLoop, x: SX, held: SX) -> Any:
     """(x, u, w, p) -> the plant's rate under held commands."""
     rates = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
-    w = stack(leaf.symbol for leaf in loop.trajectories)
-    return ca.Function("plant", [x, held, w, loop.p], ca.cse(rates))
+    return ca.Function("plant", [x, held, _signals(loop), loop.p], ca.cse(rates))
 
 
 def _integrate(
@@ -238,6 +241,6 @@ def _cvodes(rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: 
     commands, start, numbers = ca.vertsplit(held, [0, rate.size1_in(1), rate.size1_in(1) + 1, held.numel()])
     ode = rate(state, commands, trajectory(start + since, numbers), numbers)
     problem = {"x": state, "t": since, "p": held, "ode": ode}
-    options = {"reltol": solver.tolerance, "abstol": solver.tolerance * 1e-3, "max_num_steps": 100_000}
+    options = {"reltol": solver.tolerance, "abstol": solver.tolerance * 1e-3, "max_num_steps": 10_000}
     integrator = ca.integrator("integrator", "cvodes", problem, 0, period, options)
     return integrator(x0=x, p=ca.vertcat(u, t, p))["xf"]

@@ -1,7 +1,7 @@
 """Every fenced ``console``, ``python`` and ``yaml`` snippet of the README and the docs does what the page says.
 
 A page's snippets run in order, in one empty folder. A snippet whose first line is ``# name.ext`` is that file. Other
-Python runs. Other YAML is a graph, or some keys of one laid over the page's last graph, and must build. A console
+Python runs. Other YAML is a graph, or some keys laid over ur10_fast's, and must build. A console
 snippet holds commands after ``$``, and what they print: ``...`` in a line stands for any text, as a line for any lines.
 """
 
@@ -23,7 +23,7 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.cli import main
-from dmframe.config.document import read_document
+from dmframe.config.document import read_document, read_file
 from dmframe.config.graph import make_graph
 
 ROOT = Path(__file__).parents[2]
@@ -40,7 +40,6 @@ class Page:
 
     folder: Path
     names: dict[str, Any] = field(default_factory=dict)
-    graph: dict[str, Any] = field(default_factory=dict)
 
 
 def snippets(page: Path) -> list[tuple[int, str, str]]:
@@ -84,10 +83,8 @@ def run_python(text: str, shared: Page, where: str) -> None:
 def build_yaml(text: str, shared: Page) -> None:
     data = read_document(text, "snippet.yaml").data
     written(text, shared)
-    if "dmframe" in data:
-        shared.graph = data
-    else:
-        below = shared.graph or read_document(graphs()["ur10_fast"].read_text(encoding="utf-8"), "base").data
+    if "dmframe" not in data:
+        below = read_file(graphs()["ur10_fast"]).data
         data = {**below, **data, "blocks": {**below["blocks"], **data.get("blocks", {})}}
     as_text = json.dumps(data, ensure_ascii=False)  # JSON is YAML
     make_graph(read_document(as_text, "snippet.yaml"), shared.folder / "snippet.yaml").diagram()

@@ -113,7 +113,7 @@ def test_faults_of_a_graph_come_one_a_line_with_their_place(dmframe: Any, tmp_pa
     assert said.status == 2
     assert said.err.splitlines() == [
         "dmframe: bad.yaml:3:11: duration: expected a quantity in s, found '1 m': m cannot be converted to s",
-        "dmframe: bad.yaml:5:9: blocks.arm.type: manipulater: unknown block type; did you mean manipulator?",
+        "dmframe: bad.yaml:5:15: blocks.arm.type: manipulater: unknown block type; did you mean manipulator?",
     ]
 
 

@@ -274,6 +274,51 @@ def test_a_loop_across_the_wall_is_told_port_by_port() -> None:
     assert found.ports[0] == found.ports[-1]
 
 
+def test_a_chain_too_long_to_follow_is_told_in_words() -> None:
+    def link(i: int) -> AbstractBlock:
+        class Link(AbstractBlock):
+            inputs: Ports = (Port(f"s{i}"),)
+            outputs: Ports = (Port(f"s{i + 1}"),)
+
+            def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+                return Equations(outputs={f"s{i + 1}": getattr(u, f"s{i}") + 1})
+
+        return Link()
+
+    class First(AbstractBlock):
+        side: ClassVar[Side] = Side.SOURCE
+        outputs: Ports = (Port("s0"),)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"s0": ca.SX(1)})
+
+    links = {f"link{i}": link(i) for i in reversed(range(300))}
+    assert Diagram.build({**dict(list(links.items())[-40:]), "first": First()}).loop.outputs
+    assert "too many blocks pass a signal on within one instant" in str(fault({**links, "first": First()}))
+
+
+def test_the_derivative_of_a_matrix_is_one_element_by_element() -> None:
+    class Turn(AbstractBlock):
+        inputs: Ports = (Port("y_d", "", "m"),)
+        outputs: Ports = (Port("Q", "2 3"),)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            row = ca.horzcat(u.y_d, u.y_d**2, 0)
+            return Equations(outputs={"Q": ca.vertcat(row, 2 * row)})
+
+    class Rate(AbstractBlock):
+        inputs: Ports = (Port("Q", "2 3"), Port("dQ", "2 3", "1/s", derivative_of="Q"))
+        outputs: Ports = (Port("flat", "6", "1/s"),)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"flat": ca.vec(ca.densify(u.dQ))})
+
+    run = simulate(Diagram.build({"wave": Wave(), "turn": Turn(), "rate": Rate()}), 1.0, clock=0.1)
+    s, c = np.sin(2 * run.time), 2 * np.cos(2 * run.time)
+    expected = np.stack([c, 2 * c, 2 * s * c, 4 * s * c, 0 * c, 0 * c], axis=1)
+    np.testing.assert_allclose(run["rate.flat"], expected, atol=1e-12)
+
+
 def differences(values: np.ndarray, h: float) -> np.ndarray:
     """Central differences of fourth order."""
     v = values

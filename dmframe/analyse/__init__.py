@@ -1,0 +1,38 @@
+"""Linear analysis: the servo as transfer functions, poles of the loop, and how slow its clock may be."""
+
+from __future__ import annotations
+
+from dmframe.analyse.figures import bode_svg, nyquist_svg
+from dmframe.analyse.linear import Linear, linearise, tick_jacobian
+from dmframe.analyse.period import Bracket, StablePeriods, largest_stable_period, linearised_period, simulated_period
+from dmframe.analyse.rational import Passivity, Rational, passivity, transfer
+from dmframe.analyse.servo import JointLoop, Margins, margins, servo_transfer
+from dmframe.analyse.set_point import equilibrium, frozen, true_values
+from dmframe.analyse.summary import Analysis, analyse, summary
+
+__all__ = [
+    "Analysis",
+    "Bracket",
+    "JointLoop",
+    "Linear",
+    "Margins",
+    "Passivity",
+    "Rational",
+    "StablePeriods",
+    "analyse",
+    "bode_svg",
+    "equilibrium",
+    "frozen",
+    "largest_stable_period",
+    "linearise",
+    "linearised_period",
+    "margins",
+    "nyquist_svg",
+    "passivity",
+    "servo_transfer",
+    "simulated_period",
+    "summary",
+    "tick_jacobian",
+    "transfer",
+    "true_values",
+]

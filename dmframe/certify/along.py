@@ -1,0 +1,115 @@
+"""V along a run: the same expressions that were proved, evaluated at what was simulated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certify.claim import Claim
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import ValueFault
+from dmframe.simulate import Run
+from dmframe.simulate.start import loop_trajectories
+
+CHUNK = 2048
+"""Samples evaluated in one call."""
+
+
+@final
+@dataclass(frozen=True)
+class TermAlong:
+    r"""One term of V: :math:`\tfrac12 \kappa |a|_W^2` of `block`, or without kappa for a cascade; (N,) values."""
+
+    block: str
+    of: str
+    values: np.ndarray
+
+
+@final
+@dataclass(frozen=True)
+class Along:
+    """V and its terms at every sample of a run.
+
+    Parameters
+    ----------
+    time
+        (N,) [s].
+    kappa
+        The weight of the servo level.
+    """
+
+    time: np.ndarray
+    kappa: float
+    V: np.ndarray
+    terms: tuple[TermAlong, ...]
+
+    @property
+    def steps(self) -> np.ndarray:
+        """(N - 1,) V at each sample minus V at the one before."""
+        with np.errstate(over="ignore", invalid="ignore"):  # the last samples of a run that diverged
+            return np.diff(self.V)
+
+    @property
+    def largest_increase(self) -> float:
+        """The most that V rises from one sample to the next; 0 where it never rises."""
+        return float(max(0.0, np.max(self.steps, initial=0.0)))
+
+    @property
+    def increase_at(self) -> float | None:
+        """When the largest increase begins [s]; None where V never rises."""
+        steps = self.steps
+        return float(self.time[int(np.argmax(steps))]) if steps.size and np.max(steps) > 0 else None
+
+    @property
+    def rises(self) -> int:
+        """From how many samples to the next V rises."""
+        return int(np.count_nonzero(self.steps > 0))
+
+
+def along(claim: Claim, run: Run, kappa: float = 1.0) -> Along:
+    r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
+
+    Parameters
+    ----------
+    claim
+        Of the diagram that was run, or of one of the same blocks and parameters' sizes.
+    kappa
+        Above the least that pays for the cascade, as `Verdict.kappa` says; without a cascade it has no effect.
+
+    Raises
+    ------
+    ValueFault
+        A run whose states are not those of the claim.
+    """
+    variables = (*claim.loop.controller, *claim.loop.plant)
+    missing = [variable.label for variable in variables if variable.label not in run.states]
+    if missing:
+        raise ValueFault(f"V along a run: expected the run to hold {missing[0]}, found {', '.join(run.states)}")
+    named = [(part.block, square, claim.weight(part)) for part in claim.parts for square in part.certificate.storage]
+    rows = _evaluated(claim, run, [weight * square.value / 2 for _, square, weight in named], kappa)
+    terms = tuple(TermAlong(block, square.of, row) for (block, square, _), row in zip(named, rows, strict=True))
+    with np.errstate(over="ignore", invalid="ignore"):
+        total = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
+    return Along(run.time, kappa, total, terms)
+
+
+def _evaluated(claim: Claim, run: Run, expressions: list[Any], kappa: float) -> np.ndarray:
+    """Each expression at every sample, (terms, N), with the trajectories as the functions of time that they are."""
+    loop, count = claim.loop, run.time.size
+    column = loop_trajectories(loop, stack(expressions))
+    if not claim.kappa.is_constant():
+        column = ca.substitute(column, claim.kappa, kappa)
+    states = np.hstack([run.states[variable.label] for variable in (*loop.controller, *loop.plant)]).T
+    function = ca.Function("terms", [loop.state, loop.time, loop.p], [ca.cse(column)])
+    values, mapped = np.empty((len(expressions), count)), dict[int, Any]()
+    for first in range(0, count, CHUNK):
+        part = slice(first, min(first + CHUNK, count))
+        size = part.stop - part.start
+        if size not in mapped:
+            mapped[size] = function.map(size)
+        moment = np.tile(run.diagram.loop.p_values[:, None], size)
+        values[:, part] = mapped[size](states[:, part], run.time[None, part], moment).full()
+    return values

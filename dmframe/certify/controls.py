@@ -1,0 +1,152 @@
+"""Negative controls: faults put in on purpose, each of which the exact test must see."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim, Field, total
+from dmframe.certify.symbols import Group, Symbols
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
+from dmframe.port import Side
+
+ATTEMPTS = 20
+
+
+@final
+@dataclass(frozen=True)
+class Control:
+    """A fault put in on purpose, and whether the test saw it."""
+
+    fault: str
+    refuted: bool
+
+
+@final
+@dataclass(frozen=True)
+class _Fault:
+    """A factor of a rate or of a term, 1 in the claim as it stands; `matters`: what must not be zero, or it is none."""
+
+    name: str
+    factor: SX
+    value: int
+    matters: SX
+
+
+def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Control, ...]:
+    """Faults that must be refuted: each rate's sign flipped, each term dropped, each gain changed in one place.
+
+    The faults stand in the field, in V and in the dissipation, and all of it is differentiated and evaluated anew. A
+    term that is identically zero (friction that the plant has not) and a gain that V does not hold are no faults.
+    """
+    gains = _gains(claim, symbols)
+    copies = [ca.SX.sym(f"{gain.label}.changed", gain.symbol.shape) for gain in gains]
+    field = Field(claim.diagram)
+    if gains:
+        field = field.with_parameters(stack(gain.symbol for gain in gains), stack(copies))
+    faults, residual = _faulty(claim, field)
+    factors = [fault.factor for fault in faults]
+    tape = Tape.from_function(symbols.function("controls", [residual], [*copies, *factors]))
+    terms = Tape.from_function(symbols.function("terms", [fault.matters for fault in faults]))
+    point = _Point(tape, symbols, gains, len(faults), random.Random(seed + 1))
+    found = [
+        Control(fault.name, point.refutes(None, k, fault.value))
+        for k, (fault, (weight,)) in enumerate(zip(faults, point.values(terms), strict=True))
+        if weight
+    ]
+    found += [Control(f"{gain.label} changed in the equations only", point.refutes(gain.label)) for gain in gains]
+    return tuple(found)
+
+
+def _gains(claim: Claim, symbols: Symbols) -> list[Group]:
+    """The controller's parameters that V or its dissipation holds."""
+    blocks = claim.diagram.blocks
+    held = symbols_in([claim.V, *(part.dissipation for part in claim.parts)])
+    controllers = {name for name, block in blocks.items() if block.side is Side.CONTROLLER}
+    return [
+        group
+        for group in symbols.groups
+        if group.label.split(".")[0] in controllers and held & hashes(group.symbol) and group.kind == "parameter"
+    ]
+
+
+def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
+    """All faults, and the residual as a function of their factors."""
+    flips = dict(_flips(claim))
+    field = field.with_factors({label: fault.factor for label, fault in flips.items()})
+    faults, own = list(flips.values()), list[SX]()
+    for part in claim.parts:
+        rate = dissipation = ca.SX(0)
+        for square in part.certificate.storage:
+            term = field.derivative(square.value / 2)
+            if not term.is_zero():
+                matters = Field(claim.diagram).derivative(square.value / 2)
+                faults.append(_dropped(f"{part.block}: storage of {square.of} dropped", matters))
+                rate += faults[-1].factor * term
+        for spent in part.certificate.dissipation:
+            faults.append(_dropped(f"{part.block}: dissipation of {spent.of} dropped", spent.value))
+            dissipation += faults[-1].factor * spent.value
+        own.append(claim.weight(part) * (rate + dissipation - part.lemma))
+    return faults, total(own) - claim.consumption
+
+
+def _flips(claim: Claim) -> Iterator[tuple[str, _Fault]]:
+    V, loop = claim.V, claim.loop
+    for variable in loop.controller:
+        (rate,) = loop.joined([variable.rate])
+        gained = ca.dot(ca.gradient(V, variable.symbol), ca.densify(rate))
+        if not gained.is_zero():
+            name = f"sign of d {variable.label}/dt flipped"
+            yield variable.label, _Fault(name, ca.SX.sym(name), -1, gained)
+
+
+def _dropped(name: str, matters: SX) -> _Fault:
+    return _Fault(name, ca.SX.sym(name), 0, matters)
+
+
+@final
+class _Point:
+    """One random point of a random prime field, at which one fault after the other is put in."""
+
+    def __init__(self, tape: Tape, symbols: Symbols, gains: Sequence[Group], factors: int, rng: random.Random) -> None:
+        self._tape, self._gains, self._factors = tape, gains, factors
+        for _ in range(ATTEMPTS):
+            self._trial = Trial(random_prime(rng), rng)
+            try:
+                self._own = {group.label: residues(self._trial, group) for group in symbols.groups}
+                self.refutes(None)
+            except ZeroDivision:
+                continue
+            return
+        raise ZeroDivision("a denominator vanishes at every random point")
+
+    def refutes(self, gain: str | None, fault: int | None = None, value: int = 1) -> bool:
+        """Is the residual not zero with this gain changed, and this factor at this value?"""
+        copies = [
+            [self._trial.random() for _ in self._own[g.label]] if g.label == gain else self._own[g.label]
+            for g in self._gains
+        ]
+        factors = [[value % self._trial.prime] if k == fault else [1] for k in range(self._factors)]
+        return self._tape.evaluate([*self._own.values(), *copies, *factors], self._trial)[0][0] != 0
+
+    def values(self, tape: Tape) -> list[list[int]]:
+        """The outputs of another tape at the same point."""
+        return tape.evaluate(list(self._own.values()), self._trial)
+
+
+def residues(trial: Trial, group: Group, known: Mapping[str, Sequence[Fraction]] | None = None) -> list[int]:
+    """A group's random residues, or its own where it is not free or `known`."""
+    values = (known or {}).get(group.label, group.values)
+    return (
+        [trial.random() for _ in range(group.symbol.numel())]
+        if values is None
+        else [trial.residue(value) for value in values]
+    )

@@ -1,0 +1,74 @@
+"""Matrices that weigh squares: positive definite, decided by rational factors or by the bodies that the links are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from fractions import Fraction
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim
+from dmframe.certify.symbols import symbols_of
+from dmframe.exact import zero_test
+from dmframe.exact.rational import Interval
+
+Number = Fraction | Interval
+
+
+def pivots(matrix: Sequence[Sequence[Number]]) -> list[Fraction]:
+    """The diagonal of LDL', exactly, up to the first pivot that is not positive; of an interval, its lower end."""
+    rows: list[list[Any]] = [list(row) for row in matrix]
+    if any(isinstance(value, Interval) for row in rows for value in row):
+        rows = [[Interval.of(value) for value in row] for row in rows]
+    found = list[Fraction]()
+    for j in range(len(rows)):
+        pivot = rows[j][j]
+        found.append(pivot.lower if isinstance(pivot, Interval) else pivot)
+        if found[-1] <= 0:
+            break
+        for i in range(j + 1, len(rows)):
+            factor = rows[i][j] / pivot
+            rows[i] = [above - factor * below for above, below in zip(rows[i], rows[j], strict=True)]
+    return found
+
+
+def pseudo_inertia(row: Sequence[Fraction]) -> list[list[Fraction]]:
+    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
+    m, x, y, z, xx, xy, yy, xz, yz, zz = row
+    half = (xx + yy + zz) / 2
+    return [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
+
+
+def least_body_pivot(robot: Any) -> Fraction:
+    """Above zero iff each link's inertia is that of some mass distribution, which makes M(q) > 0 at every q."""
+    return min(min(pivots(pseudo_inertia(row))) for row in robot.inertia)
+
+
+def is_mass_matrix(claim: Claim, weight: SX) -> bool:
+    """Is a weight, identically, the mass matrix of the diagram's robot at a state of its plant?"""
+    symbols = symbols_of(claim)
+    for q, robot in _poses(claim):
+        if weight.shape == (robot.n, robot.n):
+            difference = symbols.function("difference", [weight - robot.mass_matrix(q)])
+            if zero_test(difference, values=symbols.fixed).zero:
+                return True
+    return False
+
+
+def _poses(claim: Claim) -> Iterator[tuple[SX, Any]]:
+    for variable in claim.loop.plant:
+        robot = claim.diagram.models[variable.block].robot
+        if robot is not None and variable.symbol.numel() == robot.n:
+            yield variable.symbol, robot
+
+
+def least_sampled(claim: Claim, weight: SX) -> float:
+    """The least eigenvalue of a weight at 200 sampled states."""
+    loop = claim.loop
+    function = ca.Function("W", [loop.state, loop.p], [weight])
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-np.pi, np.pi, (200, loop.state.numel()))
+    return min(float(np.linalg.eigvalsh(function(state, loop.p_values).full())[0]) for state in states)

@@ -1,0 +1,94 @@
+"""Is z'' + a z' + b z = 0 stable while a and b move anywhere in their boxes? One Lyapunov matrix, found and checked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from fractions import Fraction
+from functools import cache
+from itertools import product
+
+Corners = Sequence[tuple[Fraction, Fraction]]
+Range = tuple[Fraction, Fraction]
+
+STEPS = 50
+"""Of the searches: each narrows its interval by a third or a half."""
+
+
+@cache
+def common_margin(a: Range, b: Range) -> Fraction:
+    r"""How negative :math:`A^\top P + P A` is, at its worst corner, for the best P = [[x, y], [y, 1]] found.
+
+    With :math:`A = [[0, 1], [-b, -a]]` it is [[-2 y b, x - y a - b], [., 2 y - 2 a]]. The largest eigenvalue of a
+    symmetric [[r, s], [s, t]] is below -m iff r + m < 0 and (r + m)(t + m) > s^2: decided in rational numbers, with m
+    found by bisection. A positive margin proves stability; zero says that there is no P, or none that numbers find.
+    """
+    corners = list(product(a, b))
+    return max((_margin(P, corners) for P in _candidates(corners)), default=Fraction(0))
+
+
+def _margin(P: tuple[Fraction, Fraction], corners: Corners) -> Fraction:
+    low, high = Fraction(0), Fraction(1)
+    if P[0] <= P[1] * P[1] or not _negative(P, corners, low):
+        return low
+    while _negative(P, corners, high):
+        high *= 2
+    for _ in range(STEPS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _negative(P, corners, middle) else (low, middle)
+        if low > 0 and high - low < low / 2**20:
+            break
+    return low
+
+
+def _negative(P: tuple[Fraction, Fraction], corners: Corners, m: Fraction) -> bool:
+    x, y = P
+    for a, b in corners:
+        r, s, t = -2 * y * b + m, x - y * a - b, 2 * y - 2 * a + m
+        if not (r < 0 and r * t > s * s):
+            return False
+    return True
+
+
+def _candidates(corners: Corners) -> list[tuple[Fraction, Fraction]]:
+    """Matrices P worth a check: in the middle of what is allowed, and with the margin as large as a search makes it.
+
+    For a given y, x must lie within sqrt(4 y b (a - y)) of y a + b at each corner. The width that is left over is
+    concave in y, so that a search by thirds finds its maximum, and no P where there is none.
+    """
+    if any(a <= 0 or b <= 0 for a, b in corners):
+        return []
+    points = [(float(a), float(b)) for a, b in corners]
+    top = min(a for a, _ in points)
+    widest = _thirds(lambda y: _width(y, points)[0], 0.0, top)
+    width, middle = _width(widest, points)
+    if width <= 0:
+        return []
+    best = _thirds(lambda y: -_worst(_best_x(y, points), y, points), 0.0, top)
+    pairs = [(middle, widest), (_best_x(best, points), best)]
+    return [(Fraction(x), Fraction(y)) for x, y in pairs]
+
+
+def _width(y: float, points: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The width of the interval in which x must lie, and its middle."""
+    reaches = [(y * a + b, 2 * math.sqrt(max(0.0, y * b * (a - y)))) for a, b in points]
+    lower, upper = max(x - r for x, r in reaches), min(x + r for x, r in reaches)
+    return upper - lower, (lower + upper) / 2
+
+
+def _best_x(y: float, points: Sequence[tuple[float, float]]) -> float:
+    ends = [y * a + b for a, b in points]
+    return _thirds(lambda x: -_worst(x, y, points), min(ends), max(ends))
+
+
+def _worst(x: float, y: float, points: Sequence[tuple[float, float]]) -> float:
+    """The largest eigenvalue at any corner; convex in (x, y)."""
+    return max(y - a - y * b + math.hypot(y - a + y * b, x - y * a - b) for a, b in points)
+
+
+def _thirds(f: Callable[[float], float], low: float, high: float) -> float:
+    """Where a concave function is largest."""
+    for _ in range(STEPS):
+        left, right = low + (high - low) / 3, high - (high - low) / 3
+        low, high = (low, right) if f(left) > f(right) else (left, high)
+    return (low + high) / 2

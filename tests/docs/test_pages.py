@@ -1,0 +1,140 @@
+"""Pages: links resolve, what a page lists is what there is."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer.main
+from typer.testing import CliRunner
+
+from dmframe.catalogue import graphs
+from dmframe.cli.app import app
+from dmframe.config.document import read_document, read_file
+from dmframe.config.graph import GraphFile, RobotSection, SolverSection
+from dmframe.robot.library import robots
+
+ROOT = Path(__file__).parents[2]
+PAGES = [*ROOT.glob("*.md"), *ROOT.joinpath("docs").rglob("*.md")]
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+CODE = re.compile(r"```.*?```", re.DOTALL)
+
+
+def read(*parts: str) -> str:
+    return ROOT.joinpath(*parts).read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_between_pages_resolve(page: Path) -> None:
+    links = [link for link in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))) if "://" not in link]
+    missing = [link for link in links if not page.parent.joinpath(link.split("#")[0]).exists()]
+    assert missing == []
+
+
+def test_every_page_can_be_reached_from_the_readme() -> None:
+    seen, todo = set[Path](), [ROOT / "README.md"]
+    while todo:
+        page = todo.pop().resolve()
+        if page in seen or page.suffix != ".md" or not page.is_file():
+            continue
+        seen.add(page)
+        todo += [page.parent / link for link in LINK.findall(page.read_text(encoding="utf-8"))]
+    assert sorted(page.name for page in ROOT.joinpath("docs").rglob("*.md") if page.resolve() not in seen) == []
+
+
+def test_the_reference_lists_every_command_and_option() -> None:
+    text = read("docs", "reference", "command_line.md")
+    group = typer.main.get_command(app)
+    for name, command in group.commands.items():  # type: ignore[attr-defined]
+        assert f"`dmframe {name}" in text, name
+        rows = [line for line in text.splitlines() if line.startswith(f"| `dmframe {name}")]
+        for option in (option for parameter in command.params for option in parameter.opts if option.startswith("--")):
+            short = option in ("--help",) or "-o" in next(p.opts for p in command.params if option in p.opts)
+            assert short or any(option in row for row in rows), f"{name} {option}"
+
+
+def test_the_reference_lists_every_key_of_a_graph_file() -> None:
+    text = read("docs", "reference", "graph_file.md")
+    for section in (GraphFile, RobotSection, SolverSection):
+        for key in section.model_fields:
+            assert f"`{key}`" in text, key
+
+
+def test_the_how_to_lists_every_packaged_robot() -> None:
+    text = read("docs", "how_to", "robots.md")
+    assert all(f"`{name}`" in text for name in robots())
+
+
+def test_the_readmes_two_commands_are_targets_of_the_makefile() -> None:
+    commands = re.findall(r"^make (\w+)", read("README.md"), re.MULTILINE)
+    assert commands == ["run", "test"]
+    assert all(re.search(rf"^{target}:", read("Makefile"), re.MULTILINE) for target in commands)
+
+
+def test_the_readmes_graph_is_the_packaged_one() -> None:
+    text = re.search(r"```yaml\n(.*?)```", read("README.md"), re.DOTALL)
+    assert text is not None
+    shown, packaged = read_document(text[1], "README").data, read_file(graphs()["ur10_fast"]).data
+    assert {**shown, "title": ""} == {**packaged, "title": ""}
+
+
+def test_the_readmes_picture_is_small_enough() -> None:
+    (picture,) = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", read("README.md"))
+    assert ROOT.joinpath(picture).stat().st_size < 300_000
+
+
+def test_the_readme_is_short() -> None:
+    assert len(read("README.md").splitlines()) <= 125
+
+
+def test_the_readmes_figures_are_those_that_the_tests_hold() -> None:
+    tree = ast.parse(read("tests", "blocks", "test_section_v.py"))
+    (table,) = (
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "RMS"
+    )
+    assert len(table) == 5
+    assert all(f"{error} mm" in read("README.md") for error in table.values())
+
+
+def test_claims_name_paths_and_commands_that_exist() -> None:
+    rows = [line for line in read("CLAIMS.md").splitlines() if line.startswith("| ")][1:]
+    assert len(rows) > 10
+    group = typer.main.get_command(app)
+    targets = set(re.findall(r"^(\w+):", read("Makefile"), re.MULTILINE))
+    for row in rows:
+        shown = re.findall(r"`([^`]+)`", row.strip("|").split(" | ")[1])
+        assert shown, row
+        for item in shown:
+            words = item.split()
+            if words[0] == "dmframe":
+                assert words[1] in group.commands, row  # type: ignore[attr-defined]
+            elif words[0] == "make":
+                assert words[1] in targets, row
+            else:
+                assert ROOT.joinpath(item.split("::")[0]).exists(), row
+                if "::" in item:
+                    assert f"def {item.split('::')[1]}(" in read(item.split("::")[0]), row
+
+
+def test_no_page_names_a_machines_folder() -> None:
+    pattern = re.compile(r"/(?:work|root|tmp|home)/")
+    assert [str(page) for page in PAGES if pattern.search(page.read_text(encoding="utf-8"))] == []
+
+
+def test_the_citation_file_has_the_version_of_the_distribution() -> None:
+    version = tomllib.loads(read("pyproject.toml"))["project"]["version"]
+    assert f"\nversion: {version}\n" in read("CITATION.cff")
+
+
+def test_the_reference_lists_every_key_of_the_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = read("docs", "reference", "command_line.md")
+    for words in (["run", "arm2_joint", "--until", "0.1", "--no-plots", "--json"], ["verify", "arm2_joint", "--json"]):
+        said = CliRunner().invoke(app, words)
+        assert all(f"`{key}`" in text for key in json.loads(said.stdout)), words

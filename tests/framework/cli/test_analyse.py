@@ -1,0 +1,40 @@
+"""``dmframe analyse``: a page, JSON, faults."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+
+def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
+    said = dmframe("analyse", "pendulum", "--horizon", "2")
+    assert (said.status, said.err) == (0, "")
+    for expected in ("crossover", "phase margin", "slowest pole", "poles at zero", "linearised, moving", "simulated"):
+        assert expected in said.out
+    (row,) = (line for line in said.out.splitlines() if line.split()[:1] == ["joint1"])
+    assert row.split()[-2:] == ["no", "yes"]  # a PID servo is passive only with its inverse
+
+
+def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> None:
+    told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=2 ms", "--json").out)
+    assert set(told) == {"graph", "clock", "set_point", "at_rest", "moving", "joints", "largest_stable_period", "note"}
+    assert told["clock"] == 0.002
+    assert max(real for real, _ in told["at_rest"]["poles"]) < 0
+    assert told["at_rest"]["spectral_radius"] < 1
+    period = told["largest_stable_period"]["at_rest"]
+    assert 0.002 < period["stable"] < period["unstable"] < 0.005
+    assert told["joints"][0]["servo"]["num"] == pytest.approx([60, 240])
+    assert told["joints"][0]["gain_margin"] is None
+
+
+def test_a_clock_beyond_the_largest_period_has_a_spectral_radius_above_one(dmframe: Any) -> None:
+    told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=5 ms", "--json").out)
+    assert told["at_rest"]["spectral_radius"] > 1
+
+
+def test_a_horizon_that_is_no_time_is_refused(dmframe: Any) -> None:
+    said = dmframe("analyse", "pendulum", "--horizon", "-1")
+    assert said.status == 2
+    assert "horizon: expected a positive number of seconds, found -1" in said.err

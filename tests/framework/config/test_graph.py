@@ -1,0 +1,119 @@
+"""A graph from its file: what it reads, what `--set` changes, and blocks that come from elsewhere."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmframe.catalogue import graphs
+from dmframe.config.graph import load_graph, placed
+from dmframe.errors import DmframeError
+from dmframe.simulate import Solver, simulate
+
+PENDULUM = graphs()["pendulum"].read_text()
+
+LEAKY = '''\
+from typing import ClassVar
+from dmframe.block import AbstractBlock, Equations
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, State
+
+
+class Leaky(AbstractBlock):
+    """A filtered measurement."""
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("q_slow", "n", "rad"),)
+    states: ClassVar[tuple[State, ...]] = (State("kept", "n", "rad"),)
+    rate: Scalar = Positive("", "1/s")
+
+    def equations(self, u, x, p):
+        return Equations(outputs={"q_slow": 2 * x.kept}, rates={"kept": p.rate * (u.q - x.kept)})
+'''
+
+
+def test_a_file_says_robot_clock_duration_solver_start_and_blocks(tmp_path: Path) -> None:
+    text = PENDULUM.replace("clock: continuous", "clock: 5 ms").replace(
+        "blocks:", "solver: {method: cvodes, tolerance: 1e-6, output: 20 ms}\nstart: {q: 5 deg, dq: [0.25]}\nblocks:"
+    )
+    (tmp_path / "own.yaml").write_text(text)
+    graph = load_graph(tmp_path / "own.yaml")
+    assert graph.name == "own"
+    assert (graph.file.clock, graph.file.duration) == (0.005, 30.0)
+    assert graph.solver == Solver("cvodes", 0.001, 0.02, 1e-6)
+    assert graph.start == {"q": pytest.approx(np.pi / 36), "dq": [0.25]}
+    assert list(graph.blocks) == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]
+    assert graph.robot.name == "pendulum"
+
+
+def test_a_continuous_clock_is_no_period() -> None:
+    assert load_graph("pendulum").file.clock is None
+
+
+def test_an_override_goes_before_the_file_and_leaves_it_alone() -> None:
+    graph = load_graph(
+        "pendulum", ["task.alpha=3", "clock=4 ms", "blocks.servo.K_D=[25]", "robot.friction_velocity=0.01"]
+    )
+    assert graph.blocks["task"].alpha == 3.0  # type: ignore[attr-defined]
+    assert graph.blocks["servo"].K_D == (25.0,)  # type: ignore[attr-defined]
+    assert graph.file.clock == 0.004
+    assert graph.robot.friction_velocity == 0.01
+    assert graph.data["blocks"]["task"]["alpha"] == 3
+    assert graph.document.data["blocks"]["task"]["alpha"] == 2
+
+
+def test_the_last_override_of_a_value_holds() -> None:
+    assert load_graph("pendulum", ["task.alpha=3", "task.alpha=4"]).blocks["task"].alpha == 4.0  # type: ignore[attr-defined]
+
+
+def test_a_fault_that_an_override_brought_is_placed_there() -> None:
+    with pytest.raises(DmframeError) as caught:
+        load_graph("pendulum", ["servo.K_D=[1, 2]"]).diagram()
+    assert str(caught.value) == "--set servo.K_D=[1, 2]: servo.K_D: expected n = 1 (bound by robot pendulum), found 2"
+
+
+def test_another_duration_leaves_the_graph_as_it_was() -> None:
+    graph = load_graph("pendulum")
+    assert graph.with_duration(1.5).file.duration == 1.5
+    assert graph.file.duration == 30.0
+
+
+def test_a_users_block_beside_the_graph_runs_from_any_folder(tmp_path: Path) -> None:
+    (tmp_path / "my_block.py").write_text(LEAKY)
+    own = "  slow:     {type: my_block.py:Leaky, rate: 3}\n"
+    (tmp_path / "own.yaml").write_text(PENDULUM + own)
+    graph = load_graph(tmp_path / "own.yaml")
+    run = simulate(graph.diagram(), 6.0, solver=graph.solver, start=graph.start)
+    slow, q = run["slow.kept"].ravel(), run["arm.q"].ravel()
+    np.testing.assert_allclose(run["slow.q_slow"].ravel(), 2 * slow)
+    np.testing.assert_allclose(np.gradient(slow, run.time)[1:-1], (3 * (q - slow))[1:-1], atol=1e-3)
+
+
+def test_a_users_block_that_reads_what_is_hidden_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "my_block.py").write_text(
+        LEAKY.replace('Port("q", "n", "rad"),', 'Port("u", "n", "V"),').replace("u.q", "u.u")
+    )
+    (tmp_path / "own.yaml").write_text(PENDULUM + "  slow:     {type: my_block.py:Leaky, rate: 3}\n")
+    graph = load_graph(tmp_path / "own.yaml")
+    with pytest.raises(DmframeError) as caught:
+        graph.diagram()
+    assert str(caught.value).endswith("servo.u is hidden: slow.u cannot read it (the robot's architecture is closed)")
+
+
+def test_a_start_that_cannot_be_is_placed_in_the_file(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(PENDULUM.replace("blocks:", "start: {q: [9]}\nblocks:"))
+    graph = load_graph(tmp_path / "own.yaml")
+    with pytest.raises(DmframeError) as caught:
+        simulate(graph.diagram(), 1.0, start=graph.start)
+    fault = placed(caught.value, graph.document)
+    assert fault.location.endswith("own.yaml:6:12")
+
+
+def test_every_file_is_read_without_its_folder_being_the_current_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for path in graphs().values():
+        assert load_graph(path).diagram().loop.plant

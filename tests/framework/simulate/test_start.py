@@ -1,0 +1,99 @@
+"""Where a run begins: at rest, on the path, gravity held, commands where the robot is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmframe.config.graph import Graph, load_graph
+from dmframe.errors import StartError, ValueFault
+from dmframe.simulate import simulate, start_state
+from dmframe_plants.arm2 import closed_form
+
+GRAPH = """\
+dmframe: 1
+robot: arm2
+clock: 4 ms
+duration: 2 s
+blocks:
+  goal:    {type: setpoint, q_d: [0.6, 0.9]}
+  task:    {type: joint_tracking, alpha: 2}
+  inverse: {type: kinematic_command}
+  servo:   {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:     {type: manipulator, viscous: [1, 0.5], K: [2, 3]}
+"""
+PID = ("{type: pi_servo, K_P: [60, 30], K_I: [240, 120]}", "{type: pid_servo, K_D: 60, K_P: 180, K_I: 100}")
+TASK = (
+    "  goal:    {type: setpoint, q_d: [0.6, 0.9]}\n  task:    {type: joint_tracking, alpha: 2}\n",
+    "  goal:    {type: setpoint, x_d: [0.5, 0.4]}\n  geometry: {type: kinematics}\n"
+    "  task:     {type: task_tracking, gamma: 1}\n",
+)
+
+
+def graph(folder: Path, *changes: tuple[str, str]) -> Graph:
+    text = GRAPH
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "g.yaml").write_text(text)
+    return load_graph(folder / "g.yaml")
+
+
+def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np.ndarray]:
+    loop = (diagram := graph(folder, *changes).diagram()).loop
+    state, found = start_state(diagram, given), dict[str, np.ndarray]()
+    for variable in (*loop.controller, *loop.plant):
+        found[variable.label], state = state[: variable.symbol.numel()], state[variable.symbol.numel() :]
+    return found
+
+
+@pytest.mark.parametrize("servo", [PID[0], PID[1]], ids=["pi", "pid"])
+def test_a_robot_whose_reference_stands_still_does_not_move(servo: str, tmp_path: Path) -> None:
+    made = graph(tmp_path, (PID[0], servo))
+    run = simulate(made.diagram(), 2.0, clock=0.004)
+    np.testing.assert_allclose(run["arm.q"], np.tile([0.6, 0.9], (run.time.size, 1)), atol=1e-12)
+    np.testing.assert_allclose(run["servo.u"], run["arm.g"] / [2, 3], rtol=1e-12)
+
+
+def test_the_integrator_holds_gravity_and_the_command_starts_where_the_robot_is(tmp_path: Path) -> None:
+    found = begin(tmp_path)
+    np.testing.assert_allclose(found["servo.i"], -closed_form.gravity_torque(np.array([0.6, 0.9])) / [480, 360])
+    np.testing.assert_allclose(found["servo.q_c"], [0.6, 0.9])
+
+
+@pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast"])
+def test_a_run_begins_at_rest_with_both_references_at_the_measured_pose(name: str) -> None:
+    made = load_graph(name)
+    run = simulate(made.diagram(), 0.1, clock=made.file.clock, solver=made.solver, start=made.start)
+    assert np.all(run["arm.dq"][0] == 0)
+    np.testing.assert_array_equal(run["servo.q_c"][0], run["arm.q"][0])
+    np.testing.assert_array_equal(run["inverse.q_r"][0], run["arm.q"][0])
+
+
+def test_a_task_starts_on_its_path_in_the_branch_that_is_near(tmp_path: Path) -> None:
+    up, down = begin(tmp_path, TASK, near=[-0.2, 1.8])["arm.q"], begin(tmp_path, TASK, near=[1.6, -1.8])["arm.q"]
+    np.testing.assert_allclose(closed_form.position(up), [0.5, 0.4], atol=1e-9)
+    np.testing.assert_allclose(closed_form.position(down), [0.5, 0.4], atol=1e-9)
+    assert up[1] > 0 > down[1]
+
+
+def test_given_values_win_over_the_path_and_over_the_blocks_own(tmp_path: Path) -> None:
+    found = begin(tmp_path, q=[0.1, 0.2], dq=0.3, **{"servo.i": [1, 2]})
+    np.testing.assert_array_equal(found["arm.q"], [0.1, 0.2])
+    np.testing.assert_array_equal(found["arm.dq"], [0.3, 0.3])
+    np.testing.assert_array_equal(found["servo.i"], [1, 2])
+    np.testing.assert_array_equal(found["servo.q_c"], [0.1, 0.2])
+
+
+def test_a_pose_out_of_reach_or_of_the_limits_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        StartError, match=r"start: arm\.x cannot reach goal\.x_d\(0\) = \[5, 0\.4\]; the nearest pose is"
+    ):
+        begin(tmp_path, TASK, ("x_d: [0.5,", "x_d: [5,"))
+    with pytest.raises(StartError, match=r"start\.q: expected joint1 between -3\.1 and 3\.1, found 4"):
+        begin(tmp_path, q=[4, 0])
+    with pytest.raises(ValueFault, match=r"start\.near: expected 2 finite numbers, found 3"):
+        begin(tmp_path, TASK, near=[1, 2, 3])

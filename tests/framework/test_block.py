@@ -1,0 +1,105 @@
+"""Blocks: parameters, names, the contract of a class, and what equations may read."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals, type_name
+from dmframe.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.port import Port, State
+
+
+class LeakyThing(AbstractBlock):
+    rate: Scalar = Positive("", "1/s")
+    offset: Diagonal = Real("n", "m", default=0.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations()
+
+
+def fault(kind: type[AbstractBlock], **values: Any) -> DmframeError:
+    with pytest.raises(DmframeError) as caught:
+        kind(**values)
+    return caught.value
+
+
+def test_a_type_is_the_class_name_in_snake_case() -> None:
+    assert type_name(LeakyThing) == "leaky_thing"
+
+
+def test_parameters_are_read_with_their_units() -> None:
+    block = LeakyThing(rate="2 1/s", offset=["1 mm", 2])
+    assert (block.rate, block.offset) == (2.0, (0.001, 2.0))
+
+
+def test_a_misspelt_parameter_is_told_once_with_the_nearest() -> None:
+    found = fault(LeakyThing, rat=1)
+    assert isinstance(found, UnknownNameError)
+    assert str(found) == "leaky_thing.rat: unknown parameter of leaky_thing; did you mean rate?"
+    assert found.path == ("rat",)
+
+
+def test_a_missing_parameter_is_told_with_its_unit() -> None:
+    found = fault(LeakyThing)
+    assert isinstance(found, MissingError)
+    assert str(found) == "leaky_thing: leaky_thing needs the parameter rate [1/s]"
+
+
+def test_all_faults_of_a_block_are_told_together() -> None:
+    found = fault(LeakyThing, rate=-1, offset="x", self=3)
+    assert isinstance(found, Faults)
+    assert [type(item) for item in found.faults] == [ValueFault, ValueFault, UnknownNameError]
+
+
+def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
+    signals = Signals("task", "inputs", {"dq_ref": 1, "sigma": 2})
+    assert signals.sigma == 2
+    assert "sigma" in signals
+    assert list(signals) == ["dq_ref", "sigma"]
+    with pytest.raises(BlockError) as caught:
+        _ = signals.dq_reff
+    assert str(caught.value) == "task: its equations read dq_reff, which is none of its inputs; did you mean dq_ref?"
+
+
+@pytest.mark.parametrize(
+    ("members", "text"),
+    [
+        ({"inputs": (Port("a"), Port("a"))}, "declares the input a twice"),
+        ({"outputs": ("a",)}, "expected each output to be a Port, found 'a'"),
+        ({"states": (State("a", "", "fortnight"),)}, "the unit of the state a: unknown unit fortnight; "),
+        (
+            {"inputs": (Port("da", derivative_of="b"), Port("a"))},
+            "the input da is declared the derivative of b, unknown; choose from a, da",
+        ),
+        (
+            {"states": (State("a", box="a_bux"),)},
+            "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
+        ),
+        ({"states": (State("a", "n"),)}, "the parameter a and the state that starts there have different shapes"),
+    ],
+)
+def test_a_class_that_breaks_the_contract_is_told_how(members: dict[str, Any], text: str) -> None:
+    class Bad(AbstractBlock):
+        a: Scalar = Real(default=0.0)
+        a_box: Box = Interval()
+        inputs: ClassVar[Any] = members.get("inputs", ())
+        outputs: ClassVar[Any] = members.get("outputs", ())
+        states: ClassVar[Any] = members.get("states", ())
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations()
+
+    (found,) = Bad.contract("mine")
+    assert isinstance(found, BlockError)
+    assert str(found).startswith(f"mine: {text}")
+
+
+def test_a_block_with_no_more_than_equations_keeps_the_contract() -> None:
+    block = LeakyThing(rate=1)
+    nothing = Signals("", "", {})
+    assert LeakyThing.contract("mine") == []
+    assert block.certificate(nothing, nothing, nothing, nothing) is None
+    assert block.sizes(None) == {}
