@@ -57,7 +57,7 @@ class AdaptiveKinematics(AbstractBlock):
         Port("dq", "n", "rad/s"),
         Port("e_k", "m", "m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("J_hat", "m n", "m/rad"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("J_hat", "m n", "m/rad", full_rank=True),)
     states: ClassVar[tuple[State, ...]] = (State("a_k_hat", "h", "m", box="a_k_hat_box"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
 

@@ -20,9 +20,12 @@ class ObservedTracking(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} &= \hat J^\top (\hat J \hat J^\top)^{-1} \dot x_d - \gamma \hat J^\top (x_o - x_d), \quad
-        \sigma = \dot q - \dot q_{ref}                                                             \tag{1} \\
+        \dot q_{ref} &= \hat J^+ \dot x_d - \gamma \hat J^\top (x_o - x_d) + (I - \hat J^+ \hat J)\, z, \quad
+        \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}, \quad \sigma = \dot q - \dot q_{ref}     \tag{1} \\
         e_k &= \Delta x - \Delta x_o, \quad \Delta x = x - x_d, \quad \Delta x_o = x_o - x         \tag{2}
+
+    A redundant robot may move by :math:`z` as far as the observer does not notice: see `null_space_posture`. Nobody
+    needs to drive z.
 
     With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x` it is a cascade on the servo level:
 
@@ -50,6 +53,7 @@ class ObservedTracking(AbstractBlock):
         Port("dx_d", "m", "m/s", derivative_of="x_d"),
         Port("J_hat", "m n", "m/rad"),
         Port("dq", "n", "rad/s"),
+        Port("z", "n", "rad/s", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_ref", "n", "rad/s"),
@@ -62,7 +66,8 @@ class ObservedTracking(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        dq_ref = u.J_hat.T @ (solve_spd(u.J_hat @ u.J_hat.T, u.dx_d) - p.gamma * (u.x_o - u.x_d))
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.z)
+        dq_ref = u.J_hat.T @ (forward - p.gamma * (u.x_o - u.x_d)) + u.z
         return Equations(
             outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref, "e_k": (u.x - u.x_d) - (u.x_o - u.x)},
         )

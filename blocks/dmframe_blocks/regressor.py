@@ -11,6 +11,9 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.port import Port
 
+_HEAVY = 4
+"""Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
+
 
 @final
 class Regressor(AbstractBlock):
@@ -23,11 +26,15 @@ class Regressor(AbstractBlock):
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart.
 
     Parameters
     ----------
     friction : list of viscous, coulomb
         Friction that the compensator estimates along with the inertial parameters.
+    gravity : together or apart
+        Whether gravity is estimated by the masses that the motion has too, or apart from them, for a servo that may
+        already compensate some of it.
     bias : true or false
         Estimate a constant torque a joint too, such as the offset of the servo's integrator.
 
@@ -52,18 +59,25 @@ class Regressor(AbstractBlock):
         Port("B", "n", "N m s/rad"),
         Port("D", "n", "N m"),
         Port("bias", "n", "N m"),
+        Port("g_share"),
     )
 
     friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    gravity: Literal["together", "apart"] = "together"
     bias: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """p: ten a link, and one a joint for each kind of friction."""
-        return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
+        """p: ten a link, four more where gravity is apart, and one a joint for each kind of friction."""
+        apart = _HEAVY if self.gravity == "apart" else 0
+        return {"p": (10 + apart + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
+        if self.gravity == "apart":
+            still = ca.SX(p.robot.n, 1)
+            weight = p.robot.regressor(u.q, still, still, still)
+            columns = [columns[0] - weight, weight[:, _heavy(p.robot.n)]]
         if "viscous" in self.friction:
             columns.append(ca.diag(u.dq_ref))
         if "coulomb" in self.friction:
@@ -75,6 +89,8 @@ class Regressor(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; the true a_d."""
         parts = [p.robot.inertia]
+        if self.gravity == "apart":
+            parts.append(truth.g_share * p.robot.inertia[_heavy(p.robot.n)])
         if "viscous" in self.friction:
             parts.append(truth.B)
         if "coulomb" in self.friction:
@@ -82,3 +98,8 @@ class Regressor(AbstractBlock):
         if self.bias:
             parts.append(truth.bias)
         return Certificate(truth={"a_d": ca.vertcat(*parts)})
+
+
+def _heavy(n: int) -> list[int]:
+    """Where those stand among all inertial parameters."""
+    return [10 * link + k for link in range(n) for k in range(_HEAVY)]
