@@ -22,8 +22,9 @@ class Manipulator(AbstractBlock):
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + (1 - c)\, g(q) = K u, \quad x = f(q) \tag{1}
 
     A maker's servo may already compensate a share c of gravity, and viscous friction :math:`B_m` of the joints' own
-    :math:`B_0`; the outer loop is not told. What it has to do with is what is left: :math:`B = B_0 - B_m`, and
-    :math:`(1 - c) g`. :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
+    :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g` and :math:`B = B_0 - B_m`.
+
+    :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
     is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
 
     .. math::
@@ -32,8 +33,8 @@ class Manipulator(AbstractBlock):
         \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
                   - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the last term
-    of (3) is not positive, since the friction does not decrease with velocity.
+    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the last
+    term of (3) is not positive, since the friction does not decrease with velocity.
 
     Parameters
     ----------
