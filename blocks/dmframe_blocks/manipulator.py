@@ -33,8 +33,8 @@ class Manipulator(AbstractBlock):
         \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
                   - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the last
-    term of (3) is not positive, since the friction does not decrease with velocity.
+    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the
+    last term of (3) is not positive, since the friction does not decrease with velocity.
 
     Parameters
     ----------

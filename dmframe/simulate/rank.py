@@ -48,8 +48,8 @@ class Rank:
             return None
         return (
             f"{self.signal} is near rank loss from t = {self.since:.6g} s: its smallest singular value falls to "
-            f"{self.smallest:.3g} {self.unit} at t = {self.time:.6g} s, {self.share:.2g} of its largest; a reference that "
-            "inverts it asks for joint velocities as large as that is small"
+            f"{self.smallest:.3g} {self.unit} at t = {self.time:.6g} s, {self.share:.2g} of its largest; "
+            "a reference that inverts it asks for joint velocities as large as that is small"
         )
 
 

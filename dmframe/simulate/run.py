@@ -157,7 +157,7 @@ def simulate(
 def _recorded(diagram: Diagram) -> list[Signal]:
     """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
-    others = {signal.label for signal in (*loop.controller, *loop.plant, *watched(diagram))}
+    others = {state.label for state in (*loop.controller, *loop.plant)} | {matrix.label for matrix in watched(diagram)}
     moving = stack([loop.time, loop.state, *(leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))])
     return [
         signal

@@ -239,7 +239,7 @@ def main(arguments: Sequence[str]) -> None:
             rows = list[Cell]()
             for row in pool.imap(run, cells(), chunksize=4):
                 rows.append(row)
-                print(f"\r{len(rows)} of {len(cells())}", end="", file=sys.stderr, flush=True)
+                sys.stderr.write(f"\r{len(rows)} of {len(cells())}")
         write(rows)
     rows = read()
     draw(rows)
