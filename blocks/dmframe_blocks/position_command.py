@@ -31,7 +31,7 @@ class PositionCommand(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (6), (7), whose servos take both :math:`\dot q_c` and its integral.
+    [WangTAC2020]_, the servos, which take :math:`\dot q_c` and its integral.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad"),)

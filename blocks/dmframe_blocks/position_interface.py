@@ -33,7 +33,7 @@ class PositionInterface(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (6), (7).
+    [WangTAC2020]_, the servos.
     """
 
     side: ClassVar[Side] = Side.PLANT

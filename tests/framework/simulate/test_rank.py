@@ -10,7 +10,7 @@ import pytest
 
 from dmframe.config.graph import load_graph
 from dmframe.diagram.closed_loop import Signal
-from dmframe.results import summary
+from dmframe.results.summary import summary
 from dmframe.simulate import Run, simulate
 from dmframe.simulate.rank import NEAR, Rank, ranks
 from dmframe_plants.arm2 import closed_form
@@ -81,7 +81,8 @@ def test_a_run_ranks_the_jacobian_as_the_textbooks_arm_has_it() -> None:
 
 
 def test_an_arm_that_swings_through_its_stretched_pose_is_told_as_its_closed_form_has_it(tmp_path: Path) -> None:
-    file = graph(tmp_path, "{type: sinusoid, center: [0.3, 0], amplitude: [0.1, 0.5], rate: 2, phase: 1}", "[0.3, 0.4]")
+    swing = "{type: sinusoid, center: [0.3, 0], amplitude: [0.1, 0.5], rate: 2, phase: 1}"
+    file = graph(tmp_path, swing, "[0.3, 0.4]")
     text = file.read_text(encoding="utf-8").replace(
         "{type: task_tracking, gamma: 4}", "{type: joint_tracking, alpha: 4}"
     )
@@ -95,7 +96,7 @@ def test_an_arm_that_swings_through_its_stretched_pose_is_told_as_its_closed_for
     assert rank.time == pytest.approx(done.time[int(shares.argmin())])
     assert rank.since == pytest.approx(done.time[int(np.flatnonzero(shares < NEAR)[0])])
     assert rank.notice in done.notices
-    assert summary.summary("g", done)["rank"] == [
+    assert summary("g", done)["rank"] == [
         {
             "signal": "geometry.J_hat",
             "unit": "m/rad",
