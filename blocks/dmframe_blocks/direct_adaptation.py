@@ -52,7 +52,7 @@ class DirectAdaptation(AbstractBlock):
         Port("M_hat", "n n", "N m s^2/rad"),
         Port("s_star", "n", "rad/s"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "1/(N m s)"))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
     states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
