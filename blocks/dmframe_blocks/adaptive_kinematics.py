@@ -23,8 +23,8 @@ class AdaptiveKinematics(AbstractBlock):
         \dot{\hat a}_k &= \Gamma_k Y_k(q, \dot q)^\top e_k                   \tag{2}
 
     with :math:`J(q) \psi = Y_k(q, \psi) a_k`, so that :math:`\hat J \dot q - \dot x = Y_k \tilde a_k` with
-    :math:`\tilde a_k = \hat a_k - a_k`. The error :math:`e_k` comes from the reference generator, and so does the weight
-    :math:`\alpha` of the task in the Lyapunov function:
+    :math:`\tilde a_k = \hat a_k - a_k`. The error :math:`e_k` comes from the reference generator, and so does the
+    weight :math:`\alpha` of the task in the Lyapunov function:
 
     .. math::
 
