@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Square
+from dmframe.certificate import SX, Assumption, Certificate, Condition, Square
 from dmframe.linalg import solve_spd
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.parameter import Box, Diagonal, Interval, Positive
 from dmframe.port import Port, State
 
 
@@ -33,14 +34,12 @@ class DirectAdaptation(AbstractBlock):
     ----------
     Gamma : diagonal (p,), > 0
         Adaptation gain.
-    a_d_hat : (p,)
-        The estimate at the start; M-hat must be positive definite there.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep M-hat invertible.
 
     Notes
     -----
-    Not for: estimates that start at zero, where M-hat is singular.
+    Not for: a robot without a nominal model, at which the estimates start: M-hat is singular at zero.
 
     References
     ----------
@@ -51,13 +50,13 @@ class DirectAdaptation(AbstractBlock):
         Port("Y_d", "n p", "N m"),
         Port("M_hat", "n n", "N m s^2/rad"),
         Port("s_star", "n", "rad/s"),
+        Port("a_d_nominal", "p", ""),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "1/(N m s)"))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
     states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p")
     a_d_hat_box: Box = Interval("p")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -67,6 +66,10 @@ class DirectAdaptation(AbstractBlock):
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
             rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ epsilon)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

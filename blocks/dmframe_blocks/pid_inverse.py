@@ -15,7 +15,7 @@ from dmframe.port import Access, Port, State
 
 @final
 class PidInverse(AbstractBlock):
-    r"""Turns a reference velocity and a torque into the position command of a PID servo that nobody can open.
+    r"""Turns a reference velocity and a torque into the velocity command of a PID servo that nobody can open.
 
     With :math:`e = q - q_r` and :math:`z = \int (q_c - q_r)`, products element by element:
 

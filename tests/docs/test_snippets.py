@@ -63,6 +63,7 @@ def test_every_snippet_does_what_the_page_says(page: Path, tmp_path: Path, monke
             case "yaml":
                 build_yaml(text, shared)
             case _:
+                written(text, shared)
                 assert language in PLAIN, f"{where}: expected console, python, yaml or {sorted(PLAIN)}"
 
 

@@ -1,0 +1,227 @@
+"""Everything that a report says, gathered once for HTML, Markdown and JSON alike."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+from dmframe.certify import Verdict
+from dmframe.certify.conditions import Checked
+from dmframe.certify.statements import Statement
+from dmframe.certify.summary import summary
+from dmframe.config import Graph
+from dmframe.diagram import Diagram
+from dmframe.parameter import specs
+from dmframe.report.laws import Law, law_of
+from dmframe.report.measured import Measured, measure
+from dmframe.report.notation import latex, marked, marked_prose
+from dmframe.report.planar import RobotModel, robot_model
+from dmframe.report.terms import Terms, shown, terms_of
+from dmframe.report.words import Meaning, meaning_of
+from dmframe.units import plain
+
+KINDS = ("is bounded", "is square-integrable", "goes to zero")
+
+
+@final
+@dataclass(frozen=True)
+class Value:
+    """A parameter of a block in this graph; `says` is marked text."""
+
+    name: str
+    value: str
+    unit: str
+    says: str
+
+
+@final
+@dataclass(frozen=True)
+class BlockLaw:
+    """A block of the graph with its law and its numbers."""
+
+    name: str
+    type: str
+    side: str
+    law: Law
+    values: tuple[Value, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Condition:
+    """A condition with its margin; `text` is marked."""
+
+    text: str
+    margin: str
+    holds: bool
+    how: str
+    source: str
+
+
+@final
+@dataclass(frozen=True)
+class Follows:
+    """What one step says of several signals (LaTeX); `assumes` are marked texts."""
+
+    says: str
+    step: str
+    signals: tuple[str, ...]
+    assumes: tuple[str, ...]
+
+
+@final
+@dataclass(frozen=True)
+class Witness:
+    """Where a refuted identity fails: signals and residues that are not zero."""
+
+    blame: tuple[str, ...]
+    signals: tuple[str, ...]
+    prime: str
+    residue: str
+    point: tuple[tuple[str, str], ...]
+
+
+@final
+@dataclass(frozen=True)
+class Content:
+    """One graph's report.
+
+    Parameters
+    ----------
+    summary
+        What ``verify --json`` prints of it.
+    picture
+        The diagram as stand-alone SVG.
+    mermaid
+        The same for Markdown.
+    provenance
+        See `dmframe.results.folder.provenance`.
+    resolved
+        The graph with everything said, as YAML.
+    """
+
+    name: str
+    title: str
+    outcome: str
+    meaning: Meaning
+    facts: tuple[tuple[str, str], ...]
+    picture: str
+    mermaid: str
+    laws: tuple[BlockLaw, ...]
+    terms: Terms | None
+    conditions: tuple[Condition, ...]
+    assumptions: tuple[tuple[str, str], ...]
+    follows: tuple[Follows, ...]
+    controls: tuple[tuple[str, bool], ...]
+    witness: Witness | None
+    uncertain: tuple[tuple[str, str], ...]
+    measured: Measured
+    model: RobotModel | None
+    summary: Mapping[str, Any]
+    provenance: Mapping[str, Any]
+    replay: str
+    resolved: str
+
+
+def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[str], seed: int) -> Content:
+    """Everything about one graph; it is simulated for this."""
+    from dmframe.draw import mermaid, svg
+    from dmframe.results.folder import provenance
+    from dmframe.results.resolved import resolved_text
+
+    resolved = resolved_text(graph)
+    return Content(
+        name=graph.name,
+        title=graph.file.title,
+        outcome=verdict.outcome,
+        meaning=meaning_of(verdict, graph.file.clock),
+        facts=tuple(_facts(graph, diagram)),
+        picture=svg(diagram),
+        mermaid=mermaid(diagram),
+        laws=tuple(_law(diagram, name) for name in diagram.blocks),
+        terms=terms_of(verdict.claim) if verdict.claim is not None else None,
+        conditions=tuple(map(_condition, verdict.conditions)),
+        assumptions=tuple((marked(item.text), item.source) for item in verdict.assumptions),
+        follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
+        controls=tuple((marked(control.fault), control.refuted) for control in verdict.controls),
+        witness=_witness(verdict),
+        uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
+        measured=measure(graph, diagram, verdict),
+        model=robot_model(diagram.robot),
+        summary=summary(graph.name, verdict),
+        provenance=provenance(graph, resolved, seed=seed, command=command),
+        replay=shlex.join(command),
+        resolved=resolved,
+    )
+
+
+def _facts(graph: Graph, diagram: Diagram) -> list[tuple[str, str]]:
+    clock = graph.file.clock
+    own = sum(variable.symbol.numel() for variable in diagram.loop.controller)
+    facts = [
+        ("controller", "in continuous time" if clock is None else f"sampled every {plain(clock, 's')}"),
+        ("states", f"{diagram.loop.state.numel()}, of which the controller's {own}"),
+    ]
+    if diagram.robot is not None:
+        robot = diagram.robot
+        facts.insert(0, ("robot", f"{robot.name}, joints {', '.join(robot.joint_names)}"))
+        change = (
+            f"the largest change of an entry is {robot.rotation_change:.1e}" if robot.rotation_change else "no change"
+        )
+        facts.append(("robot's model", f"its rotations made exactly orthogonal, with rational entries: {change}"))
+    return facts
+
+
+def _law(diagram: Diagram, name: str) -> BlockLaw:
+    block = diagram.blocks[name]
+    law, units = law_of(type(block)), {key: spec.unit for key, spec in specs(type(block)).items()}
+    values, model = list[Value](), diagram.models[name]
+    for key in type(block).model_fields:
+        if key in model.values:
+            spec = specs(type(block))[key]
+            ends = model.values[key]
+            text = f"[{shown(ends[..., 0])}] to [{shown(ends[..., 1])}]" if spec.form == "box" else shown(ends.ravel())
+            values.append(Value(key, text, units[key], marked_prose(law.parameters.get(key, ""))))
+        elif key not in units:
+            option = getattr(block, key)
+            text = ", ".join(map(str, option)) if isinstance(option, tuple) else str(option)
+            values.append(Value(key, text or "none", "", marked_prose(law.parameters.get(key, ""))))
+    return BlockLaw(name, diagram.type_of(name), block.side.value, law, tuple(values))
+
+
+def _condition(checked: Checked) -> Condition:
+    margin = "not found" if checked.value is None else f"{checked.value:.4g}"
+    said = "" if checked.expression in checked.name else f": {checked.expression}"
+    return Condition(marked(checked.name + said), margin, checked.holds, checked.how, marked(checked.source))
+
+
+def _follows(statements: tuple[Statement, ...]) -> list[Follows]:
+    """Statements that say the same by the same step, together."""
+    grouped = dict[tuple[str, str], list[Statement]]()
+    for item in statements:
+        grouped.setdefault((item.says, item.step), []).append(item)
+    return [
+        Follows(
+            says,
+            marked(step),
+            tuple(latex(item.signal) for item in items),
+            tuple(dict.fromkeys(marked(text) for item in items for text in item.assumes)),
+        )
+        for (says, step), items in grouped.items()
+    ]
+
+
+def _witness(verdict: Verdict) -> Witness | None:
+    found = verdict.refutation
+    if found is None:
+        return None
+    nonzero = [(label, values) for label, values in found.point if label in found.signals and any(values)]
+    return Witness(
+        found.blame,
+        found.signals,
+        str(found.prime),
+        str(found.residue),
+        tuple((label, ", ".join(map(str, values))) for label, values in nonzero),
+    )

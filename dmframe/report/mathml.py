@@ -1,0 +1,81 @@
+r"""LaTeX as MathML, in pieces between which a line may break: browsers do not break a formula by themselves."""
+
+from __future__ import annotations
+
+import html
+import re
+from typing import Final
+
+_TOKEN: Final = re.compile(
+    r"\\(?:left|right)\s*(?:\\[a-zA-Z]+|\\.|.)|\\(?:begin|end)\{\w+\*?\}|\\[a-zA-Z]+|\\.|.", re.DOTALL
+)
+_DEPTH: Final = {"{": 1, "(": 1, "[": 1, "}": -1, ")": -1, "]": -1}
+_WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
+_ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
+_ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
+"""Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""
+_LEADING: Final = re.compile(r"^(<math[^>]*><mrow><mo)>(?=&#x0(?:002B|2212|003D|2265|2264|00B1);)")
+_SIGNS: Final = ("+", "-", "=", r"\ge", r"\le", r"\pm")
+
+
+def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
+    """One formula as ``<math>``; what cannot be read stays as it was typed, as code.
+
+    `joined`: it goes on from a formula before it, so that a sign at its beginning stands between two terms.
+    """
+    from latex2mathml.converter import convert
+
+    try:
+        text = convert(_prepared(latex))
+    except Exception:  # the library raises what it likes, and one formula unset is better than no report
+        return f"<code>{html.escape(latex)}</code>"
+    text = text.replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
+    text = text.replace('display="inline"', 'displaystyle="true"' if display else 'displaystyle="false"', 1)
+    text = text.replace("<mo>&#x0002F;</mo>", '<mo lspace="0.05em" rspace="0.05em">&#x0002F;</mo>')
+    text = _ACCENT.sub(lambda found: f'<mo stretchy="false">{_ACCENTS[found[1]]}</mo></mover>', text)
+    text = text.replace("<mover>", '<mover accent="true">')
+    if joined or latex.startswith(("=", r"\le", r"\ge")):
+        text = _LEADING.sub(r'\1 form="infix">', text)
+    return text
+
+
+def breakable(latex: str, *, display: bool = False) -> str:
+    """A formula as several ``<math>``, one a term, with places for a line break between them."""
+    pieces = terms(latex)
+    return "<wbr/>".join(mathml(piece, display=display, joined=place > 0) for place, piece in enumerate(pieces))
+
+
+def terms(latex: str) -> list[str]:
+    r"""A formula cut before each sign that stands outside of all brackets, and at each ``\quad``."""
+    pieces, current, depth, bars = list[str](), "", 0, False
+    for token in _TOKEN.findall(latex):
+        if token == "|":
+            bars = not bars
+        elif token.startswith((r"\left", r"\begin")) and token not in (r"\leftarrow", r"\le", r"\leq"):
+            depth += 1
+        elif token.startswith((r"\right", r"\end")):
+            depth -= 1
+        depth += _DEPTH.get(token, 0)
+        outside = depth == 0 and not bars
+        if outside and token in _SIGNS and current.strip() and not current.strip().endswith(_SIGNS):
+            pieces.append(current.strip())
+            current = ""
+        elif outside and token in (r"\quad", r"\qquad"):
+            pieces.append(f"{current.strip()} {token}")
+            current = ""
+            continue
+        current += token
+    return [piece for piece in [*pieces, current.strip()] if piece]
+
+
+def _prepared(latex: str) -> str:
+    """Words in indices upright, bars that grow with what they hold."""
+    latex = _WORDS.sub(lambda found: rf"{{\text{{{found[1] or found[2]}}}}}", latex)
+    out, opened = list[str](), False
+    for token in _TOKEN.findall(latex):
+        if token == "|":
+            opened = not opened
+            out.append(r"\left|" if opened else r"\right|")
+        else:
+            out.append(token)
+    return latex if opened else "".join(out)

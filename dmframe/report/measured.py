@@ -1,0 +1,180 @@
+"""The loop as it runs: a simulation of the graph, and V along it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, final
+
+import numpy as np
+
+from dmframe.certify import Verdict
+from dmframe.certify.along import Along, along
+from dmframe.config import Graph
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+from dmframe.report.embed import figure_svg
+from dmframe.report.notation import latex
+from dmframe.results.metrics import tracking_error
+from dmframe.simulate import Run, simulate
+from dmframe.units import plain
+
+CURVES = 6
+"""Terms of V that the figure shows, the largest ones."""
+INSTANTS = 9
+"""Rows of the table of V over time."""
+
+
+@final
+@dataclass(frozen=True)
+class Measured:
+    """What a run showed.
+
+    Parameters
+    ----------
+    sentence
+        Marked text: continuous and sampled time, said plainly.
+    facts
+        Rows of a table, marked texts.
+    numbers
+        The same as plain data.
+    figure
+        SVG, or empty.
+    table
+        Instants [s] with V, for a page without pictures.
+    """
+
+    sentence: str
+    facts: tuple[tuple[str, str], ...] = ()
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    figure: str = ""
+    caption: str = ""
+    table: tuple[tuple[float, float], ...] = ()
+
+
+def measure(graph: Graph, diagram: Diagram, verdict: Verdict) -> Measured:
+    """Simulate the graph as its file says, and evaluate V along it where V means something."""
+    clock = graph.file.clock
+    try:
+        run = simulate(diagram, graph.file.duration, clock=clock, solver=graph.solver, start=graph.start)
+    except DmframeError as error:
+        return Measured(f"{_sentence(clock)} The graph could not be simulated: {error.text}.")
+    facts, numbers = _run_facts(run)
+    found, why = _along(verdict, run)
+    if found is None:
+        return Measured(f"{_sentence(clock)} {why}", tuple(facts), numbers)
+    more, v_numbers = _v_facts(found, clock)
+    kept = np.unique(np.linspace(0, found.time.size - 1, INSTANTS).astype(int))
+    return Measured(
+        sentence=f"{_sentence(clock)} {_judged(found, clock)}",
+        facts=(*facts, *more),
+        numbers={**numbers, **v_numbers},
+        figure=figure_svg(_figure(found)),
+        caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
+        table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
+    )
+
+
+def _sentence(clock: float | None) -> str:
+    if clock is None:
+        return (
+            "The theorem speaks of continuous time, and this graph runs in continuous time: its simulation differs "
+            "from the theorem's loop by the integrator's error alone."
+        )
+    return (
+        f"The theorem speaks of continuous time; this controller runs every {plain(clock, 's')} and holds its commands "
+        "in between. For the sampled loop nothing is proved. What follows was measured on one simulation of it, from "
+        "one start, along one path."
+    )
+
+
+def _judged(found: Along, clock: float | None) -> str:
+    if not found.largest_increase:
+        return "Along the run $V$ never rose from one sample to the next."
+    share = found.largest_increase / found.V[0] if found.V[0] else float("inf")
+    cause = "the integrator's error and rounding" if clock is None else "sampling"
+    return (
+        f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases, by at most "
+        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. In the theorem's loop it "
+        f"never rises, so this is the effect of {cause}."
+    )
+
+
+def _run_facts(run: Run) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+    told, error = "reached its end", tracking_error(run)
+    if run.divergence is not None:
+        told = f"diverged: `{run.divergence.block}.{run.divergence.state}` {run.divergence.how}"
+    facts = [("simulated time", f"{plain(float(run.time[-1]), 's')} of {plain(run.duration, 's')}; the run {told}")]
+    numbers: dict[str, Any] = {"simulated": float(run.time[-1]), "diverged": run.divergence is not None}
+    if error is not None:
+        rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
+        facts.append((f"RMS of $|{latex(error.signal)}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
+        numbers["rms_by_eighth"] = list(error.rms_by_eighth)
+    facts += [("notice", notice) for notice in run.notices]
+    return facts, numbers
+
+
+def _along(verdict: Verdict, run: Run) -> tuple[Along | None, str]:
+    if verdict.claim is None:
+        return None, "Without a certificate there is no $V$ to show."
+    if verdict.outcome == "refuted":
+        return None, "$V$ is not shown, since what the blocks claim about it is false."
+    cascade = any(part.cascade for part in verdict.claim.parts)
+    if cascade and verdict.kappa is None:
+        return None, "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these numbers."
+    return along(verdict.claim, run, float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+
+
+def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+    every = "sample" if clock is not None else "recorded instant"
+    facts = [
+        ("$V$ at the start and at the end", f"{found.V[0]:.6g} and {found.V[-1]:.6g}"),
+        (f"largest increase of $V$ from one {every} to the next", _increase(found)),
+        (f"steps in which $V$ rose, of {found.steps.size}", str(found.rises)),
+    ]
+    kept = np.unique(np.linspace(0, found.time.size - 1, 201).astype(int))
+    numbers = {
+        "V_start": float(found.V[0]),
+        "V_end": float(found.V[-1]),
+        "largest_increase": found.largest_increase,
+        "largest_increase_at": found.increase_at,
+        "rises": found.rises,
+        "steps": int(found.steps.size),
+        "kappa": found.kappa,
+        "time": [float(t) for t in found.time[kept]],
+        "V": [float(v) if np.isfinite(v) else None for v in found.V[kept]],
+    }
+    return facts, numbers
+
+
+def _increase(found: Along) -> str:
+    if found.increase_at is None:
+        return "none"
+    return f"{found.largest_increase:.3g}, at t = {plain(found.increase_at, 's')}"
+
+
+def _figure(found: Along) -> Any:
+    """V above, its largest terms on a logarithmic axis below."""
+    from dmframe.results.plotting import draw_curve, look, new_figure, styled
+
+    largest = sorted(found.terms, key=lambda term: -float(np.max(np.nan_to_num(term.values))))[:CURVES]
+    with styled():
+        figure = new_figure(6.6, 3.9)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
+        draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
+        above.set_ylabel("$V$")
+        top = 0.0
+        for index, term in enumerate(largest):
+            values = np.maximum(term.values, 1e-300)
+            label = rf"${latex(term.of)}$ ({term.block})"
+            draw_curve(below, found.time, values, 600, label=label, **look(index))
+            top = max(top, float(np.max(np.nan_to_num(values))))
+        below.set_yscale("log")
+        if top > 0:
+            below.set_ylim(top * 1e-9, top * 3)
+        below.set_ylabel("terms of $V$")
+        below.set_xlabel("time [s]")
+        above.set_xlim(0, float(found.time[-1]))
+        below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
+        figure.align_ylabels([above, below])
+    return figure

@@ -1,0 +1,188 @@
+r"""What certificates write, ``J'(x - x_d)/2 - sigma/gamma``, as LaTeX; and formulas found in plain sentences.
+
+A *marked text* is a sentence with its formulas between dollar signs and its code between backticks; both the HTML
+and the Markdown are made from it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+GREEK: Final = frozenset(
+    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega "
+    "Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega".split()
+)
+_HATS: Final = {"hat": r"\hat", "bar": r"\bar", "err": r"\tilde"}
+_DOTS: Final = {1: r"\dot", 2: r"\ddot"}
+_SIGNS: Final = {">=": r"\ge ", "<=": r"\le ", "*": r"\,", "~": r"\sim "}
+_ARTICLES: Final = frozenset({"a", "A", "I", "s"})
+_TOKEN: Final = re.compile(
+    r"(?P<rate>\bd(?P<of>[A-Z])/dt\b)|(?P<name>[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)*)(?P<primes>'*)|"
+    r"(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
+)
+
+_LABEL: Final = re.compile(r"\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
+"""``inverse.w``, and ``d inverse.w/dt``."""
+
+
+def name_latex(name: str) -> str:
+    """A name of the code as the paper writes it: ``a_d_hat``, ``ddq_ref``, ``K_star``, ``M_bar``."""
+    head, *tail = name.split("_")
+    hats = [_HATS[word] for word in tail if word in _HATS]
+    below = [word for word in tail if word not in _HATS]
+    dots = re.fullmatch(r"(d{1,2})([a-z])", head)
+    if dots:
+        head, hats = dots.group(2), [*hats, _DOTS[len(dots.group(1))]]
+    symbol = _letter(head)
+    for hat in hats:
+        symbol = f"{hat}{{{symbol}}}"
+    return f"{symbol}_{{{','.join(map(_index, below))}}}" if below else symbol
+
+
+def _letter(head: str) -> str:
+    if head in GREEK:
+        return f"\\{head}"
+    if head == "sum":
+        return r"\sum"
+    split = re.fullmatch(r"([A-Za-z])(\d+)", head)
+    if split:
+        return f"{split.group(1)}_{{{split.group(2)}}}"
+    return head if len(head) == 1 else rf"\mathrm{{{head}}}"
+
+
+def _index(word: str) -> str:
+    if word == "star":
+        return r"\star"
+    if word in GREEK:
+        return f"\\{word}"
+    return word if len(word) == 1 or word.isdigit() else rf"\mathrm{{{word}}}"
+
+
+def latex(text: str) -> str:
+    """A formula in the code's names as LaTeX; a text that is no formula stays text."""
+    pieces, place = list[str](), 0
+    while place < len(text):
+        token = _TOKEN.match(text, place)
+        if token is None or not _is_formula(token, text):
+            return rf"\text{{{_escaped(text)}}}"
+        pieces.append(_piece(token))
+        place = token.end()
+    return re.sub(r" (?=[)^/,])|(?<=[A-Za-z]) (?=\()", "", " ".join("".join(pieces).split()))
+
+
+def _escaped(text: str) -> str:
+    return re.sub(r"([#$%&_{}])", r"\\\1", text)
+
+
+def _is_formula(token: re.Match[str], text: str) -> bool:
+    name = token["name"]
+    if name is None:
+        return True
+    if name.endswith("_box") or (token["primes"] and text[token.end() : token.end() + 1].islower()):
+        return False
+    head, *below = name.split("_")
+    if below:
+        return True
+    return len(name) == 1 or name in GREEK or re.fullmatch(r"d{1,2}[a-z]", head) is not None
+
+
+def _piece(token: re.Match[str]) -> str:
+    if token["rate"]:
+        return rf"\dot {token['of']} "
+    if token["name"]:
+        return _primed(token["name"], len(token["primes"])) + " "
+    if token["close"]:
+        return ")" + (r"^{\top} " if token["after"] else "")
+    if token["sign"]:
+        return _SIGNS.get(token["sign"], f"{token['sign']}")
+    return " " if token["blank"] else token["number"]
+
+
+def _primed(name: str, primes: int) -> str:
+    """J' is a transpose, z'' a second derivative."""
+    if not primes:
+        return name_latex(name)
+    if name[0].isupper():
+        return f"{name_latex(name)}^{{\\top}}"
+    return f"{_DOTS.get(primes, _DOTS[2])}{{{name_latex(name)}}}"
+
+
+def marked(text: str) -> str:
+    """A sentence as marked text: its formulas are found among its words, names with an underscore become code."""
+    out, run, place = list[str](), list[re.Match[str]](), 0
+
+    def close() -> None:
+        out.append(_finished(run))
+        run.clear()
+
+    while place < len(text):
+        label = _LABEL.match(text, place)
+        if label is not None:
+            close()
+            out.append(f"`{label.group()}`")
+            place = label.end()
+            continue
+        token = _TOKEN.match(text, place)
+        in_word = place > 0 and text[place - 1].isalpha() and not (run and run[-1].end() == place)
+        if token is not None and not in_word and _is_formula(token, text) and not _ends_a_word(token, text):
+            run.append(token)
+            place = token.end()
+            continue
+        close()
+        word = re.match(r"[A-Za-z0-9_'-]+|.", text[place:], re.DOTALL)
+        assert word is not None  # the second branch takes any character
+        out.append(_code(word.group()))
+        place += word.end()
+    close()
+    return "".join(out)
+
+
+def marked_prose(text: str) -> str:
+    """Marked text whose unmarked parts may hold formulas too."""
+    pieces = re.split(r"(\$[^$]+\$|`[^`]+`)", text)
+    return "".join(piece if place % 2 else marked(piece) for place, piece in enumerate(pieces))
+
+
+def _ends_a_word(token: re.Match[str], text: str) -> bool:
+    """Is this only the beginning of a word such as ``x-axis``?"""
+    rest = text[token.end() :]
+    return bool(token["name"]) and re.match(r"-[a-z]{2}|'[a-z]", rest) is not None
+
+
+def _code(word: str) -> str:
+    return f"`{word}`" if "_" in word else word
+
+
+def _finished(run: list[re.Match[str]]) -> str:
+    """A stretch of formula tokens as ``$...$``, with the blanks and brackets at its ends left to the sentence."""
+    source = "".join(token.group() for token in run)
+    names = [token["name"] for token in run if token["name"]]
+    signs = any(token["sign"] in ("+", "=", "<", ">", ">=", "<=", "/", "^", "|", "-") for token in run)
+    rates = any(token["rate"] for token in run)
+    if not rates and (not names or (not signs and all(name in _ARTICLES for name in names))):
+        return source
+    body = source.strip()
+    start, end = source.index(body), source.index(body) + len(body)
+    while end > start and (source[end - 1] in "-+/*^=<> " or _open(source[start:end], ")")):
+        end -= 1
+    while start < end and (source[start] == " " or _open(source[start:end], "(")):
+        start += 1
+    body = source[start:end]
+    article = re.match(r"[aAI] (?=[A-Za-z(|])", body)
+    if article:  # "a z" begins with the article, not with a matrix
+        start, body = start + 2, body[2:]
+    return f"{source[:start]}${latex(body)}${source[end:]}"
+
+
+def _open(text: str, bracket: str) -> bool:
+    """Does the text begin with a bracket that it never closes, or end with one that it never opened?"""
+    step = 1 if bracket == "(" else -1
+    depth = 0
+    for letter in text[::step]:
+        depth += {"(": step, ")": -step}.get(letter, 0)
+        if letter in "()" and depth == 0:
+            return False
+        if depth < 0:
+            return False
+    return text[::step][:1] == bracket and depth > 0

@@ -1,0 +1,224 @@
+"""V and dV/dt term by term: each square with its weight in symbols and in numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import SX, Lemma, Square
+from dmframe.certify.claim import Claim, Part
+from dmframe.report.expression import expression_latex
+from dmframe.report.laws import Row
+from dmframe.report.notation import latex, name_latex
+
+FEW = 4
+"""Elements of a diagonal up to which each is written out."""
+
+
+@final
+@dataclass(frozen=True)
+class TermRow:
+    """One term of V or of the dissipation.
+
+    Parameters
+    ----------
+    symbol
+        W_i, D_i or l_i, by which the formula calls its weight (or, of a lemma, the term itself); LaTeX.
+    of
+        The vector whose square it is, LaTeX; of a lemma, its name as text.
+    factor
+        ``kappa`` or ``1``, as in the JSON.
+    weight
+        The weight in the graph's parameters, LaTeX; empty for a lemma.
+    value
+        The weight at the graph's numbers.
+    """
+
+    block: str
+    kind: str
+    symbol: str
+    of: str
+    factor: str
+    weight: str
+    value: str
+
+
+@final
+@dataclass(frozen=True)
+class Legend:
+    """A symbol of the weights: LaTeX, the parameter that it stands for, its value and unit."""
+
+    symbol: str
+    label: str
+    value: str
+    unit: str
+
+
+@final
+@dataclass(frozen=True)
+class Terms:
+    """V and dV/dt as formulas, as tables, and with what their symbols mean."""
+
+    V: tuple[Row, ...]
+    rate: tuple[Row, ...]
+    storage: tuple[TermRow, ...]
+    dissipation: tuple[TermRow, ...]
+    projections: tuple[tuple[str, str], ...]
+    consumption: str
+    legend: tuple[Legend, ...]
+
+
+def terms_of(claim: Claim) -> Terms:
+    """Write out what a claim says."""
+    names = Names(claim)
+    storage = _numbered(claim, names, "storage", "W")
+    dissipation = _numbered(claim, names, "dissipation", "D")
+    projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
+    c = names.weight(ca.SX(sum((p.certificate.consumes for p in claim.parts if p.cascade), ca.SX(0))))
+    consumption = rf"{c}\, |\sigma|^2" if any(part.cascade for part in claim.parts) else ""
+    lost = [(row, _lost(row)) for row in dissipation]
+    gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
+    return Terms(
+        V=(Row("V", "= " + _sum([(row, rf"\tfrac12 |{row.of}|^2_{{{row.symbol}}}") for row in storage], "")),),
+        rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *gained])),),
+        storage=storage,
+        dissipation=dissipation,
+        projections=projections,
+        consumption=consumption,
+        legend=names.legend(),
+    )
+
+
+def _lost(row: TermRow) -> str:
+    return row.symbol if row.kind == "lemma" else rf"|{row.of}|^2_{{{row.symbol}}}"
+
+
+def _kappa(claim: Claim) -> str:
+    return "" if claim.kappa.is_constant() else r"\kappa\,"
+
+
+def _sum(rows: Sequence[tuple[TermRow, str]], sign: str) -> str:
+    """Kappa stands with each term of the servo level, so that lines may break between them."""
+    lead, text = sign, ""
+    for row, term in rows:
+        text += f" {lead} " + (r"\kappa\, " if row.factor == "kappa" else "") + term
+        lead = sign or "+"
+    return text.strip().replace(r"\kappa\, \tfrac12", r"\tfrac{\kappa}{2}")
+
+
+def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermRow, ...]:
+    rows, counts = list[TermRow](), {letter: 0, r"\ell": 0}
+    for part in claim.parts:
+        for term in getattr(part.certificate, role):
+            mine = r"\ell" if isinstance(term, Lemma) else letter
+            counts[mine] += 1
+            rows.append(_row(claim, names, part, term, f"{mine}_{{{counts[mine]}}}"))
+    return tuple(rows)
+
+
+def _row(claim: Claim, names: Names, part: Part, term: Square | Lemma, symbol: str) -> TermRow:
+    factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
+    if isinstance(term, Lemma):
+        return TermRow(part.block, "lemma", symbol, term.of, factor, "", "")
+    written = names.weight(term.weight) if term.weight.is_column() else names.matrix(part.block, term.weight)
+    return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight))
+
+
+@final
+class Names:
+    """What the symbols of a claim are called, and which of them have been used."""
+
+    def __init__(self, claim: Claim) -> None:
+        self.claim = claim
+        self._parameters = {parameter.label: parameter for parameter in claim.loop.parameters}
+        variables = (*claim.loop.controller, *claim.loop.plant)
+        known = {parameter.label: parameter.symbol for parameter in claim.loop.parameters}
+        known |= {variable.label: variable.symbol for variable in variables}
+        known |= {leaf.name: leaf.symbol for leaf in claim.loop.trajectories}
+        self._owner = {
+            element.element_hash(): label for label, symbol in known.items() for element in _elements(symbol)
+        }
+        self._names = _distinct({label: _notation(claim, label, symbol) for label, symbol in known.items()})
+        self._used = dict[str, None]()
+
+    def __call__(self, symbol: SX) -> str:
+        """The LaTeX of a scalar symbol, its index left away: what is diagonal is written once for all elements."""
+        label = self._owner.get(symbol.element_hash())
+        if label is None:
+            return name_latex(symbol.name())
+        self._used[label] = None
+        return self._names[label]
+
+    def weight(self, weight: SX) -> str:
+        """A diagonal weight: one formula, where it is the same for all elements."""
+        written = [expression_latex(element, self) for element in ca.vertsplit(ca.densify(weight))]
+        if None in written:
+            return r"\text{a function of the state}"
+        found = list(dict.fromkeys(str(text) for text in written))
+        return found[0] if len(found) == 1 else r"\mathrm{diag}(" + r",\; ".join(found) + ")"
+
+    def matrix(self, block: str, weight: SX) -> str:
+        """A full weight: the robot's M(q), recognised by its values at a random state, or else unnamed."""
+        loop, model = self.claim.loop, self.claim.diagram.models[block]
+        states = [symbol for name, symbol in model.states.items() if name == "q"]
+        if model.robot is not None and states:
+            M = model.robot.mass_matrix(states[0])
+            if M.shape == weight.shape:
+                difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
+                state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
+                if not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12):
+                    return "M(q)"
+        return r"\text{a full matrix}"
+
+    def value(self, weight: SX) -> str:
+        """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""
+        loop = self.claim.loop
+        function = ca.Function("value", [loop.p], loop.joined([ca.vec(ca.densify(weight))]), {"allow_free": True})
+        if function.has_free():
+            return "varies with the pose"
+        return shown(function(loop.p_values).full().ravel())
+
+    def legend(self) -> tuple[Legend, ...]:
+        """The parameters that have been named so far."""
+        used = [self._parameters[label] for label in self._used if label in self._parameters]
+        return tuple(Legend(self._names[p.label], p.label, shown(p.value.ravel()), p.unit) for p in used)
+
+
+def shown(values: np.ndarray) -> str:
+    """Numbers for a table."""
+    values = np.atleast_1d(values)
+    if values.size == 0:
+        return "none"
+    if np.all(values == values[0]):
+        return f"{values[0]:.4g}"
+    if values.size <= FEW:
+        return ", ".join(f"{value:.4g}" for value in values)
+    return f"{values.size} values from {np.min(values):.4g} to {np.max(values):.4g}"
+
+
+def _elements(symbol: SX) -> list[Any]:
+    return list(ca.vertsplit(ca.vec(ca.densify(symbol)))) if symbol.numel() else []
+
+
+def _notation(claim: Claim, label: str, symbol: SX) -> str:
+    """What the block calls a parameter in its equations: by the output that is that parameter, B for `viscous`."""
+    block, _, key = label.partition(".")
+    model = claim.diagram.models.get(block)
+    if model is not None and key in model.parameters:
+        for port, expression in model.equations.outputs.items():
+            if expression.shape == symbol.shape and ca.is_equal(expression, symbol):
+                return name_latex(port)
+    return name_latex(key)
+
+
+def _distinct(names: Mapping[str, str]) -> dict[str, str]:
+    """Where two blocks have a parameter of one name, each carries its block's name."""
+    values = list(names.values())
+    return {
+        label: name if values.count(name) == 1 else rf"{name}^{{\text{{{label.partition('.')[0]}}}}}"
+        for label, name in names.items()
+    }

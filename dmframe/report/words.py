@@ -1,0 +1,133 @@
+"""What a verdict means, and what it does not mean, in sentences for a reader who does not know the tool."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, final
+
+from dmframe.certify import Verdict
+from dmframe.report.notation import latex, marked
+from dmframe.units import plain
+
+HEADLINES: Final = {"proved": "Proved", "refuted": "Refuted", "not_applicable": "Not proved, and not refuted"}
+
+
+@final
+@dataclass(frozen=True)
+class Meaning:
+    """Marked texts: the verdict in one sentence, what it says and what it does not say."""
+
+    headline: str
+    sentence: str
+    means: tuple[str, ...]
+    means_not: tuple[str, ...]
+
+
+def meaning_of(verdict: Verdict, clock: float | None) -> Meaning:
+    """The words for a verdict; `clock` is the graph's sampling period [s], None for continuous time."""
+    writer = {"proved": _proved, "refuted": _refuted, "not_applicable": _not_applicable}[verdict.outcome]
+    return writer(verdict, clock)
+
+
+def _proved(verdict: Verdict, clock: float | None) -> Meaning:
+    converging = [f"${latex(item.signal)}$" for item in verdict.statements if item.says == "goes to zero"]
+    follows = f" and {_listed(converging)} {'goes' if len(converging) == 1 else 'go'} to zero" if converging else ""
+    sentence = (
+        "in continuous time this control loop is stable, as a mathematical theorem: an energy-like function $V$ of its "
+        f"state never grows, so every signal that $V$ holds stays bounded{follows}, under the conditions checked and "
+        "the assumptions listed below."
+    )
+    means = (
+        "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
+        "equals exactly minus a sum of terms none of which can be negative.",
+        _decided(verdict),
+        "It holds for all values of the gains and of the robot's inertia and friction that meet the conditions, not "
+        "only for those of this graph; the conditions themselves were decided at the numbers of this graph.",
+        f"The test can say no: {_controls(verdict)}",
+    )
+    return Meaning(HEADLINES["proved"], sentence, means, _limits(clock))
+
+
+def _decided(verdict: Verdict) -> str:
+    test = verdict.test
+    assert test is not None  # there is no proof without a test
+    return (
+        "The identity was not tried out with numbers: it was evaluated exactly, in integer arithmetic modulo "
+        f"{test.trials} random primes, with every state, trajectory, gain and physical parameter a free symbol. If it "
+        f"were false, this would have gone unnoticed with a probability below $2^{{{test.log2_error_bound:.0f}}}$."
+    )
+
+
+def _controls(verdict: Verdict) -> str:
+    refuted, tried = sum(control.refuted for control in verdict.controls), len(verdict.controls)
+    return f"of {tried} faults put into the equations on purpose it refuted {refuted}."
+
+
+def _limits(clock: float | None) -> tuple[str, ...]:
+    sampled = (
+        "The theorem speaks of continuous time, as the simulated loop of this graph does."
+        if clock is None
+        else f"The theorem speaks of continuous time. This controller runs every {plain(clock, 's')}: what sampling "
+        "does to $V$ was measured, not proved, and stands under “The loop as it runs”."
+    )
+    return (
+        sampled,
+        "It speaks of the model: whatever the assumptions exclude, such as flexible joints or a saturated motor, is "
+        "outside of it.",
+        "It does not say how fast or how accurately the robot follows its path.",
+    )
+
+
+def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
+    found = verdict.refutation
+    blame = _listed([f"`{name}`" for name in found.blame]) if found is not None else ""
+    place = (
+        f"the fault lies in the equations or in the certificate of {blame}"
+        if blame
+        else "each block keeps its own claim, but what they exchange differs; the fault lies in how they are wired"
+    )
+    signals = [f"`{name}`" for name in found.signals] if found is not None else []
+    means = (
+        "The blocks claim a formula for $\\dot V$. At the exact point below, $\\dot V$ computed from their equations "
+        "differs from it. One such point is enough, and exact arithmetic leaves no room for rounding.",
+        (f"It takes no more than {_listed(signals)} to see it; all other signals can be zero."
+         if signals else "All signals can be zero, and it still shows."),
+        "The error is one of signs, factors or signals in a block: mend its equations or its certificate, and verify "
+        "again.",
+    )  # fmt: skip
+    not_means = (
+        "It does not say that the loop is unstable: a false claim is no proof of the contrary.",
+        "It says nothing of the gains; with other numbers the claim is false too.",
+    )
+    del clock
+    return Meaning(HEADLINES["refuted"], f"the blocks' claim about $V$ is false; {place}.", means, not_means)
+
+
+def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
+    failing = [condition.name for condition in verdict.conditions if not condition.holds]
+    if verdict.claim is None:
+        means = (
+            "A proof needs a certificate from every block: what it stores and what it loses. Here there is none to be "
+            "had, for the reason given, so nothing was tested.",
+        )
+        why = f"this graph makes no claim that could be tested: {marked(verdict.reason)}."
+    elif failing:
+        means = (
+            f"The identity for $\\dot V$ is exact; {_decided(verdict)[0].lower()}{_decided(verdict)[1:]}",
+            "But a theorem needs its conditions too, and at the numbers of this graph not all of them hold: "
+            f"{'; '.join(map(marked, failing))}. The margins in the table say how far off these are.",
+        )
+        why = f"the formula for $\\dot V$ is right, but not every condition holds: {'; '.join(map(marked, failing))}."
+    else:
+        means = ("The test was not able to tell right from wrong here, so its answer does not count.",)
+        why = f"{marked(verdict.reason)}."
+    not_means = (
+        "It does not say that the loop is unstable, and not that the blocks are wrong.",
+        "It does not say that the loop is stable either.",
+    )
+    del clock
+    return Meaning(HEADLINES["not_applicable"], why, means, not_means)
+
+
+def _listed(items: list[str]) -> str:
+    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + f" and {items[-1]}" if items else ""

@@ -1,0 +1,93 @@
+"""Writing a report: its kind by the name's ending, all of it or nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from dmframe.catalogue import graphs as packaged
+from dmframe.certify import Verdict
+from dmframe.config import Graph
+from dmframe.diagram import Diagram
+from dmframe.errors import OutputError
+from dmframe.report.content import Content, gather
+from dmframe.report.data import as_data
+from dmframe.report.page import as_html, as_markdown
+
+Item = tuple[Graph, Diagram, Verdict]
+
+
+def _as_json(contents: Sequence[Content]) -> str:
+    return json.dumps(as_data(contents), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+WRITERS: Final[dict[str, Callable[[Sequence[Content]], str]]] = {
+    ".html": as_html,
+    ".md": as_markdown,
+    ".json": _as_json,
+}
+
+
+def write_report(path: str | Path, items: Sequence[Item], *, overrides: Sequence[str] = (), seed: int = 0) -> None:
+    """Write one report on one or several graphs: a web page, Markdown or JSON, by the ending of `path`.
+
+    Each graph is simulated as its file says, to show V along the run. The file is written beside its place and then
+    renamed, so that it is there in full or not at all.
+
+    Parameters
+    ----------
+    path
+        ``.html`` (one file that opens offline and prints), ``.md`` or ``.json``.
+    items
+        Graphs with their diagrams and verdicts.
+    overrides, seed
+        As they were given to ``dmframe verify``, for the command that replays it.
+
+    Raises
+    ------
+    OutputError
+        Another ending, or a file that cannot be written.
+    """
+    path = Path(path)
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        found = path.suffix or "no ending"
+        raise OutputError(f"{path}: expected a name that ends in {', '.join(WRITERS)}, found {found}")
+    _check_place(path)
+    command = _command([graph for graph, _, _ in items], overrides, seed, path)
+    contents = [gather(graph, diagram, verdict, command=command, seed=seed) for graph, diagram, verdict in items]
+    _write(path, writer(contents))
+
+
+def _command(graphs: Sequence[Graph], overrides: Sequence[str], seed: int, path: Path) -> list[str]:
+    known = packaged()
+    names = [
+        graph.name if graph.name in known and str(known[graph.name]) == graph.document.name else graph.document.name
+        for graph in graphs
+    ]
+    changes = [word for text in overrides for word in ("--set", text)]
+    return ["dmframe", "verify", *names, *changes, "--seed", str(seed), "--report", path.name]
+
+
+def _check_place(path: Path) -> None:
+    """Fail before the simulations, not after them."""
+    if path.is_dir():
+        raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
+    if not path.absolute().parent.is_dir():
+        raise OutputError(f"{path}: the folder {path.parent} does not exist; make it first, or name another")
+
+
+def _write(path: Path, text: str) -> None:
+    beside = path.absolute().with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
+    try:
+        beside.write_text(text, encoding="utf-8")
+        os.replace(beside, path)  # noqa: PTH105 - Path.replace does the same; this one takes the old file's place at once
+    except OSError as error:
+        with suppress(OSError):
+            beside.unlink()
+        raise OutputError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}") from None

@@ -1,0 +1,90 @@
+"""``dmframe verify`` at the command line; what it computes has tests of its own."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+CONTRACT = {
+    "graph",
+    "verdict",
+    "residual_zero",
+    "trials",
+    "primes",
+    "degree_bound",
+    "log2_error_bound",
+    "dissipation",
+    "conditions",
+    "assumptions",
+    "mutants",
+    "time",
+}
+
+
+def strict(text: str) -> Any:
+    def refuse(name: str) -> None:
+        raise ValueError(f"{name} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_a_proved_graph_gives_status_0_and_the_assumptions(dmframe: Any) -> None:
+    said = dmframe("verify", "arm2_joint")
+    assert (said.status, said.err) == (0, "")
+    assert said.out.startswith("arm2_joint: proved\n")
+    assert "  assumed\n" in said.out
+    assert "time is continuous" in said.out
+
+
+def test_a_graph_with_a_block_without_a_certificate_gives_status_1_and_the_reason(dmframe: Any) -> None:
+    said = dmframe("verify", "ur10_fast_kinematic")
+    assert (said.status, said.err) == (1, "")
+    assert said.out == "ur10_fast_kinematic: not applicable\n  inverse: a kinematic_command has no certificate\n"
+
+
+def test_a_condition_that_fails_gives_status_1_and_is_marked(dmframe: Any) -> None:
+    said = dmframe("verify", "pendulum", "--set", "servo.K_I=2000")
+    assert said.status == 1
+    assert "not applicable" in said.out.splitlines()[0]
+    assert any("M_bar" in line and line.endswith("FAILS") for line in said.out.splitlines())
+
+
+def test_verify_json_has_the_keys_of_the_contract(dmframe: Any) -> None:
+    said = dmframe("verify", "arm2_joint", "--json")
+    assert (said.status, said.err) == (0, "")
+    told = strict(said.out)
+    assert set(told) >= CONTRACT
+    assert (told["graph"], told["verdict"], told["residual_zero"]) == ("arm2_joint", "proved", True)
+    assert told["mutants"]["tried"] == told["mutants"]["refuted"] > 0
+    assert {"name", "expression", "value", "holds", "source"} <= set(told["conditions"][0])
+    assert set(told["time"]) == {"build", "check"}
+    assert told["log2_error_bound"] < -200
+
+
+def test_verify_json_is_valid_where_nothing_was_proved(dmframe: Any) -> None:
+    said = dmframe("verify", "ur10_fast_kinematic", "--json")
+    assert said.status == 1
+    told = strict(said.out)
+    assert set(told) >= CONTRACT
+    assert told["verdict"] == "not_applicable"
+
+
+def test_verify_of_several_graphs_is_a_list_and_one_failure_decides_the_status(dmframe: Any) -> None:
+    said = dmframe("verify", "pendulum", "ur10_fast_kinematic", "--json")
+    assert said.status == 1
+    assert [told["verdict"] for told in strict(said.out)] == ["proved", "not_applicable"]
+
+
+def test_the_seed_changes_the_primes_and_nothing_else(dmframe: Any) -> None:
+    first, other = (strict(dmframe("verify", "pendulum", "--json", "--seed", seed).out) for seed in ("1", "2"))
+    assert first["primes"] != other["primes"]
+    assert (first["verdict"], first["conditions"]) == (other["verdict"], other["conditions"])
+
+
+@pytest.mark.parametrize("words", [("verify", "pendulm"), ("verify",), ("verify", "pendulum", "--seed", "x")])
+def test_bad_calls_of_verify_give_status_2(words: tuple[str, ...], dmframe: Any) -> None:
+    said = dmframe(*words)
+    assert (said.status, said.out) == (2, "")
+    assert said.err
