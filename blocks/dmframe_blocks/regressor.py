@@ -36,7 +36,8 @@ class Regressor(AbstractBlock):
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes the
+    servo to compensate nothing.
 
     Parameters
     ----------
@@ -105,7 +106,9 @@ class Regressor(AbstractBlock):
         if "nominal" in p:
             n, frictions = p.robot.n, len(set(self.friction))
             held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
-            outputs["a_d_nominal"] = ca.vertcat(p.nominal * p.robot.inertia, ca.SX.zeros(frictions * n), *held)
+            heavy = [p.robot.inertia[_heavy(n)]] if self.gravity == "apart" else []
+            inertia = p.nominal * ca.vertcat(p.robot.inertia, *heavy)
+            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.SX.zeros(frictions * n), *held)
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

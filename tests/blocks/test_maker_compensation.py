@@ -110,3 +110,10 @@ def test_the_adaptive_loop_converges_over_the_compensating_servo() -> None:
     eighth = len(error) // 8
     rms = [float(np.sqrt(np.mean(error[part] ** 2))) for part in (slice(0, eighth), slice(-eighth, None))]
     assert rms[1] < 0.4 * rms[0]
+
+
+def test_a_nominal_start_apart_has_the_weights_of_the_robots_model_too() -> None:
+    diagram = load_graph("arm2_joint", ["model.gravity=apart", "model.friction=[]", "model.nominal=0.8"]).diagram()
+    (nominal,) = outputs(diagram, "model", ["a_d_nominal"], {"q": Q})
+    inertia = 0.8 * np.array(diagram.robot.inertia, dtype=float).reshape(2, 10)
+    np.testing.assert_allclose(nominal, np.concatenate([inertia.ravel(), inertia[:, :4].ravel()]))
