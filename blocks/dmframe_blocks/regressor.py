@@ -36,8 +36,8 @@ class Regressor(AbstractBlock):
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes the
-    servo to compensate nothing.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes
+    the servo to compensate nothing.
 
     Parameters
     ----------
