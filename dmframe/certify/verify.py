@@ -11,7 +11,7 @@ from dmframe.certificate import Assumption
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
 from dmframe.certify.controls import Control, negative_controls
-from dmframe.certify.identity import check_identity, holds_in_reals, is_trivial
+from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
 from dmframe.certify.symbols import symbols_of
@@ -127,7 +127,7 @@ def _verified(
         return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
     controls = negative_controls(claim, symbols, seed=seed)
     conditions, assumptions = conditions_of(claim, uncertain)
-    outcome, reason = _judge(conditions, controls, is_trivial(claim, symbols, seed))
+    outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed))
     return Verdict(
         outcome=outcome,
         reason=reason,
@@ -151,9 +151,9 @@ def _blame(refutation: Refutation) -> str:
     return f"dV/dt is not what the blocks claim; to blame: {where or none}"
 
 
-def _judge(conditions: Sequence[Checked], controls: Sequence[Control], trivial: bool) -> tuple[Outcome, str]:
-    if trivial:
-        return "not_applicable", "V or dV/dt is identically zero; nothing would be proved"
+def _judge(conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]) -> tuple[Outcome, str]:
+    if empty:
+        return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"
