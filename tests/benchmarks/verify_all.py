@@ -1,7 +1,7 @@
 """Every combination of generator and servo, on every robot: is it proved, how surely, and in what time?
 
-``python tests/benchmarks/verify_all.py [ROBOT...]`` prints one line a configuration, and ends with status 1 where one is
-not proved. Times are seconds of one core, whatever else it does: reading and building the graph, and proving it.
+``python tests/benchmarks/verify_all.py [ROBOT...]`` prints one line a configuration; status 1 where one is
+not proved. Times are CPU seconds: of reading and building the graph, and of proving it.
 """
 
 from __future__ import annotations
