@@ -209,7 +209,7 @@ def _boxes(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumpti
         own, text = hashes(projection.state), f"{projection.name}: true value inside the box"
         for part in claim.parts:
             for square in part.certificate.storage:
-                if not symbols_in([square.vector]) & own:
+                if part.block != projection.block or not symbols_in([square.vector]) & own:
                     continue
                 truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
                 known = [row for row in range(truth.shape[0]) if symbols_in([truth[row]]) <= numbers.known]

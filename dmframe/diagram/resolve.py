@@ -48,6 +48,11 @@ class Projection:
     lower: SX
     upper: SX
 
+    @property
+    def block(self) -> str:
+        """Whose state it is."""
+        return self.name.partition(".")[0]
+
 
 @final
 class Resolver:
