@@ -92,7 +92,7 @@ def test_joint_tracking_leads_the_error_back() -> None:
 def test_task_tracking_inverts_the_jacobian_and_pulls_towards_the_path() -> None:
     J = np.array([[1.0, 2.0], [0.5, -1.0]])
     x, x_d, dx_d = np.array([0.3, 0.1]), np.array([0.2, 0.4]), np.array([1.0, -0.5])
-    found = answer("task_tracking", {"gamma": 0.8}, J=J, x=x, x_d=x_d, dx_d=dx_d, dq=[1, 1])
+    found = answer("task_tracking", {"gamma": 0.8}, J_hat=J, x=x, x_d=x_d, dx_d=dx_d, dq=[1, 1])
     expected = np.linalg.solve(J, dx_d) - 0.8 * J.T @ (x - x_d)
     close(found["dq_ref"], expected)
     close(found["sigma"], 1 - expected)
@@ -159,7 +159,7 @@ Q, DQ = np.array([0.4, -0.9]), np.array([1.1, -0.6])
 def test_kinematics_and_the_manipulators_position_are_the_textbooks() -> None:
     robot = load("arm2")
     found = answer("kinematics", robot=robot, q=Q, dq=DQ)
-    close(found["J"], closed_form.jacobian(Q))
+    close(found["J_hat"], closed_form.jacobian(Q))
     close(found["dx"], closed_form.jacobian(Q) @ DQ)
     close(answer("manipulator", robot=robot, q=Q)["x"], closed_form.position(Q))
 
