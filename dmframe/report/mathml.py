@@ -15,7 +15,7 @@ _BRACES: Final = {"{": 1, "}": -1}
 LONG: Final = 120
 """Characters of LaTeX beyond which a term may be broken inside of its brackets."""
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
-_FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<mo>(?:sin|cos|tanh|min|max)</mo>)")
+_FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<m([io])>(?:sin|cos|tanh|min|max)</m\3>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
 """Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""

@@ -125,7 +125,9 @@ def _row(claim: Claim, names: Names, part: Part, term: Square | Lemma, symbol: s
     if isinstance(term, Lemma):
         weight, value = names.weight(term.weight), names.value(term.weight)
         return TermRow(part.block, "lemma", symbol, term.of, factor, weight, value)
-    written = names.weight(term.weight) if term.weight.is_column() else names.matrix(part.block, term.weight)
+    written = names.mass(part.block, term.weight)
+    if not written:
+        written = names.weight(term.weight) if term.weight.is_column() else r"\text{a full matrix}"
     return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight))
 
 
@@ -141,18 +143,21 @@ class Names:
         known |= {variable.label: variable.symbol for variable in variables}
         known |= {leaf.name: leaf.symbol for leaf in claim.loop.trajectories}
         self._owner = {
-            element.element_hash(): label for label, symbol in known.items() for element in _elements(symbol)
+            element.element_hash(): (label, place)
+            for label, symbol in known.items()
+            for place, element in enumerate(_elements(symbol), start=1)
         }
         self._names = _distinct({label: _notation(claim, label, symbol) for label, symbol in known.items()})
         self._used = dict[str, None]()
 
     def __call__(self, symbol: SX) -> str:
         """The LaTeX of a scalar symbol, its index left away: what is diagonal is written once for all elements."""
-        label = self._owner.get(symbol.element_hash())
-        if label is None:
+        label, place = self._owner.get(symbol.element_hash(), ("", 0))
+        if not label:
             return name_latex(symbol.name())
         self._used[label] = None
-        return self._names[label]
+        # the robot's numbers are of many kinds, in one column
+        return rf"{self._names[label]}_{{{place}}}" if label.startswith("robot.") else self._names[label]
 
     def weight(self, weight: SX) -> str:
         """A diagonal weight: one formula, where it is the same for all elements."""
@@ -162,18 +167,18 @@ class Names:
         found = list(dict.fromkeys(str(text) for text in written))
         return found[0] if len(found) == 1 else r"\mathrm{diag}(" + r",\; ".join(found) + ")"
 
-    def matrix(self, block: str, weight: SX) -> str:
-        """A full weight: the robot's M(q), recognised by its values at a random state, or else unnamed."""
+    def mass(self, block: str, weight: SX) -> str:
+        """``M(q)`` if the weight is the robot's, recognised by its values at a random state; else empty."""
         loop, model = self.claim.loop, self.claim.diagram.models[block]
-        states = [symbol for name, symbol in model.states.items() if name == "q"]
-        if model.robot is not None and states:
-            M = model.robot.mass_matrix(states[0])
-            if M.shape == weight.shape:
-                difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
-                state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
-                if not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12):
-                    return "M(q)"
-        return r"\text{a full matrix}"
+        if model.robot is None or "q" not in model.states:
+            return ""
+        M = model.robot.mass_matrix(model.states["q"])
+        if M.shape != weight.shape:
+            return ""
+        difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
+        state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
+        alike = not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12)
+        return "M(q)" if alike else ""
 
     def value(self, weight: SX) -> str:
         """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""

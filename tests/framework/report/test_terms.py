@@ -59,6 +59,11 @@ def test_the_formulas_hold_every_term_once_and_kappa_with_the_servo_level_alone(
     assert [name for _, name in terms.projections] == ["inverse.w", "inverse.w_I"]
 
 
+def test_the_inertia_of_a_single_joint_is_called_m_too(continuous):
+    arm = next(row for row in terms_of(continuous.verdict.claim).storage if row.block == "arm")
+    assert (arm.weight, arm.value) == ("M(q)", "0.24")
+
+
 def test_the_legend_names_each_symbol_of_the_weights(proved):
     legend = {item.symbol: (item.label, item.value, item.unit) for item in terms_of(proved.verdict.claim).legend}
     assert legend["B"] == ("arm.viscous", "1, 0.5", "N m s/rad")
