@@ -14,7 +14,9 @@ import pytest
 from closed_loops import Loop, field_of, known_blocks, loops, states_of, true_in_numbers
 from mutants import LIBRARY, Mutant, Result, all_mutants, block_mutants, homes, judged, library_mutants, mutated_block
 
-from dmframe.certify import claim_of, verify
+from dmframe.certify import claim_of
+from dmframe.certify.identity import check_identity
+from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.model import hashes, symbols_in
 from dmframe.port import Side
 from dmframe.simulate.start import loop_trajectories
@@ -69,7 +71,7 @@ def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothi
 def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> None:
     mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ != "equations"]
     provable = [mutant for mutant in mutants if homes(mutant.owner, loops())]
-    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::20])
+    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::40])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
 
@@ -77,9 +79,9 @@ def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> N
 @pytest.mark.parametrize("which", LIBRARY)
 def test_faults_in_the_plant_library_are_refuted_or_make_another_robot(which: str) -> None:
     mutants = list(library_mutants(which))
-    results = tried(mutants[:: len(mutants) // 20])
+    results = tried(mutants[:: len(mutants) // 10])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert Counter(result.outcome for result in results)["refuted"] >= 5
+    assert Counter(result.outcome for result in results)["refuted"] >= 3
 
 
 def test_a_source_has_no_part_in_the_claim() -> None:
@@ -110,7 +112,7 @@ def test_the_field_of_a_run_is_the_rate_of_every_state() -> None:
         np.testing.assert_allclose(rates(state, t), exact(state, t, loop.p_values).full().ravel(), rtol=1e-8, atol=1e-8)
 
 
-def test_every_loop_that_faults_are_put_into_is_proved_without_them() -> None:
-    assert {loop.name: verify(loop.diagram, trials=1).outcome for loop in loops()} == dict.fromkeys(
-        (loop.name for loop in loops()), "proved"
-    )
+def test_every_loop_that_faults_are_put_into_is_true_without_them() -> None:
+    for loop in loops():
+        claim = claim_of(loop.diagram)
+        assert check_identity(claim, symbols_of(claim), trials=1, seed=0).zero, loop.name
