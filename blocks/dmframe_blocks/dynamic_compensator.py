@@ -6,9 +6,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.certificate import Certificate
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -37,6 +38,11 @@ class DynamicCompensator(AbstractBlock):
         The estimate at the start.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
+    a_d_hat_ball : [centre, radius]
+        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
+    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
+        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -53,24 +59,36 @@ class DynamicCompensator(AbstractBlock):
         Port("tau_task", "n", "N m", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"),)
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
     a_d_hat: Diagonal = Real("p", default=0.0)
     a_d_hat_box: Box = Interval("p")
+    a_d_hat_ball: Ball = Around("p")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/rad")
+    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
+        law = adaptation(p)
+        gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma))
         return Equations(
             outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task},
-            rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ u.sigma)},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, p.a_d_hat_0, u.sigma)},
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        a_d_err = x.a_d_hat - truth.a_d
+        law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, p.a_d_hat_0, 1 / p.Gamma)
+        robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
-            storage=(Square("a_d_hat - a_d", a_d_err, 1 / p.Gamma),),
-            supply=-ca.dot(u.sigma, u.Y_d @ a_d_err),
+            storage=(a_d.storage,),
+            dissipation=robust.dissipation,
+            excess=robust.excess,
+            supply=-ca.dot(u.sigma, effect),
         )

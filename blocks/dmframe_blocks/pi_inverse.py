@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Assumption, Certificate, Condition, Inequality, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
 
@@ -42,6 +43,9 @@ class PiInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
+    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
+        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -80,16 +84,21 @@ class PiInverse(AbstractBlock):
     w_I: Diagonal = Real("n", "1/s", default=0.0)
     w_box: Box = Interval("n", "rad/(N m s)")
     w_I_box: Box = Interval("n", "1/s")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/rad")
+    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), (2) and (3)."""
         dq_c = u.dq_ref + x.w_I * x.q_r + x.w * u.tau_dc - x.w_I * u.q_c
+        law = adaptation(p)
+        sigma = law.drive(u.sigma)
         return Equations(
             outputs={"dq_c": dq_c},
             rates={
                 "q_r": u.dq_ref,
-                "w": -p.Lambda * u.tau_dc * u.sigma,
-                "w_I": p.Lambda_I * (u.q_c - x.q_r) * u.sigma,
+                "w": law.rate(-p.Lambda * u.tau_dc * sigma, x.w, p.w_0, u.sigma),
+                "w_I": law.rate(p.Lambda_I * (u.q_c - x.q_r) * sigma, x.w_I, p.w_I_0, u.sigma),
             },
         )
 
@@ -101,13 +110,15 @@ class PiInverse(AbstractBlock):
         """(4) and (5)."""
         K_star = truth.K * truth.K_P
         e = truth.i + u.q_c - x.q_r
+        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
+        effect = K_star * ((w.value - w.truth) * u.tau_dc - (w_I.value - w_I.truth) * (u.q_c - x.q_r))
+        law = adaptation(p)
+        robust = law.terms([w, w_I], u.sigma, "sigma") + law.idle(u.sigma, effect, "the inverse's torque error")
         return Certificate(
-            storage=(
-                Square("i + q_c - q_r", e, truth.K * truth.K_I),
-                Square("w - 1/K_star", x.w - 1 / K_star, K_star / p.Lambda),
-                Square("w_I - K_I/K_P", x.w_I - truth.K_I / truth.K_P, K_star / p.Lambda_I),
-            ),
-            dissipation=(Square("sigma", u.sigma, K_star + truth.B),),
+            storage=(Square("i + q_c - q_r", e, truth.K * truth.K_I), w.storage, w_I.storage),
+            dissipation=(Square("sigma", u.sigma, K_star + truth.B), *robust.dissipation),
+            excess=robust.excess,
             sigma=(ca.SX(1),),
             supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma),
         )

@@ -6,9 +6,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.certificate import Certificate
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
 
@@ -39,6 +40,9 @@ class PiTorqueInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected.
+    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
+        while epsilon is below this width. See `dmframe.adaptation`.
 
     References
     ----------
@@ -70,23 +74,35 @@ class PiTorqueInverse(AbstractBlock):
     w_I: Diagonal = Real("n", "1/s", default=0.0)
     w_box: Box = Interval("n", "rad/(N m s)")
     w_I_box: Box = Interval("n", "1/s")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak()
+    dead_zone: Diagonal | None = DeadZone("n")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), (2) and (3)."""
+        law = adaptation(p)
+        epsilon = law.drive(u.epsilon)
         return Equations(
             outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d},
-            rates={"w": -p.Lambda * u.tau_d * u.epsilon, "w_I": p.Lambda_I * (u.q_c - u.q) * u.epsilon},
+            rates={
+                "w": law.rate(-p.Lambda * u.tau_d * epsilon, x.w, p.w_0, u.epsilon),
+                "w_I": law.rate(p.Lambda_I * (u.q_c - u.q) * epsilon, x.w_I, p.w_I_0, u.epsilon),
+            },
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5)."""
         K_star = truth.K * truth.K_P
-        w_err, w_I_err = x.w - 1 / K_star, x.w_I - truth.K_I / truth.K_P
+        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
+        effect = K_star * ((w.value - w.truth) * u.tau_d + (w_I.value - w_I.truth) * (u.q - u.q_c))
+        law = adaptation(p)
+        robust = law.terms([w, w_I], u.epsilon, "epsilon")
+        robust += law.idle(u.epsilon, effect, "the inverse's torque error")
         return Certificate(
-            storage=(
-                Square("w - 1/K_star", w_err, K_star / p.Lambda),
-                Square("w_I - K_I/K_P", w_I_err, K_star / p.Lambda_I),
-            ),
-            supply=-ca.dot(u.epsilon, K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))),
+            storage=(w.storage, w_I.storage),
+            dissipation=robust.dissipation,
+            excess=robust.excess,
+            supply=-ca.dot(u.epsilon, effect),
             truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )

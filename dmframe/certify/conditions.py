@@ -10,7 +10,7 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Assumption, CommonLyapunov, Condition, Inequality, Lemma, Square
+from dmframe.certificate import SX, Assumption, CommonLyapunov, Condition, Dissipated, Inequality, Lemma, Square
 from dmframe.certify.claim import Claim, NotApplicableError, Part, total
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled, pivots
 from dmframe.certify.stability import common_margin
@@ -67,7 +67,7 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
         else:
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
-    checked += _boxes(claim, numbers)
+    checked += _sets(claim, numbers)
     matrices = list(_matrices(claim, numbers))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
@@ -152,7 +152,7 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     return _decided(f"{name}: {text}", text, condition.source, least, condition.strict)
 
 
-def _terms(claim: Claim) -> Iterator[tuple[Part, str, Square | Lemma]]:
+def _terms(claim: Claim) -> Iterator[tuple[Part, str, Dissipated]]:
     for part in claim.parts:
         yield from ((part, "V", square) for square in part.certificate.storage)
         yield from ((part, "dV/dt", term) for term in part.certificate.dissipation)
@@ -198,8 +198,8 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
 
 
-def _boxes(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """A projection needs the true value in its box; so does the start, or it would jump."""
+def _sets(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it."""
     for projection in claim.loop.projections:
         own = hashes(projection.state)
         for part in claim.parts:
@@ -207,9 +207,22 @@ def _boxes(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 if symbols_in([square.vector]) & own:
                     zero = ca.SX.zeros(projection.state.shape[0])
                     truth = -ca.substitute(square.vector, projection.state, zero)
-                    room = ca.vertcat(truth - projection.lower, projection.upper - truth)
-                    name, text = f"{projection.name}: true value inside the box", "lower <= true value <= upper"
-                    yield _decided(name, text, "Remark 2", partial(numbers.least, room), strict=False)
+                    least = partial(numbers.least, projection.set.room(truth))
+                    name = f"{projection.name}: true value inside the {projection.kind}"
+                    text = INSIDE[projection.kind]
+                    yield _decided(name, text, "Remark 2", least, strict=False)
+                    askew = projection.set.askew(square.weight)
+                    if not askew.is_zero():
+                        yield _normal(projection.name, askew, numbers)
+
+
+INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
+
+
+def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
+    text = "weight in V times adaptation gain is one number for all elements"
+    least = partial(numbers.least, ca.vertcat(askew, -askew))
+    return _decided(f"{name}: projected in the metric of V", text, "projection lemma", least, strict=False)
 
 
 def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
@@ -218,7 +231,7 @@ def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
     if len(payers) != 1:
         return None
     (part,) = payers
-    weights = [term.weight for term in part.certificate.dissipation]
+    weights = [term.weight for term in part.paying]
     c = total([other.certificate.consumes for other in claim.parts if other.certificate.consumes is not None])
     ones = ca.SX.ones(claim.sigma.shape[0])
     shares = list(zip(part.certificate.sigma, weights, strict=True))

@@ -27,7 +27,7 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
     trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. Then it is projected onto
-    its box, where it has one.
+    its box or ball, where it has one.
     """
     loop = diagram.loop
     variables = (*loop.controller, *loop.plant)
@@ -42,8 +42,8 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values)
     for projection in loop.projections:
-        box = {leaf.label: leaf.value for leaf in loop.parameters}[projection.box]
-        values[projection.name] = np.clip(np.ravel(values[projection.name]), box[..., 0], box[..., 1])
+        held = projection.set.held(projection.state)
+        values[projection.name] = evaluate(loop, held, {projection.name: np.ravel(values[projection.name])})
     _check_finite(variables, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
 
