@@ -20,14 +20,15 @@ class DynamicCompensator(AbstractBlock):
     .. math::
 
         \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d^\top \sigma           \tag{2}
+        \dot{\hat a}_d &= -\Gamma_d (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
-    With :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
+    The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
+    :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
         S &= \tfrac12 \tilde a_d^\top \Gamma_d^{-1} \tilde a_d   \tag{3} \\
-        \dot S &= -\sigma^\top Y_d \tilde a_d                    \tag{4}
+        \dot S &= -\sigma^\top Y_d \tilde a_d - e_f^\top Y_f \tilde a_d   \tag{4}
 
     Parameters
     ----------
@@ -57,8 +58,10 @@ class DynamicCompensator(AbstractBlock):
         Port("Y_d", "n p", "N m"),
         Port("sigma", "n", "rad/s"),
         Port("tau_task", "n", "N m", optional=True),
+        Port("Y_f", "n p", "N m", optional=True),
+        Port("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
     states: ClassVar[tuple[State, ...]] = (
         State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
     )
@@ -75,9 +78,9 @@ class DynamicCompensator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         law = adaptation(p)
-        gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma))
+        gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
         return Equations(
-            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task},
+            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
             rates={"a_d_hat": law.rate(gradient, x.a_d_hat, p.a_d_hat_0, u.sigma)},
         )
 
@@ -90,5 +93,5 @@ class DynamicCompensator(AbstractBlock):
             storage=(a_d.storage,),
             dissipation=robust.dissipation,
             excess=robust.excess,
-            supply=-ca.dot(u.sigma, effect),
+            supply=-ca.dot(u.sigma, effect) - ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
         )

@@ -21,17 +21,20 @@ class PiInverse(AbstractBlock):
     .. math::
 
         \dot q_c &= \dot q_{ref} + w_I q_r + w \tau_{dc} - w_I q_c, \quad \dot q_r = \dot q_{ref}  \tag{1} \\
-        \dot w   &= -\Lambda\, \tau_{dc} \sigma                                                    \tag{2} \\
-        \dot w_I &= \Lambda_I (q_c - q_r) \sigma                                                   \tag{3}
+        \dot w   &= -\Lambda (\tau_{dc} \sigma + \tau_f e_f)                                        \tag{2} \\
+        \dot w_I &= \Lambda_I ((q_c - q_r) \sigma - q_f e_f)                                       \tag{3}
 
-    products element by element. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. With
-    the servo's integrator i and :math:`e = i + q_c - q_r`, so that :math:`\dot e = \sigma`:
+    products element by element; the terms in :math:`e_f` are those of a composite adaptation, with a
+    `filtered_regressor`, and zero without. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with
+    :math:`K_\star = K K_P`. With the servo's integrator i and :math:`e = i + q_c - q_r`, so that
+    :math:`\dot e = \sigma`:
 
     .. math::
 
         S &= \tfrac12 |e|^2_{K K_I} + \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda}
              + \tfrac12 |w_I - K_I/K_P|^2_{K_\star/\Lambda_I}                                      \tag{4} \\
-        \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)     \tag{5}
+        \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)
+                  - e_f^\top K_\star (\tilde w \tau_f + \tilde w_I q_f)                            \tag{5}
 
     Parameters
     ----------
@@ -62,8 +65,15 @@ class PiInverse(AbstractBlock):
         Port("dq_ref", "n", "rad/s"),
         Port("sigma", "n", "rad/s"),
         Port("tau_dc", "n", "N m"),
+        Port("tau_f", "n", "N m", optional=True),
+        Port("q_f", "n", "rad", optional=True),
+        Port("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("w", "n", "rad/(N m s)"),
+        Port("w_I", "n", "1/s"),
+    )
     states: ClassVar[tuple[State, ...]] = (
         State("q_r", "n", "rad"),
         State("w", "n", "rad/(N m s)", box="w_box"),
@@ -94,11 +104,11 @@ class PiInverse(AbstractBlock):
         law = adaptation(p)
         sigma = law.drive(u.sigma)
         return Equations(
-            outputs={"dq_c": dq_c},
+            outputs={"dq_c": dq_c, "w": x.w, "w_I": x.w_I},
             rates={
                 "q_r": u.dq_ref,
-                "w": law.rate(-p.Lambda * u.tau_dc * sigma, x.w, p.w_0, u.sigma),
-                "w_I": law.rate(p.Lambda_I * (u.q_c - x.q_r) * sigma, x.w_I, p.w_I_0, u.sigma),
+                "w": law.rate(-p.Lambda * (u.tau_dc * sigma + u.tau_f * u.e_f), x.w, p.w_0, u.sigma),
+                "w_I": law.rate(p.Lambda_I * ((u.q_c - x.q_r) * sigma - u.q_f * u.e_f), x.w_I, p.w_I_0, u.sigma),
             },
         )
 
@@ -112,7 +122,9 @@ class PiInverse(AbstractBlock):
         e = truth.i + u.q_c - x.q_r
         w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
         w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
-        effect = K_star * ((w.value - w.truth) * u.tau_dc - (w_I.value - w_I.truth) * (u.q_c - x.q_r))
+        w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
+        effect = K_star * (w_err * u.tau_dc - w_I_err * (u.q_c - x.q_r))
+        filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
         law = adaptation(p)
         robust = law.terms([w, w_I], u.sigma, "sigma") + law.idle(u.sigma, effect, "the inverse's torque error")
         return Certificate(
@@ -120,7 +132,7 @@ class PiInverse(AbstractBlock):
             dissipation=(Square("sigma", u.sigma, K_star + truth.B), *robust.dissipation),
             excess=robust.excess,
             sigma=(ca.SX(1),),
-            supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma),
+            supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma) - ca.dot(u.e_f, filtered),
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

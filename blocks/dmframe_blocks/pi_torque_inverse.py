@@ -20,17 +20,18 @@ class PiTorqueInverse(AbstractBlock):
     .. math::
 
         \dot q_c &= \dot q + w_I (q - q_c) + w \tau_d    \tag{1} \\
-        \dot w   &= -\Lambda\, \tau_d\, \epsilon         \tag{2} \\
-        \dot w_I &= \Lambda_I (q_c - q)\, \epsilon       \tag{3}
+        \dot w   &= -\Lambda (\tau_d\, \epsilon + \tau_f e_f)         \tag{2} \\
+        \dot w_I &= -\Lambda_I ((q - q_c)\, \epsilon + q_f e_f)       \tag{3}
 
-    products element by element; :math:`\epsilon` drives the adaptation. True values: :math:`1/K_\star` and
-    :math:`K_I/K_P`, with :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset
+    products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a
+    `filtered_regressor`. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset
     :math:`i - (q - q_c)` acts as the torque :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
 
     .. math::
 
         S &= \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda} + \tfrac12 |w_I - K_I/K_P|^2_{K_\star/\Lambda_I}   \tag{4} \\
-        \dot S &= -\epsilon^\top K_\star (\tilde w \tau_d + \tilde w_I (q - q_c))                            \tag{5}
+        \dot S &= -\epsilon^\top K_\star (\tilde w \tau_d + \tilde w_I (q - q_c))
+                  - e_f^\top K_\star (\tilde w \tau_f + \tilde w_I q_f)                                     \tag{5}
 
     Parameters
     ----------
@@ -54,9 +55,16 @@ class PiTorqueInverse(AbstractBlock):
         Port("dq", "n", "rad/s"),
         Port("q_c", "n", "rad"),
         Port("tau_d", "n", "N m"),
-        Port("epsilon", "n", "*"),
+        Port("epsilon", "n", "*", optional=True),
+        Port("tau_f", "n", "N m", optional=True),
+        Port("q_f", "n", "rad", optional=True),
+        Port("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("w", "n", "rad/(N m s)"),
+        Port("w_I", "n", "1/s"),
+    )
     states: ClassVar[tuple[State, ...]] = (
         State("w", "n", "rad/(N m s)", box="w_box"),
         State("w_I", "n", "1/s", box="w_I_box"),
@@ -83,10 +91,10 @@ class PiTorqueInverse(AbstractBlock):
         law = adaptation(p)
         epsilon = law.drive(u.epsilon)
         return Equations(
-            outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d},
+            outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d, "w": x.w, "w_I": x.w_I},
             rates={
-                "w": law.rate(-p.Lambda * u.tau_d * epsilon, x.w, p.w_0, u.epsilon),
-                "w_I": law.rate(p.Lambda_I * (u.q_c - u.q) * epsilon, x.w_I, p.w_I_0, u.epsilon),
+                "w": law.rate(-p.Lambda * (u.tau_d * epsilon + u.tau_f * u.e_f), x.w, p.w_0, u.epsilon),
+                "w_I": law.rate(-p.Lambda_I * ((u.q - u.q_c) * epsilon + u.q_f * u.e_f), x.w_I, p.w_I_0, u.epsilon),
             },
         )
 
@@ -95,7 +103,9 @@ class PiTorqueInverse(AbstractBlock):
         K_star = truth.K * truth.K_P
         w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
         w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
-        effect = K_star * ((w.value - w.truth) * u.tau_d + (w_I.value - w_I.truth) * (u.q - u.q_c))
+        w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
+        effect = K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))
+        filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
         law = adaptation(p)
         robust = law.terms([w, w_I], u.epsilon, "epsilon")
         robust += law.idle(u.epsilon, effect, "the inverse's torque error")
@@ -103,6 +113,6 @@ class PiTorqueInverse(AbstractBlock):
             storage=(w.storage, w_I.storage),
             dissipation=robust.dissipation,
             excess=robust.excess,
-            supply=-ca.dot(u.epsilon, effect),
+            supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
             truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )

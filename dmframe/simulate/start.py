@@ -209,5 +209,6 @@ def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]
     known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
     inputs = [loop.time, loop.p, *(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
-    values_now = function(0, loop.p_values, *(values[v.label] for v in known))
+    shaped = (np.reshape(values[v.label], v.symbol.shape, order="F") for v in known)  # a matrix is kept as a column
+    values_now = function(0, loop.p_values, *shaped)
     return np.asarray(values_now.full().ravel())
