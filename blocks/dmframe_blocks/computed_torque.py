@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.certificate import Assumption, Certificate, Condition, Square
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
@@ -76,3 +77,10 @@ class ComputedTorque(AbstractBlock):
             dissipation=(Square("s_star", s_star, p.alpha),),
             supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
         )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """(4) names no error where the adaptation is indirect: it is the prediction error that vanishes."""
+        if truth.direct.is_zero():
+            text = "M_hat stays uniformly positive definite, so that a vanishing prediction error brings (1) about"
+            return (Assumption(text, "eqs. (54), (58)"),)
+        return ()

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition
+from dmframe.certificate import SX, Assumption, Certificate, Condition
 from dmframe.linalg import solve_spd
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
 from dmframe.port import Port, State
 
 
@@ -34,8 +35,6 @@ class DirectAdaptation(AbstractBlock):
     ----------
     Gamma : diagonal (p,), > 0
         Adaptation gain.
-    a_d_hat : (p,)
-        The estimate at the start; M-hat must be positive definite there.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep M-hat invertible.
     a_d_hat_ball : [centre, radius]
@@ -46,7 +45,7 @@ class DirectAdaptation(AbstractBlock):
 
     Notes
     -----
-    Not for: estimates that start at zero, where M-hat is singular.
+    Not for: a robot without a nominal model, at which the estimates start: M-hat is singular at zero.
 
     References
     ----------
@@ -57,6 +56,7 @@ class DirectAdaptation(AbstractBlock):
         Port("Y_d", "n p", "N m"),
         Port("M_hat", "n n", "N m s^2/rad"),
         Port("s_star", "n", "rad/s"),
+        Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
     states: ClassVar[tuple[State, ...]] = (
@@ -65,7 +65,6 @@ class DirectAdaptation(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p")
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
     leak: Scalar | None = Leak()
@@ -78,14 +77,18 @@ class DirectAdaptation(AbstractBlock):
         gradient = -p.Gamma * (u.Y_d.T @ law.drive(epsilon))
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, p.a_d_hat_0, epsilon)},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, u.a_d_nominal, epsilon)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, epsilon = adaptation(p), self.equations(u, x, p).outputs["epsilon"]
         effect = u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, p.a_d_hat_0, 1 / p.Gamma)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, u.a_d_nominal, 1 / p.Gamma)
         robust = law.terms([a_d], epsilon, "epsilon") + law.idle(epsilon, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
             storage=(a_d.storage,),

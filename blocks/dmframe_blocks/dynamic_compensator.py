@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import SX, Certificate
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
@@ -36,7 +37,7 @@ class DynamicCompensator(AbstractBlock):
         Adaptation gain. Larger adapts faster, passes more velocity noise, and lowers the sampling period up to which
         the loop is stable.
     a_d_hat : (p,)
-        The estimate at the start.
+        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
     a_d_hat_ball : [centre, radius]
@@ -58,6 +59,7 @@ class DynamicCompensator(AbstractBlock):
         Port("Y_d", "n p", "N m"),
         Port("sigma", "n", "rad/s"),
         Port("tau_task", "n", "N m", optional=True),
+        Port("a_d_nominal", "p", "", optional=True),
         Port("Y_f", "n p", "N m", optional=True),
         Port("e_f", "n", "rad/s", optional=True),
     )
@@ -68,7 +70,7 @@ class DynamicCompensator(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p", default=0.0)
+    a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
     leak: Scalar | None = Leak()
@@ -81,13 +83,17 @@ class DynamicCompensator(AbstractBlock):
         gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, p.a_d_hat_0, u.sigma)},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, self._nominal(u, p), u.sigma)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model, or zero."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, p.a_d_hat_0, 1 / p.Gamma)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
         robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
             storage=(a_d.storage,),
@@ -95,3 +101,7 @@ class DynamicCompensator(AbstractBlock):
             excess=robust.excess,
             supply=-ca.dot(u.sigma, effect) - ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
         )
+
+    def _nominal(self, u: Signals, p: Signals) -> SX:
+        """Where the estimate starts."""
+        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

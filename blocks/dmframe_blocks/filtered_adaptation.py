@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import SX, Certificate
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
@@ -33,7 +34,7 @@ class FilteredAdaptation(AbstractBlock):
     Gamma : diagonal (p,), > 0
         Adaptation gain.
     a_d_hat : (p,)
-        The estimate at the start.
+        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
     a_d_hat_ball : [centre, radius]
@@ -46,7 +47,11 @@ class FilteredAdaptation(AbstractBlock):
     [WangTAC2020]_ eqs. (54)-(58); [SlotineLi1991]_ section 9.2.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("Y_f", "n p", "N m"), Port("e_f", "n", "rad/s"))
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_f", "n p", "N m"),
+        Port("e_f", "n", "rad/s"),
+        Port("a_d_nominal", "p", "", optional=True),
+    )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""),)
     states: ClassVar[tuple[State, ...]] = (
         State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
@@ -54,7 +59,7 @@ class FilteredAdaptation(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p", default=0.0)
+    a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
     leak: Scalar | None = Leak()
@@ -64,12 +69,16 @@ class FilteredAdaptation(AbstractBlock):
         gradient = -p.Gamma * (u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": adaptation(p).rate(gradient, x.a_d_hat, p.a_d_hat_0, u.e_f)},
+            rates={"a_d_hat": adaptation(p).rate(gradient, x.a_d_hat, self._nominal(u, p), u.e_f)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model, or zero."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, p.a_d_hat_0, 1 / p.Gamma)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
         robust = adaptation(p).terms([a_d], u.e_f, "e_f")
         return Certificate(
             storage=(a_d.storage,),
@@ -78,3 +87,7 @@ class FilteredAdaptation(AbstractBlock):
             supply=-ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
             truth={"direct": ca.SX(0)},
         )
+
+    def _nominal(self, u: Signals, p: Signals) -> SX:
+        """Where the estimate starts."""
+        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

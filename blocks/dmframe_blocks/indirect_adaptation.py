@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
@@ -34,7 +35,7 @@ class IndirectAdaptation(AbstractBlock):
     Gamma : diagonal (p,), > 0
         Adaptation gain.
     a_d_hat : (p,)
-        The estimate at the start.
+        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
     a_d_hat_ball : [centre, radius]
@@ -45,14 +46,19 @@ class IndirectAdaptation(AbstractBlock):
 
     Notes
     -----
-    Not for: a robot whose accelerations are not measured.
+    Not for: a robot whose accelerations are not measured; estimates that start at zero under `certainty_equivalence`,
+    where the torque, and so the error, would stay at zero.
 
     References
     ----------
     [WangTAC2020]_ eqs. (54)-(58).
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"), Port("tau_d", "n", "N m"))
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("tau_d", "n", "N m"),
+        Port("a_d_nominal", "p", "", optional=True),
+    )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "N m"))
     states: ClassVar[tuple[State, ...]] = (
         State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
@@ -60,7 +66,7 @@ class IndirectAdaptation(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p", default=0.0)
+    a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
     leak: Scalar | None = Leak()
@@ -73,14 +79,18 @@ class IndirectAdaptation(AbstractBlock):
         epsilon = law.drive(error)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": law.rate(-p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, p.a_d_hat_0, error)},
+            rates={"a_d_hat": law.rate(-p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, self._nominal(u, p), error)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model, or zero."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
         epsilon = law.drive(error)
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, p.a_d_hat_0, 1 / p.Gamma)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
         robust = law.terms([a_d], error, "epsilon")
         spent = Square("epsilon", error, ca.SX(1)) if law.width is None else self._beyond(error, law.width)
         return Certificate(
@@ -94,3 +104,7 @@ class IndirectAdaptation(AbstractBlock):
     def _beyond(self, error: SX, width: SX) -> Lemma:
         """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
         return Lemma("epsilon", width, error, ca.SX.zeros(error.shape[0]), width, "dead_zone")
+
+    def _nominal(self, u: Signals, p: Signals) -> SX:
+        """Where the estimate starts."""
+        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Assumption, Certificate, Condition, Inequality
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -41,7 +42,7 @@ class PiTorqueInverse(AbstractBlock):
     w, w_I : (n,), rad/(N m s), 1/s
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected.
+        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
     leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
         Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
         while epsilon is below this width. See `dmframe.adaptation`.
@@ -117,3 +118,9 @@ class PiTorqueInverse(AbstractBlock):
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
             truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
+        if "w_I_box" in p:
+            return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)
+        return (Assumption("w_I stays uniformly above zero (give w_I_box to make sure of it)", "Section IV"),)

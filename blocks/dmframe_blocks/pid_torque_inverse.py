@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -120,3 +121,10 @@ class PidTorqueInverse(AbstractBlock):
             supply=-ca.dot(u.epsilon, effect),
             truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The distance from q to q_c in (1) decays while w_P and w_I move in boxes that keep it so."""
+        moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
+        if "w_P_box" in p and "w_I_box" in p:
+            return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
+        return (Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"),)

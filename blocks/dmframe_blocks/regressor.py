@@ -9,6 +9,7 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
+from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Port
 
 
@@ -21,6 +22,15 @@ class Regressor(AbstractBlock):
         Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
 
+    The estimates may start at
+
+    .. math::
+
+        a_d^\ast = (\nu\, a_{inertia},\, 0,\, -\nu\, g(q))   \tag{2}
+
+    with the share :math:`\nu` that `nominal` says; the friction is unknown, and the bias is the gravity that the servo
+    holds at rest.
+
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
 
@@ -30,6 +40,9 @@ class Regressor(AbstractBlock):
         Friction that the compensator estimates along with the inertial parameters.
     bias : true or false
         Estimate a constant torque a joint too, such as the offset of the servo's integrator.
+    nominal : scalar, >= 0
+        Let the estimates start at this share of the robot's own inertial parameters, as from a drawing that is wrong:
+        1 knows the links and not the friction. Left out, they start where the adaptation says, or at zero.
 
     Notes
     -----
@@ -47,7 +60,10 @@ class Regressor(AbstractBlock):
         Port("dq_ref", "n", "rad/s"),
         Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("a_d_nominal", "p", "", optional=True),
+    )
     truth: ClassVar[tuple[Port, ...]] = (
         Port("B", "n", "N m s/rad"),
         Port("D", "n", "N m"),
@@ -56,13 +72,14 @@ class Regressor(AbstractBlock):
 
     friction: tuple[Literal["viscous", "coulomb"], ...] = ()
     bias: bool = False
+    nominal: Scalar | None = NonNegative(default=None)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """p: ten a link, and one a joint for each kind of friction."""
         return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1)."""
+        """(1) and, if asked, (2)."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
         if "viscous" in self.friction:
             columns.append(ca.diag(u.dq_ref))
@@ -70,7 +87,12 @@ class Regressor(AbstractBlock):
             columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
         if self.bias:
             columns.append(ca.SX.eye(p.robot.n))
-        return Equations(outputs={"Y_d": ca.densify(ca.horzcat(*columns))})
+        outputs = {"Y_d": ca.densify(ca.horzcat(*columns))}
+        if "nominal" in p:
+            n, frictions = p.robot.n, len(set(self.friction))
+            held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
+            outputs["a_d_nominal"] = ca.vertcat(p.nominal * p.robot.inertia, ca.SX.zeros(frictions * n), *held)
+        return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; the true a_d."""

@@ -67,7 +67,8 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
         else:
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
-    checked += _sets(claim, numbers)
+    inside, unknown = _sets(claim, numbers)
+    checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(_matrices(claim, numbers))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
@@ -198,25 +199,40 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
 
 
-def _sets(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it."""
+def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it.
+
+    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
+    """
+    checked, assumed = list[Checked](), list[Assumption]()
     for projection in claim.loop.projections:
-        own = hashes(projection.state)
+        own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
         for part in claim.parts:
             for square in part.certificate.storage:
-                if symbols_in([square.vector]) & own:
-                    zero = ca.SX.zeros(projection.state.shape[0])
-                    truth = -ca.substitute(square.vector, projection.state, zero)
-                    least = partial(numbers.least, projection.set.room(truth))
-                    name = f"{projection.name}: true value inside the {projection.kind}"
-                    text = INSIDE[projection.kind]
-                    yield _decided(name, text, "Remark 2", least, strict=False)
-                    askew = projection.set.askew(square.weight)
-                    if not askew.is_zero():
-                        yield _normal(projection.name, askew, numbers)
+                if not symbols_in([square.vector]) & own:
+                    continue
+                truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
+                room, rest = _decidable(projection.set.room(truth), numbers)
+                if room.numel():
+                    least = partial(numbers.least, room)
+                    checked.append(_decided(text, INSIDE[projection.kind], "Remark 2", least, strict=False))
+                if rest:
+                    at = sorted({row % truth.shape[0] for row in rest})
+                    where = f", at [{', '.join(map(str, at))}]" if projection.kind == "box" else ""
+                    assumed.append(Assumption(f"{text}{where}, where the plant's start decides it", "Remark 2"))
+                askew = projection.set.askew(square.weight)
+                if not askew.is_zero():
+                    checked.append(_normal(projection.name, askew, numbers))
+    return checked, assumed
 
 
 INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
+
+
+def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
+    """The rows that depend on parameters alone, and the positions of the others."""
+    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
+    return room[known], [row for row in range(room.shape[0]) if row not in known]
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
@@ -20,14 +21,17 @@ NEAR = "near"
 REACHED = 1e-9
 """A start pose is on the path if it is this close [m or rad]."""
 
+ROUNDING = 1e-9
+"""A start is in its box if it misses it by less, relative to one plus its size."""
+
 
 def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
     """Every state at t = 0, the controller's first, as one column.
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. Then it is projected onto
-    its box or ball, where it has one.
+    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box or
+    a ball must start inside it.
     """
     loop = diagram.loop
     variables = (*loop.controller, *loop.plant)
@@ -41,11 +45,33 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
         if not _has_start(diagram, variable):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values)
-    for projection in loop.projections:
-        held = projection.set.held(projection.state)
-        values[projection.name] = evaluate(loop, held, {projection.name: np.ravel(values[projection.name])})
     _check_finite(variables, values)
+    _into_sets(loop, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
+
+
+def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
+    """A start on the rim of its box or ball, missed by rounding, is put on it; one outside is a fault."""
+    faults = list[DmframeError]()
+    for projection in loop.projections:
+        start = np.ravel(values[projection.name])
+        values[projection.name] = evaluate(loop, projection.set.held(projection.state), {projection.name: start})
+        missed = np.abs(start - values[projection.name]) > ROUNDING * (1 + np.abs(start))
+        if missed.any():
+            faults.append(_outside(loop, projection, start, int(np.argmax(missed))))
+    raise_all(faults)
+
+
+def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int) -> StartError:
+    block, parameter = projection.parameter.split(".")
+    label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
+    room = evaluate(loop, projection.set.room(projection.state), {projection.name: start})
+    if projection.kind == "ball":
+        found = f"{projection.name}: expected a start inside {parameter}, found {np.sqrt(1 - room[0]):.4g} radii away"
+    else:
+        lower, upper = start - room[: start.size], start + room[start.size :]
+        found = f"{label}: expected a start inside {parameter}, {lower[k]:.6g} to {upper[k]:.6g}, found {start[k]:.6g}"
+    return StartError(f"{found}; move the start or the {projection.kind}", path=("blocks", block, parameter))
 
 
 def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:
