@@ -61,7 +61,7 @@ def equalities(claim: Claim) -> list[Equality]:
 
 def composed(part: Part) -> SX:
     """Sigma as the paying block composes it of what it dissipates."""
-    vectors = [term.pieces[0] for term in part.certificate.dissipation]
+    vectors = [term.pieces[0] for term in part.paying]
     return sum((share * vector for share, vector in zip(part.certificate.sigma, vectors, strict=True)), ca.SX(0))
 
 
@@ -71,7 +71,7 @@ def _scale(claim: Claim) -> SX:
 
 
 def _own_scale(part: Part) -> SX:
-    terms = (part.rate, part.certificate.supply, part.dissipation, part.lemma)
+    terms = (part.rate, part.certificate.supply, part.dissipation, part.excess, part.lemma)
     return sum((ca.fabs(ca.SX(term)) for term in terms), ca.SX(0))
 
 

@@ -153,13 +153,12 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
             other, port = found[0]
             if other not in strangers:  # of several signals of one stranger, the first says it all
                 strangers.add(other)
-                faults.append(
-                    UnitError(
-                        f"{name}: {type_name(type(block))} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
-                        f"found {port.unit or 'no unit'}; it does not go with {other} ({type_name(type(blocks[other]))})",
-                        path=("blocks", name),
-                    )
+                own, strange = type_name(type(block)), type_name(type(blocks[other]))
+                text = (
+                    f"{name}: {own} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
+                    f"found {port.unit or 'no unit'}; it does not go with {other} ({strange})"
                 )
+                faults.append(UnitError(text, path=("blocks", name)))
     return faults
 
 
