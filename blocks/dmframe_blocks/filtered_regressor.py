@@ -141,7 +141,7 @@ class FilteredRegressor(AbstractBlock):
         Y_f = self._momentum(u, p) * p.rate + x.Y_z
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
-        explained, learned = K_star * error, ()
+        explained, learned = K_star * error, tuple[Square, ...]()
         if not self.bias:
             b_err = x.b_hat - offset / K_star
             h, explained = h + offset, explained - K_star * b_err
