@@ -52,7 +52,7 @@ class FilteredRegressor(AbstractBlock):
 
     Parameters
     ----------
-    rate : scalar, 1/s, > 0
+    bandwidth : scalar, 1/s, > 0
         lambda. Larger forgets faster and passes more noise.
     weight : diagonal (n,), > 0
         W: how much the prediction error counts beside the other errors of a composite adaptation.
@@ -102,7 +102,7 @@ class FilteredRegressor(AbstractBlock):
         Port("i", "n", "rad"),
     )
 
-    rate: Scalar = Positive("", "1/s")
+    bandwidth: Scalar = Positive("", "1/s")
     weight: Diagonal = Positive("n", default=1.0)
     friction: tuple[Literal["viscous", "coulomb"], ...] = ()
     bias: bool = False
@@ -119,26 +119,26 @@ class FilteredRegressor(AbstractBlock):
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
                 f"integrator; found {'both' if self.bias else 'neither'}"
             )
-        Y_f, error = self._momentum(u, p) * p.rate + x.Y_z, self._error(u, x, p)
+        Y_f, error = self._momentum(u, p) * p.bandwidth + x.Y_z, self._error(u, x, p)
         e_f = p.weight * error
         return Equations(
             outputs={"Y_f": Y_f, "e_f": e_f, "tau_f": Y_f @ u.a_d_hat, "q_f": x.q_f},
             rates={
-                "Y_z": p.rate * (self._rest(u, p) - Y_f),
-                "v_f": p.rate * (u.dq_c - u.dq - x.v_f),
-                "q_f": p.rate * (u.q - u.q_c - x.q_f),
+                "Y_z": p.bandwidth * (self._rest(u, p) - Y_f),
+                "v_f": p.bandwidth * (u.dq_c - u.dq - x.v_f),
+                "q_f": p.bandwidth * (u.q - u.q_c - x.q_f),
                 "b_hat": ca.SX.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
             },
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The filters hold nothing yet."""
-        return {"Y_z": -p.rate * self._momentum(u, p)}
+        return {"Y_z": -p.bandwidth * self._momentum(u, p)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(6) and (7)."""
         K_star, error = truth.K * truth.K_P, self._error(u, x, p)
-        Y_f = self._momentum(u, p) * p.rate + x.Y_z
+        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
         explained, learned = K_star * error, tuple[Square, ...]()
@@ -147,7 +147,7 @@ class FilteredRegressor(AbstractBlock):
             h, explained = h + offset, explained - K_star * b_err
             learned = (Square("b_hat - b", b_err, K_star / p.Gamma_b),)
         return Certificate(
-            storage=(Square("h", h, p.weight / (p.rate * K_star)), *learned),
+            storage=(Square("h", h, p.weight / (p.bandwidth * K_star)), *learned),
             dissipation=(
                 Square("epsilon", error, p.weight * K_star / 2),
                 Square("epsilon - h/K_star", error - h / K_star, p.weight * K_star / 2),
@@ -157,7 +157,7 @@ class FilteredRegressor(AbstractBlock):
         )
 
     def _error(self, u: Signals, x: Signals, p: Signals) -> SX:
-        Y_f = self._momentum(u, p) * p.rate + x.Y_z
+        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
         error = u.w * (Y_f @ u.a_d_hat) + u.w_I * x.q_f - x.v_f
         return error if self.bias else error + x.b_hat
 

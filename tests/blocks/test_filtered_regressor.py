@@ -35,7 +35,7 @@ def filtered(rows: np.ndarray) -> np.ndarray:
 
 
 def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() -> None:
-    graph = load_graph("torque_indirect_filtered_pi", [f"filter.rate={RATE}", "adaptation.Gamma=1"])
+    graph = load_graph("torque_indirect_filtered_pi", [f"filter.bandwidth={RATE}", "adaptation.Gamma=1"])
     diagram = graph.diagram()
     run = simulate(diagram, 2.0, clock=None, solver=Solver(step=STEP, output=STEP), start=graph.start)
     q, dq, ddq = run["arm.q"], run["arm.dq"], run["arm.ddq"]
