@@ -93,6 +93,11 @@ class Estimate:
     weight: SX
 
     @property
+    def away(self) -> str:
+        """How a reader writes the truth minus the start, from the other two."""
+        return " - ".join(name.split(" - ", 1)[1] for name in (self.error, self.start))
+
+    @property
     def storage(self) -> Square:
         """|estimate - truth|^2_W; S is half of it."""
         return Square(self.error, self.value - self.truth, self.weight)
@@ -167,7 +172,7 @@ def _leaked(estimate: Estimate, rate: SX) -> Terms:
             Square(estimate.error, estimate.value - estimate.truth, half),
             Square(estimate.start, estimate.value - estimate.nominal, half),
         ),
-        (Square(f"the start's error in {estimate.error}", away, half),),
+        (Square(estimate.away, away, half),),
     )
 
 

@@ -183,8 +183,7 @@ def _law(diagram: Diagram, name: str) -> BlockLaw:
             spec = specs(type(block))[key]
             ends = model.values[key]
             between = {"box": "to", "ball": "plus or minus"}.get(spec.form)
-            first, last = shown(ends[..., :1].ravel()), shown(ends[..., -1:].ravel())
-            text = f"[{first}] {between} [{last}]" if between else shown(ends.ravel())
+            text = f"[{shown(ends[..., 0])}] {between} [{shown(ends[..., 1])}]" if between else shown(ends.ravel())
             values.append(Value(key, text, units[key], marked_prose(law.parameters.get(key, ""))))
         elif key not in units:
             option = getattr(block, key)

@@ -265,3 +265,20 @@ def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
     size = np.linalg.norm(run["dynamics.a_d_hat"], axis=1)
     assert run.divergence is None
     assert size.max() == pytest.approx(0.5, abs=1e-9)
+
+
+def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    overrides = ["dynamics.leak=0.1", "inverse.dead_zone=0.1", "inverse.error_leak=1", "dynamics.a_d_hat_ball=[0, 10]"]
+    words = [word for text in overrides for word in ("--set", text)]
+    for name in ("report.md", "report.html"):
+        monkeypatch.setattr("sys.argv", ["dmframe", "verify", "arm2_joint", *words, "--report", str(tmp_path / name)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        assert not stopped.value.code
+    text = (tmp_path / "report.md").read_text()
+    assert "stable up to a bounded residual" in text
+    assert "goes to zero" not in text
+    assert "What is left, above zero or of either sign, and bounded:" in text
+    assert r"$a_{d} - \hat{a}_{d} (0)$" in text
+    assert "[0] plus or minus [10]" in text
+    assert "What is left" in (tmp_path / "report.html").read_text()
