@@ -1,4 +1,4 @@
-# make run | make test | make setup | make lint | make lock | make clean
+# make run | make test | make benchmark | make mutants | make setup | make lint | make lock | make clean
 # Needs Python 3.11 or later with venv and pip, git, make and gcc; choose the Python with PYTHON=python3.12.
 
 SHELL := /bin/bash
@@ -13,13 +13,18 @@ WORKERS ?= 2
 GRAPHS ?= ur10_fast ur10_fast_kinematic ur10_fast_tuned
 SOURCES := dmframe blocks plants tests
 
-.PHONY: run test setup lint lock clean
+.PHONY: run test mutants setup lint lock clean benchmark
 
 run: setup
 	$(BIN)/dmframe run $(GRAPHS)
 
 test: lint
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+# Every fault that can be seeded into a block, a certificate or the plant library, in all closed loops that it touches:
+# minutes to an hour; MUTANTS=--quick puts each into one loop only.
+mutants: setup
+	$(BIN)/python tests/framework/certify/mutants.py $(MUTANTS)
 
 lint: setup
 	$(BIN)/ruff check $(SOURCES)
@@ -42,6 +47,10 @@ $(STAMP): pyproject.toml requirements.lock
 lock:
 	uv pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
 	  --no-emit-find-links --custom-compile-command "make lock" --group dev pyproject.toml -o requirements.lock
+
+# How long certificates take, and SymPy for comparison: some minutes.
+benchmark: setup
+	$(BIN)/python tests/benchmarks/certify.py
 
 clean:
 	rm -rf $(VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -33,13 +33,14 @@ _NULL: Final = 1e-9
 class Linear:
     r"""The loop near a point, x the deviation of all states, the controller's z first.
 
-    .. math:: \dot x = A x, \qquad \dot z = C x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
+    .. math:: \dot x = A x + B w, \qquad \dot z = C x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
 
-    with C `control`, D `command`, :math:`A_p` `plant_A` and :math:`B_p` `plant_B`.
+    with w the desired trajectory and its derivatives, C `control`, D `command`, :math:`A_p` `plant_A` and
+    :math:`B_p` `plant_B`.
 
     Parameters
     ----------
-    states, commands
+    states, trajectories, commands
         Labels, one an element: ``"inverse.w[0]"``.
     point
         The state at which it was linearised.
@@ -50,11 +51,13 @@ class Linear:
     """
 
     states: tuple[str, ...]
+    trajectories: tuple[str, ...]
     commands: tuple[str, ...]
     point: Array
     controller: int
     drift: float
     A: Array
+    B: Array
     control: Array
     command: Array
     plant_A: Array
@@ -145,11 +148,13 @@ def linearise(
     plant_A, plant_B = _plant(loop, commands)
     return Linear(
         states=_labels([(v.label, v.symbol.numel()) for v in variables(loop)]),
+        trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
         commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in commands]),
         point=point,
         controller=first,
         drift=float(np.max(np.abs(rates(loop)(point, loop.p_values).full()), initial=0.0)),
         A=_slope(rates(loop), point, p),
+        B=_trajectory_slope(loop, point, p),
         control=_slope(control, point, p),
         command=_slope(command, point, p),
         plant_A=plant_A(point[first:], u, p).full(),
@@ -159,6 +164,14 @@ def linearise(
 
 def _slope(function: Any, point: Array, p: Array) -> Array:
     return np.asarray(function.jacobian()(point, p, 0)[0].full())
+
+
+def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array) -> Array:
+    """The Jacobian of all rates in the trajectory's leaves."""
+    (rate,) = project(loop, loop.joined([stack(variable.rate for variable in variables(loop))]))
+    leaves, values = columns(loop.trajectories)
+    slope = ca.substitute(ca.densify(ca.jacobian(rate, leaves)), leaves, values)
+    return np.asarray(ca.Function("B", [loop.state, loop.p], [slope])(point, p).full())
 
 
 def _plant(loop: ClosedLoop, commands: list[Any]) -> tuple[Any, Any]:

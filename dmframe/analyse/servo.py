@@ -58,9 +58,11 @@ class JointLoop:
         Of L.
     passive_servo
         Of K C; a PID servo alone is not passive.
+    inverse
+        dq_c for tau_dc, by the inverse at its true values: 1 / (K C). None where no adaptive inverse drives the servo.
     port
         The servo with the inverse at its true values, as the rest of the controller sees it: from sigma = dq - dq_ref
-        to the braking torque B sigma + tau_dc - K u. None where no adaptive inverse drives the servo.
+        to the braking torque B sigma + tau_dc - K u. None likewise.
     passive_port
         Its passivity, on which the certificate rests: for a PID servo it is M_bar >= 0.
     """
@@ -74,6 +76,7 @@ class JointLoop:
     tracking: Rational
     margins: Margins
     passive_servo: Passivity
+    inverse: Rational | None
     port: Rational | None
     passive_port: Passivity | None
 
@@ -121,6 +124,7 @@ def _joint(
         tracking=tracking,
         margins=margins(loop),
         passive_servo=passivity(KC),
+        inverse=None if inverse is None else _inverse_transfer(diagram, inverse, j),
         port=port,
         passive_port=None if port is None else passivity(port),
     )
@@ -217,12 +221,27 @@ def _system(
     return _System(*(np.asarray(ca.densify(part).full()) for part in function(*(value for _, value in pairs))))
 
 
-def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, viscous: float) -> Rational:
-    """B + (tau_dc - K u) / sigma with dq_ref = 0, tau_dc = 0: servo, inverse at its true values, and dq/dt = sigma."""
+def _inverse_transfer(diagram: Diagram, inverse: str, j: int) -> Rational:
+    """dq_c for tau_dc, q_c being the integral of dq_c, as every servo here reports it."""
+    moving, truth = _inverse_states(diagram, inverse)
+    part = _system(diagram.models[inverse], ["q_c", "tau_dc"], [COMMAND], moving, truth, j)
+    size = len(moving) + 1
+    A = np.block([[part.A, part.B[:, :1]], [part.C, part.D[:, :1]]])
+    b = np.concatenate([part.B[:, 1], part.D[0, 1:]])
+    return transfer(A, b, np.concatenate([part.C[0], part.D[0, :1]]).reshape(size), float(part.D[0, 1]))
+
+
+def _inverse_states(diagram: Diagram, inverse: str) -> tuple[list[str], dict[str, Array]]:
+    """States of the inverse that are no estimates; the true values of those that are."""
     pairs = ((label.split(".", 1), value) for label, value in true_values(diagram).items())
     truth = {state: value for (block, state), value in pairs if block == inverse}
+    return [state for state in diagram.models[inverse].states if state not in truth], truth
+
+
+def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, viscous: float) -> Rational:
+    """B + (tau_dc - K u) / sigma with dq_ref = 0, tau_dc = 0: servo, inverse at its true values, and dq/dt = sigma."""
+    moving, truth = _inverse_states(diagram, inverse)
     model, plant = diagram.models[inverse], diagram.models[servo]
-    moving = [state for state in model.states if state not in truth]
     maker = list(plant.states)
     top = _system(model, ["q", "q_c"], [COMMAND], moving, truth, j)
     low = _system(plant, ["q", SPEED, COMMAND], [VOLTAGE], maker, {}, j)

@@ -109,6 +109,7 @@ def _joint(joint: JointLoop) -> dict[str, Any]:
         "gain_margin": _finite(joint.margins.gain),
         "phase_margin_deg": _finite(joint.margins.phase),
         "crossover": _finite(joint.margins.gain_crossover),
+        "inverse": None if joint.inverse is None else _rational(joint.inverse),
         "servo_with_inverse": None if joint.port is None else _rational(joint.port),
         "servo_with_inverse_passive": None if joint.passive_port is None else _passive(joint.passive_port),
     }

@@ -84,16 +84,28 @@ def along(claim: Claim, run: Run, kappa: float = 1.0) -> Along:
     ValueFault
         A run whose states are not those of the claim.
     """
-    variables = (*claim.loop.controller, *claim.loop.plant)
-    missing = [variable.label for variable in variables if variable.label not in run.states]
-    if missing:
-        raise ValueFault(f"V along a run: expected the run to hold {missing[0]}, found {', '.join(run.states)}")
+    _check_same(claim, run)
     named = [(part.block, square, claim.weight(part)) for part in claim.parts for square in part.certificate.storage]
     rows = _evaluated(claim, run, [weight * square.value / 2 for _, square, weight in named], kappa)
     terms = tuple(TermAlong(block, square.of, row) for (block, square, _), row in zip(named, rows, strict=True))
     with np.errstate(over="ignore", invalid="ignore"):
         total = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
     return Along(run.time, kappa, total, terms)
+
+
+def _check_same(claim: Claim, run: Run) -> None:
+    """The run has the states and parameters of the claim, each of its size."""
+    variables = (*claim.loop.controller, *claim.loop.plant)
+    wanted = {variable.label: variable.symbol.numel() for variable in variables}
+    wanted |= {parameter.label: parameter.symbol.numel() for parameter in claim.loop.parameters}
+    found = {label: rows.shape[1] for label, rows in run.states.items()}
+    found |= {parameter.label: parameter.symbol.numel() for parameter in run.diagram.loop.parameters}
+    for label in dict.fromkeys((*wanted, *found)):
+        if wanted.get(label) != found.get(label):
+            here, there = (f"{sizes[label]} of" if label in sizes else "no" for sizes in (wanted, found))
+            raise ValueFault(
+                f"V along a run: expected a run of the claim's own blocks, with {here} {label}, found {there}"
+            )
 
 
 def _evaluated(claim: Claim, run: Run, expressions: list[Any], kappa: float) -> np.ndarray:

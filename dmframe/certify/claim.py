@@ -179,7 +179,7 @@ class Field:
         _check_form(name, certificate)
         joined = certificate.mapped(self.loop.joined)
         storage = total([square.value for square in joined.storage]) / 2
-        lemma = total([self._lemma(name, joined, item) for item in self._projections(storage)])
+        lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
         return Part(name, joined, task, self.derivative(storage), lemma)
 
@@ -194,9 +194,12 @@ class Field:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
 
-    def _projections(self, storage: SX) -> list[Projection]:
+    def _projections(self, name: str, storage: SX) -> list[Projection]:
+        """Of the block's own states. What another block stores may move with them too, as sigma does through dq_ref:
+        it has no lemma, so the correction must cancel there, as it does where ddq_ref is derived with it.
+        """
         used = symbols_in([storage])
-        return [projection for projection in self.loop.projections if used & hashes(projection.state)]
+        return [item for item in self.loop.projections if item.block == name and used & hashes(item.state)]
 
     def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
         r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""

@@ -209,7 +209,7 @@ def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumptio
         own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
         for part in claim.parts:
             for square in part.certificate.storage:
-                if not symbols_in([square.vector]) & own:
+                if part.block != projection.block or not symbols_in([square.vector]) & own:
                     continue
                 truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
                 room, rest = _decidable(projection.set.room(truth), numbers)

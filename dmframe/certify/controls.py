@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from typing import final
 
 import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, Field, total
+from dmframe.certify.identity import ATTEMPTS, residues
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
-
-ATTEMPTS = 20
 
 
 @final
@@ -143,13 +141,3 @@ class _Point:
     def values(self, tape: Tape) -> list[list[int]]:
         """The outputs of another tape at the same point."""
         return tape.evaluate(list(self._own.values()), self._trial)
-
-
-def residues(trial: Trial, group: Group, known: Mapping[str, Sequence[Fraction]] | None = None) -> list[int]:
-    """A group's random residues, or its own where it is not free or `known`."""
-    values = (known or {}).get(group.label, group.values)
-    return (
-        [trial.random() for _ in range(group.symbol.numel())]
-        if values is None
-        else [trial.residue(value) for value in values]
-    )

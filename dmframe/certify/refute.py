@@ -9,8 +9,7 @@ from fractions import Fraction
 from typing import final
 
 from dmframe.certify.claim import Claim
-from dmframe.certify.controls import ATTEMPTS, residues
-from dmframe.certify.identity import Equality, equalities
+from dmframe.certify.identity import ATTEMPTS, Equality, equalities, residues
 from dmframe.certify.symbols import Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime, zero_test
 

@@ -12,7 +12,7 @@ from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
-from dmframe.certify.identity import check_identity, holds_in_reals, is_trivial
+from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
 from dmframe.certify.symbols import symbols_of
@@ -138,7 +138,7 @@ def _verified(
     controls = negative_controls(claim, symbols, seed=seed)
     conditions, assumptions = conditions_of(claim, uncertain)
     bounds = bounds_of(claim, Numbers(claim, uncertain), symbols)
-    outcome, reason = _judge(conditions, controls, is_trivial(claim, symbols, seed), bounds)
+    outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
         reason=reason,
@@ -164,10 +164,10 @@ def _blame(refutation: Refutation) -> str:
 
 
 def _judge(
-    conditions: Sequence[Checked], controls: Sequence[Control], trivial: bool, bounds: Sequence[Bound]
+    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str], bounds: Sequence[Bound]
 ) -> tuple[Outcome, str]:
-    if trivial:
-        return "not_applicable", "V or dV/dt is identically zero; nothing would be proved"
+    if empty:
+        return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"

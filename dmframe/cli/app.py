@@ -166,29 +166,38 @@ def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Prin
 
 
 @app.command()
-def schema() -> None:
+def schema(
+    verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
+) -> None:
     """Print the JSON Schema of graph files, for an editor."""
+    from dmframe.certify.schema import verdict_schema
     from dmframe.config.schema import json_schema
 
-    typer.echo(json.dumps(json_schema(), indent=2))
+    typer.echo(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
 
 
 @app.command()
 def regressor(
     robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.")],
     base: Annotated[bool, typer.Option("--base", help="Exact base parameters instead of all.")] = False,
-    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="Write Y_d as C source.")] = None,
+    kinematic: Annotated[bool, typer.Option("--kinematic", help="Y_k instead of Y_d.")] = False,
+    symbolic: Annotated[bool, typer.Option("--symbolic", help="Print each entry; up to 3 joints.")] = False,
+    prove: Annotated[bool, typer.Option("--prove", help="Prove the properties that controllers rely on.")] = False,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="Write it as C source.")] = None,
+    python: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a NumPy module.")] = None,
+    latex: Annotated[Path | None, typer.Option(metavar="FILE", help="Write M, C, g, Y_d, Y_k; up to 3 joints.")] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
     hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
-) -> None:
-    """Print a robot's dynamic parameters and test its regressor against Pinocchio."""
-    from dmframe.cli.show import regressor_page
+) -> int:
+    """A robot's regressor: parameters, entries, code, proofs, and how far it is from Pinocchio's."""
+    from dmframe.cli.regressor import Wanted, regressor_of
     from dmframe.robot.library import load
 
     chain = load(robot, base=Path(), free=_words(free), hold=_angles(hold), tool=tool)
-    typer.echo(regressor_page(chain, _words(friction) or (), base=base, file=c))
+    wanted = Wanted(base, kinematic, symbolic, prove, c, python, latex)
+    return regressor_of(chain, _words(friction) or (), wanted)
 
 
 def _words(text: str | None) -> tuple[str, ...] | None:

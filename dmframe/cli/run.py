@@ -18,6 +18,7 @@ from rich.table import Table
 
 from dmframe.cli import STOPPED
 from dmframe.config import Graph, load_graph
+from dmframe.config.graph import placed
 from dmframe.errors import DmframeError, Faults, ValueFault
 from dmframe.results import Result, reserve, write_run
 from dmframe.simulate import Run, simulate
@@ -134,9 +135,11 @@ def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
         elapsed = bar.tasks[task].elapsed
         bar.update(task, completed=time, speed=f"{time / elapsed:.0f} x real time" if elapsed else "")
 
-    return simulate(
-        diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start, progress=done
-    )
+    file = graph.file
+    try:
+        return simulate(diagram, file.duration, clock=file.clock, solver=graph.solver, start=graph.start, progress=done)
+    except DmframeError as error:
+        raise placed(error, graph.document, graph.overrides) from None
 
 
 def _say(text: str, as_json: bool) -> None:

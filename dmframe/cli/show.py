@@ -13,7 +13,6 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Source, Time, Wire
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
-from dmframe.robot.chain import SerialChain
 from dmframe.units import plain
 
 
@@ -148,20 +147,3 @@ def readable(docstring: str) -> str:
     text = re.sub(r"^( +.*?)\s*\\tag\{(\w+)\}(.*)$", r"\1   (\2)\3", text, flags=re.MULTILINE)
     text = text.replace(" \\\\\n", "\n").replace("&=", "=").replace("&", "")
     return re.sub(r"\n\n\n+", "\n\n", re.sub(r"\[(\w+)\]_", r"[\1]", text))
-
-
-def regressor_page(chain: SerialChain, friction: Sequence[str], *, base: bool, file: Path | None) -> str:
-    """Parameters of a robot, and how far its regressor is from Pinocchio's."""
-    from dmframe.regressor import base_parameters, export_c, listing, parameter_names, self_test
-
-    if base:
-        parts = [listing(chain, base_parameters(chain, friction)).rstrip()]
-    else:
-        names = parameter_names(chain.n, friction)
-        parts = [f"{chain.name}: {len(names)} parameters: {', '.join(names)}"]
-    test = self_test(chain)
-    parts.append(f"largest relative difference from Pinocchio: Y_d {test.Y_d:.1e}, Y_k {test.Y_k:.1e}")
-    if file is not None:
-        export_c(chain, file, friction, base)
-        parts.append(f"wrote {file}")
-    return "\n\n".join(parts)

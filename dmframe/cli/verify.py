@@ -24,6 +24,10 @@ def verify_graphs(
     names: Sequence[str], overrides: Sequence[str], *, report: Path | None, seed: int, as_json: bool
 ) -> int:
     """Verify graphs one after another; returns the exit status."""
+    if report is not None:
+        from dmframe.report import check_place
+
+        check_place(report)
     graphs = [load_graph(name, overrides) for name in names]
     diagrams = [graph.diagram() for graph in graphs]
     verdicts = [_verify(graph, diagram, seed) for graph, diagram in zip(graphs, diagrams, strict=True)]
@@ -44,7 +48,7 @@ def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
     try:
         return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain))
     except DmframeError as error:
-        raise placed(error, graph.document) from None
+        raise placed(error, graph.document, graph.overrides) from None
 
 
 def page(graph: Graph, verdict: Verdict) -> str:

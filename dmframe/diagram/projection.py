@@ -103,6 +103,11 @@ class Projection:
     set: Box | Ball
 
     @property
+    def block(self) -> str:
+        """Whose state it is."""
+        return self.name.partition(".")[0]
+
+    @property
     def kind(self) -> str:
         """``box`` or ``ball``."""
         return type(self.set).__name__.lower()

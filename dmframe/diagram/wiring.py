@@ -156,7 +156,8 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
                 faults.append(
                     UnitError(
                         f"{name}: {type_name(type(block))} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
-                        f"found {port.unit or 'no unit'}; it does not go with {other} ({type_name(type(blocks[other]))})",
+                        f"found {port.unit or 'no unit'}; "
+                        f"it does not go with {other} ({type_name(type(blocks[other]))})",
                         path=("blocks", name),
                     )
                 )

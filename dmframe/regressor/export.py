@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from dmframe.errors import OutputError, ShapeError
 from dmframe.regressor.base_parameters import base_parameters
-from dmframe.regressor.full import SIGNALS, full_regressor
+from dmframe.regressor.full import KINEMATIC_SIGNALS, SIGNALS, full_regressor
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.symbolic import SymbolicRobot
 
 # A fixed name of our own: a function called y0, exp or read would collide with the C library's.
 _INNER: Final = "dmframe_regressor_casadi"
 
-_WRAPPER: Final = """
+_DYNAMIC: Final = """
 /* Y_d: {n} x {p}, row-major, dense: Y_d[i * {p} + j] is joint i's torque per unit of parameter j.
    Reentrant; allocates nothing but {w} doubles on the stack. */
 {export}void dmframe_regressor(const double *q, const double *dq, const double *dq_ref, const double *ddq_ref,
@@ -30,6 +30,18 @@ _WRAPPER: Final = """
 {{
   const casadi_real *arg[{arg}] = {{q, dq, dq_ref, ddq_ref}};
   casadi_real *res[{res}] = {{Y_d}};
+"""
+
+_KINEMATIC: Final = """
+/* Y_k: {n} x {p}, row-major, dense: Y_k[i * {p} + j] is task coordinate i's velocity per unit of parameter j.
+   Reentrant; allocates nothing but {w} doubles on the stack. */
+{export}void dmframe_kinematic_regressor(const double *q, const double *psi, double *Y_k)
+{{
+  const casadi_real *arg[{arg}] = {{q, psi}};
+  casadi_real *res[{res}] = {{Y_k}};
+"""
+
+_BODY: Final = """\
   casadi_int iw[{iw}];
   casadi_real w[{w}];
   {inner}(arg, res, iw, w, 0);
@@ -51,10 +63,40 @@ def regressor_function(chain: SerialChain, friction: Collection[str] = (), base:
     return ca.Function("Y_d", signals, [Y_d], list(SIGNALS), ["Y_d"])
 
 
+def kinematic_function(chain: SerialChain) -> ca.Function:
+    """Y_k (m, k) as a function with inputs q and psi, both (n): J(q) psi = Y_k a_k, and what prismatic joints add.
+
+    Columns are named by `kinematic_names`. Units: m/s per m.
+    """
+    robot = SymbolicRobot(chain)
+    q, psi = (ca.SX.sym(name, chain.n) for name in KINEMATIC_SIGNALS)
+    symbols = [constant.symbol for constant in robot.constants]
+    inner = ca.Function("inner", [q, psi, *symbols], [ca.densify(robot.kinematic_regressor(q, psi))])
+    Y_k = inner(q, psi, *(ca.DM(value) for value in robot.values().values()))
+    return ca.Function("Y_k", [q, psi], [Y_k], list(KINEMATIC_SIGNALS), ["Y_k"])
+
+
+def kinematic_names(chain: SerialChain) -> tuple[str, ...]:
+    """The elements of a_k: p_y3 is the y component of joint 3's place in the frame of joint 2, n + 1 being the tool."""
+    return tuple(f"p_{axis}{place}" for place in range(1, chain.n + 2) for axis in "xyz")
+
+
+def kinematic_values(chain: SerialChain) -> tuple[float, ...]:
+    """The values of a_k [m], in the order of `kinematic_names`."""
+    return tuple(float(x) for joint in chain.joints for x in joint.translation) + tuple(map(float, chain.tool))
+
+
 def export_c(
-    chain: SerialChain, path: str | Path, friction: Collection[str] = (), base: bool = False
+    chain: SerialChain,
+    path: str | Path,
+    friction: Collection[str] = (),
+    base: bool = False,
+    kinematic: bool = False,
 ) -> tuple[str, ...]:
-    """Write the regressor of a robot as C source; returns the parameters' names, in the order of Y_d's columns."""
+    """Write the regressor of a robot as C source; returns the parameters' names, in the order of its columns."""
+    if kinematic:
+        write_c(kinematic_function(chain), path, robot=chain.name, parameters=kinematic_names(chain))
+        return kinematic_names(chain)
     names, robot = full_regressor(chain, friction).names, chain.name
     if base:
         names = base_parameters(chain, friction, symbolic=False).kept
@@ -64,7 +106,9 @@ def export_c(
 
 
 def write_c(function: ca.Function, path: str | Path, *, robot: str = "", parameters: Sequence[str] = ()) -> None:
-    """Write a function of `regressor_function` as self-contained C99, in one step: never half a file.
+    """Write a function of `regressor_function`, or of `kinematic_function`, as self-contained C99.
+
+    In one step: never half a file.
 
     The file offers ``void dmframe_regressor(q, dq, dq_ref, ddq_ref, Y_d)`` with Y_d row-major, and needs only the
     mathematics library. Its header comment names the robot, the sizes, the order of the arguments, and the parameters.
@@ -73,7 +117,7 @@ def write_c(function: ca.Function, path: str | Path, *, robot: str = "", paramet
     that cannot be written.
     """
     found = tuple(function.name_in())
-    if found != SIGNALS or function.n_out() != 1:
+    if found not in (SIGNALS, KINEMATIC_SIGNALS) or function.n_out() != 1:
         raise ShapeError(
             f"C source of {function.name()}: expected inputs {', '.join(SIGNALS)} and one output, found "
             f"{', '.join(found)} and {function.n_out()}; regressor_function makes one"
@@ -81,17 +125,19 @@ def write_c(function: ca.Function, path: str | Path, *, robot: str = "", paramet
     n, p = function.size_out(0)
     if parameters and len(parameters) != p:
         raise ShapeError(f"C source of {function.name()}: expected {p} parameter names, found {len(parameters)}")
-    _write(Path(path), _header(robot, n, p, parameters) + _source(function, n, p))
+    about = _dynamic_about(robot, n, p) if found == SIGNALS else _kinematic_about(robot, function.numel_in(0), n, p)
+    write_text(Path(path), _header(about, parameters) + _source(function, n, p), "C source")
 
 
 def _source(function: ca.Function, n: int, p: int) -> str:
-    signals = [ca.SX.sym(name, n) for name in SIGNALS]
+    signals = [ca.SX.sym(function.name_in(i), function.numel_in(i)) for i in range(function.n_in())]
     # CasADi's matrices are column-major, so the transpose is the row-major matrix that C expects.
     inner = ca.Function(_INNER, signals, [ca.densify(function(*signals).T)])
     generator = ca.CodeGenerator(_INNER, {"with_header": False, "verbose": False})
     generator.add(inner)
     sizes = {"arg": inner.sz_arg(), "res": inner.sz_res(), "iw": max(1, inner.sz_iw()), "w": max(1, inner.sz_w())}
-    return str(generator.dump()) + _WRAPPER.format(
+    wrapper = (_DYNAMIC if len(signals) == len(SIGNALS) else _KINEMATIC) + _BODY
+    return str(generator.dump()) + wrapper.format(
         n=n,
         p=p,
         inner=_INNER,
@@ -100,21 +146,40 @@ def _source(function: ca.Function, n: int, p: int) -> str:
     )
 
 
-def _header(robot: str, n: int, p: int, parameters: Sequence[str]) -> str:
-    from dmframe import __version__
-
-    lines = [
+def _dynamic_about(robot: str, n: int, p: int) -> list[str]:
+    return [
         f"Dynamic regressor Y_d(q, dq, dq_ref, ddq_ref) of {_plain(robot) or 'a robot'}, written by dmframe "
-        f"{__version__}.",
+        f"{_version()}.",
         "",
         "M(q) ddq_ref + C(q, dq) dq_ref + g(q) [+ friction] = Y_d a_d, C the Christoffel matrix.",
         f"q, dq, dq_ref, ddq_ref: {n} doubles each, joints from the base to the tool; rad, rad/s, rad/s^2, N m.",
         f"Y_d: {n} x {p} doubles, row-major.",
         "Compile as C99 and link the mathematics library (-lm).",
     ]
+
+
+def _kinematic_about(robot: str, n: int, m: int, k: int) -> list[str]:
+    return [
+        f"Kinematic regressor Y_k(q, psi) of {_plain(robot) or 'a robot'}, written by dmframe {_version()}.",
+        "",
+        "J(q) psi = Y_k a_k, and what no parameter scales: the travel of prismatic joints.",
+        f"q, psi: {n} doubles each, joints from the base to the tool; rad, rad/s.",
+        f"Y_k: {m} x {k} doubles, row-major.",
+        "Compile as C99 and link the mathematics library (-lm).",
+    ]
+
+
+def _version() -> str:
+    from dmframe import __version__
+
+    return __version__
+
+
+def _header(about: Sequence[str], parameters: Sequence[str]) -> str:
+    lines = list(about)
     if parameters:
-        lines += ["", "Parameters a_d, the columns of Y_d from 0 on:"]
-        lines += ["  " + ", ".join(map(_plain, parameters[k : k + 10])) for k in range(0, p, 10)]
+        lines += ["", "Parameters, the columns from 0 on:"]
+        lines += ["  " + ", ".join(map(_plain, parameters[k : k + 10])) for k in range(0, len(parameters), 10)]
     return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in lines) + " */\n\n"
 
 
@@ -123,7 +188,8 @@ def _plain(name: str) -> str:
     return name.replace("*/", "* /").replace("\n", " ")
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str, kind: str) -> None:
+    """Write a file in one step, so that there is never half a one; `kind` names it in the `OutputError`."""
     try:
         handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
         try:
@@ -135,7 +201,7 @@ def _write(path: Path, text: str) -> None:
             Path(temporary).unlink(missing_ok=True)
             raise
     except OSError as fault:
-        raise OutputError(f"C source: cannot write {path}: {fault.strerror}; choose a folder that exists") from fault
+        raise OutputError(f"{kind}: cannot write {path}: {fault.strerror}; choose a folder that exists") from fault
 
 
 @final
@@ -172,13 +238,18 @@ def _difference(found: Any, expected: NDArray[np.float64]) -> float:
 
 def _travel_function(chain: SerialChain) -> Callable[..., Any]:
     """Y_k(q, psi) a_k, and the part of a prismatic joint's travel that no parameter scales."""
+    Y_k, free, a_k = kinematic_function(chain), travel_of_prismatic_joints(chain), ca.DM(kinematic_values(chain))
+    return lambda q, psi: (Y_k(q, psi) @ a_k).full().ravel() + free(q, psi)
+
+
+def travel_of_prismatic_joints(chain: SerialChain) -> Callable[..., NDArray[np.float64]]:
+    """What of J(q) psi no kinematic parameter scales, as a function of q and psi."""
     robot = SymbolicRobot(chain)
-    q, psi = ca.SX.sym("q", chain.n), ca.SX.sym("psi", chain.n)
-    free = robot.jacobian(q, ca.SX(chain.k, 1)) @ psi
-    travel = robot.kinematic_regressor(q, psi) @ robot.a_k + free
-    function = ca.Function("travel", [q, psi, *(c.symbol for c in robot.constants)], [travel])
+    q, psi = (ca.SX.sym(name, chain.n) for name in KINEMATIC_SIGNALS)
+    free = ca.densify(robot.jacobian(q, ca.SX(chain.k, 1)) @ psi)
+    function = ca.Function("free", [q, psi, *(c.symbol for c in robot.constants)], [free])
     values = [ca.DM(value) for value in robot.values().values()]
-    return lambda q, psi: function(q, psi, *values)
+    return lambda q, psi: np.asarray(function(q, psi, *values).full().ravel())
 
 
 def polarised_regressor(
@@ -196,7 +267,8 @@ def polarised_regressor(
     zero = np.zeros(chain.n)
 
     def standard(v: NDArray[np.float64], a: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array(pin.computeJointTorqueRegressor(chain.model, data, configuration, v, a))
+        found = pin.computeJointTorqueRegressor(chain.model, data, configuration, v, a)
+        return np.array(found).reshape(chain.n, -1)  # of one joint, Pinocchio returns a row without its axis
 
     products = standard(dq + dq_ref, zero) - standard(dq, zero) - standard(dq_ref, zero) + standard(zero, zero)
     return standard(zero, ddq_ref) + products / 2
@@ -210,4 +282,4 @@ def tool_velocity(chain: SerialChain, q: NDArray[np.float64], dq: NDArray[np.flo
     J = pin.computeFrameJacobian(
         chain.model, data, pin_configuration(chain, q), chain.model_tool, pin.LOCAL_WORLD_ALIGNED
     )
-    return np.array(J[["xyz".index(axis) for axis in chain.axes], :] @ dq)
+    return np.array(J.reshape(6, chain.n)[["xyz".index(axis) for axis in chain.axes], :] @ dq)

@@ -18,6 +18,7 @@ Friction = Literal["viscous", "coulomb"]
 
 INERTIAL: Final = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz")
 SIGNALS: Final = ("q", "dq", "dq_ref", "ddq_ref")
+KINEMATIC_SIGNALS: Final = ("q", "psi")
 _FRICTION: Final = {"viscous": "B", "coulomb": "D"}
 
 

@@ -1,5 +1,5 @@
 """Reports: what was proved, on what it rests, and what was measured, for a reader who does not know the tool."""
 
-from dmframe.report.write import write_report
+from dmframe.report.write import check_place, write_report
 
-__all__ = ["write_report"]
+__all__ = ["check_place", "write_report"]

@@ -15,6 +15,7 @@ from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.parameter import specs
 from dmframe.report.laws import Law, law_of
+from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.notation import latex, marked, marked_prose
 from dmframe.report.planar import RobotModel, robot_model
@@ -118,6 +119,7 @@ class Content:
     witness: Witness | None
     uncertain: tuple[tuple[str, str], ...]
     measured: Measured
+    linear: LinearView
     model: RobotModel | None
     summary: Mapping[str, Any]
     provenance: Mapping[str, Any]
@@ -149,6 +151,7 @@ def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[st
         witness=_witness(verdict),
         uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
         measured=measure(graph, diagram, verdict),
+        linear=linear_view(graph, diagram),
         model=robot_model(diagram.robot),
         summary=summary(graph.name, verdict),
         provenance=provenance(graph, resolved, seed=seed, command=command),

@@ -8,7 +8,7 @@ from typing import Any
 
 from dmframe.report.content import Content
 
-_SHOWN = ("picture", "mermaid", "summary", "measured", "name", "title", "outcome")
+_SHOWN = ("picture", "mermaid", "summary", "measured", "linear", "name", "title", "outcome")
 
 
 def as_data(contents: Sequence[Content]) -> dict[str, Any]:
@@ -19,5 +19,6 @@ def as_data(contents: Sequence[Content]) -> dict[str, Any]:
 def _graph(content: Content) -> dict[str, Any]:
     whole = asdict(content)
     measured = {key: whole["measured"][key] for key in ("sentence", "facts", "numbers")}
+    linear = {key: whole["linear"][key] for key in ("sentence", "numbers")}
     rest = {key: value for key, value in whole.items() if key not in _SHOWN}
-    return {"title": content.title, "verdict": content.summary, "measured": measured, **rest}
+    return {"title": content.title, "verdict": content.summary, "measured": measured, "linear": linear, **rest}

@@ -20,8 +20,11 @@ def embedded(svg: str, prefix: str) -> str:
 
 def _scoped(style: str, prefix: str) -> str:
     """Each rule of a picture's style, for this picture alone."""
-    rules = re.findall(r"([^{}]+)\{([^{}]*)\}", style)
-    return "<style>" + "\n".join(f"#{prefix} {select.strip()} {{{body}}}" for select, body in rules) + "</style>"
+    rules = list[str]()
+    for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style):
+        own = ", ".join(f"#{prefix} {selector.strip()}" for selector in selectors.split(","))
+        rules.append(f"{own} {{{body}}}")
+    return "<style>" + "\n".join(rules) + "</style>"
 
 
 def figure_svg(figure: Any) -> str:

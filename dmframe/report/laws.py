@@ -90,10 +90,16 @@ def rows_of(block: str) -> tuple[Row, ...]:
         for line in _lines(group):
             tag = _TAG.search(line)
             bare = " ".join(_TAG.sub("", line).split())
-            left, aligned, right = bare.partition("&")
+            left, aligned, right = bare.partition("&") if bare.find("&") < _inner(bare) else (bare, "", "")
             if bare:
                 rows.append(Row(left.strip(), right.strip(), tag[1] if tag else "") if aligned else _split(bare, tag))
     return tuple(rows)
+
+
+def _inner(line: str) -> int:
+    """Where the first inner environment begins, whose own ``&`` align nothing here; the line's end without one."""
+    place = line.find(r"\begin{")
+    return place if place >= 0 else len(line)
 
 
 def _split(line: str, tag: re.Match[str] | None) -> Row:

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import html
 import re
+from collections.abc import Mapping
 from typing import Final
 
 _TOKEN: Final = re.compile(
     r"\\(?:left|right)\s*(?:\\[a-zA-Z]+|\\.|.)|\\(?:begin|end)\{\w+\*?\}|\\[a-zA-Z]+|\\.|.", re.DOTALL
 )
 _DEPTH: Final = {"{": 1, "(": 1, "[": 1, "}": -1, ")": -1, "]": -1}
+_BRACES: Final = {"{": 1, "}": -1}
+LONG: Final = 120
+"""Characters of LaTeX beyond which a term may be broken inside of its brackets."""
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
+_FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<m([io])>(?:sin|cos|tanh|min|max)</m\3>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
 """Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""
@@ -32,6 +37,7 @@ def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
     text = text.replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
     text = text.replace('display="inline"', 'displaystyle="true"' if display else 'displaystyle="false"', 1)
     text = text.replace("<mo>&#x0002F;</mo>", '<mo lspace="0.05em" rspace="0.05em">&#x0002F;</mo>')
+    text = _FUNCTION.sub(r'\1<mspace width="0.167em"/>\2', text)
     text = _ACCENT.sub(lambda found: f'<mo stretchy="false">{_ACCENTS[found[1]]}</mo></mover>', text)
     text = text.replace("<mover>", '<mover accent="true">')
     if joined or latex.startswith(("=", r"\le", r"\ge")):
@@ -46,7 +52,12 @@ def breakable(latex: str, *, display: bool = False) -> str:
 
 
 def terms(latex: str) -> list[str]:
-    r"""A formula cut before each sign that stands outside of all brackets, and at each ``\quad``."""
+    r"""A formula cut before each sign outside of all brackets, and at each ``\quad``; a long term inside of ( ) too."""
+    pieces = _cut(latex, _DEPTH)
+    return [part for piece in pieces for part in (_cut(piece, _BRACES) if len(piece) > LONG else [piece])]
+
+
+def _cut(latex: str, brackets: Mapping[str, int]) -> list[str]:
     pieces, current, depth, bars = list[str](), "", 0, False
     for token in _TOKEN.findall(latex):
         if token == "|":
@@ -55,9 +66,9 @@ def terms(latex: str) -> list[str]:
             depth += 1
         elif token.startswith((r"\right", r"\end")):
             depth -= 1
-        depth += _DEPTH.get(token, 0)
+        depth += brackets.get(token, 0)
         outside = depth == 0 and not bars
-        if outside and token in _SIGNS and current.strip() and not current.strip().endswith(_SIGNS):
+        if outside and token in _SIGNS and current.strip() and not current.strip().endswith((*_SIGNS, "(")):
             pieces.append(current.strip())
             current = ""
         elif outside and token in (r"\quad", r"\qquad"):

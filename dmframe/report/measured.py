@@ -69,7 +69,7 @@ def measure(graph: Graph, diagram: Diagram, verdict: Verdict) -> Measured:
         sentence=f"{_sentence(clock)} {_judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(_figure(found)),
+        figure=figure_svg(_figure(found, run.divergence is not None)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )
@@ -153,23 +153,24 @@ def _increase(found: Along) -> str:
     return f"{found.largest_increase:.3g}, at t = {plain(found.increase_at, 's')}"
 
 
-def _figure(found: Along) -> Any:
+def _figure(found: Along, diverged: bool) -> Any:
     """V above, its largest terms on a logarithmic axis below."""
-    from dmframe.results.plotting import draw_curve, look, new_figure, styled
+    from dmframe.results.plotting import draw_curve, frame, look, new_figure, span, styled, tame
 
-    largest = sorted(found.terms, key=lambda term: -float(np.max(np.nan_to_num(term.values))))[:CURVES]
+    tops = {id(term): span(tame(term.values), diverged)[1] for term in found.terms}
+    largest = sorted(found.terms, key=lambda term: -tops[id(term)])[:CURVES]
     with styled():
         figure = new_figure(6.6, 3.9)
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
         draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
+        frame(above, [(tame(found.V), diverged)])
         above.set_ylabel("$V$")
-        top = 0.0
         for index, term in enumerate(largest):
-            values = np.maximum(term.values, 1e-300)
+            values = np.maximum(tame(term.values), 1e-300)
             label = rf"${latex(term.of)}$ ({term.block})"
             draw_curve(below, found.time, values, 600, label=label, **look(index))
-            top = max(top, float(np.max(np.nan_to_num(values))))
         below.set_yscale("log")
+        top = max(tops.values(), default=0.0)
         if top > 0:
             below.set_ylim(top * 1e-9, top * 3)
         below.set_ylabel("terms of $V$")

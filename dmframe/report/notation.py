@@ -68,7 +68,7 @@ def latex(text: str) -> str:
             return rf"\text{{{_escaped(text)}}}"
         pieces.append(_piece(token))
         place = token.end()
-    return re.sub(r" (?=[)^/,])|(?<=[A-Za-z]) (?=\()", "", " ".join("".join(pieces).split()))
+    return re.sub(r" (?=[)^/,]|\|\^)|(?<=[A-Za-z]) (?=\()", "", " ".join("".join(pieces).split()))
 
 
 def _escaped(text: str) -> str:
@@ -161,13 +161,15 @@ def _finished(run: list[re.Match[str]]) -> str:
     signs = any(token["sign"] in ("+", "=", "<", ">", ">=", "<=", "/", "^", "|", "-") for token in run)
     rates = any(token["rate"] for token in run)
     if not rates and (not names or (not signs and all(name in _ARTICLES for name in names))):
-        return source
+        return source.replace("<=", "≤").replace(">=", "≥")
     body = source.strip()
     start, end = source.index(body), source.index(body) + len(body)
     while end > start and (source[end - 1] in "-+/*^=<> " or _open(source[start:end], ")")):
         end -= 1
     while start < end and (source[start] == " " or _open(source[start:end], "(")):
         start += 1
+    if _encloses(source[start:end]):
+        start, end = start + 1, end - 1
     body = source[start:end]
     article = re.match(r"[aAI] (?=[A-Za-z(|])", body)
     if article:  # "a z" begins with the article, not with a matrix
@@ -186,3 +188,13 @@ def _open(text: str, bracket: str) -> bool:
         if depth < 0:
             return False
     return text[::step][:1] == bracket and depth > 0
+
+
+def _encloses(text: str) -> bool:
+    """Does a first bracket close with the last letter?"""
+    depth = 0
+    for place, letter in enumerate(text):
+        depth += {"(": 1, ")": -1}.get(letter, 0)
+        if depth == 0:
+            return letter == ")" and place == len(text) - 1
+    return False

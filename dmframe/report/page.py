@@ -10,10 +10,14 @@ from typing import Any
 from dmframe.report.content import Content
 from dmframe.report.embed import embedded
 from dmframe.report.laws import Row
+from dmframe.report.linear import JOINT_HEADS
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.references import reference
 
 MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\[([A-Z]\w+\d{4}\w?)\]")
+
+SHORT = 48
+"""Characters of LaTeX up to which a formula in a sentence is not broken."""
 
 
 def as_html(contents: Sequence[Content]) -> str:
@@ -38,7 +42,8 @@ def _rendered(template: str, contents: Sequence[Content], filters: dict[str, Cal
         undefined=StrictUndefined,
     )
     environment.filters |= filters
-    return environment.get_template(template).render(reports=contents, references=_cited(contents), style=_style())
+    page = environment.get_template(template)
+    return page.render(reports=contents, references=_cited(contents), style=_style(), heads=JOINT_HEADS)
 
 
 def _style() -> str:
@@ -68,7 +73,7 @@ def _html_filters() -> dict[str, Callable[..., Any]]:
             out += escape(text[place : found.start()], quote=False)
             formula, code, key = found.groups()
             if formula:
-                out += breakable(formula)
+                out += mathml(formula) if len(formula) < SHORT else breakable(formula)
             elif code:
                 out += f"<code>{escape(code, quote=False)}</code>"
             else:
@@ -94,9 +99,16 @@ def _html_filters() -> dict[str, Callable[..., Any]]:
         "display": display,
         "whole": whole,
         "picture": picture,
+        "width": _width,
         "units": _units,
         "aligned": _aligned,
     }
+
+
+def _width(svg: str) -> float:
+    """Of a picture, as it says itself."""
+    found = re.search(r'<svg[^>]* width="([\d.]+)', svg)
+    return float(found[1]) if found else 0.0
 
 
 def _aligned(rows: Sequence[Row]) -> list[Row]:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Bounded, Clipped, Dissipated, Lemma, NormSquare
-from dmframe.certify.claim import Claim, Part
+from dmframe.certify.claim import Claim, Part, total
 from dmframe.report.expression import expression_latex
 from dmframe.report.laws import Row
 from dmframe.report.notation import latex, name_latex
@@ -33,7 +33,7 @@ class TermRow:
     factor
         ``kappa`` or ``1``, as in the JSON.
     weight
-        The weight in the graph's parameters, LaTeX; empty for a lemma.
+        The weight in the graph's parameters, LaTeX.
     value
         The weight at the graph's numbers.
     by
@@ -83,8 +83,8 @@ def terms_of(claim: Claim) -> Terms:
     dissipation = _numbered(claim, names, "dissipation", "D")
     excess = _numbered(claim, names, "excess", "E")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
-    c = names.weight(ca.SX(sum((p.certificate.consumes for p in claim.parts if p.cascade), ca.SX(0))))
-    consumption = rf"{c}\, |\sigma|^2" if any(part.cascade for part in claim.parts) else ""
+    consumed = [part.certificate.consumes for part in claim.parts if part.cascade]
+    consumption = rf"{names.weight(total(consumed))}\, |\sigma|^2" if consumed else ""
     lost = [(row, _formula(row)) for row in dissipation]
     left = [(row, _formula(row)) for row in excess]
     gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
@@ -132,11 +132,14 @@ def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermR
 def _row(claim: Claim, names: Names, part: Part, term: Dissipated | Bounded, symbol: str) -> TermRow:
     factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
     if isinstance(term, Lemma):
-        return TermRow(part.block, "lemma", symbol, term.of, factor, "", "")
+        weight, value = names.weight(term.weight), names.value(term.weight)
+        return TermRow(part.block, "lemma", symbol, term.of, factor, weight, value)
     if isinstance(term, Clipped):
         width = names.weight(term.width)
         return TermRow(part.block, "clipped", symbol, latex(term.of), factor, width, names.value(term.width))
-    written = names.weight(term.weight) if term.weight.is_column() else names.matrix(part.block, term.weight)
+    written = names.mass(part.block, term.weight)
+    if not written:
+        written = names.weight(term.weight) if term.weight.is_column() else r"\text{a full matrix}"
     by = rf"|{latex(term.by_of)}|\, " if isinstance(term, NormSquare) else ""
     return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight), by)
 
@@ -153,18 +156,21 @@ class Names:
         known |= {variable.label: variable.symbol for variable in variables}
         known |= {leaf.name: leaf.symbol for leaf in claim.loop.trajectories}
         self._owner = {
-            element.element_hash(): label for label, symbol in known.items() for element in _elements(symbol)
+            element.element_hash(): (label, place)
+            for label, symbol in known.items()
+            for place, element in enumerate(_elements(symbol), start=1)
         }
         self._names = _distinct({label: _notation(claim, label, symbol) for label, symbol in known.items()})
         self._used = dict[str, None]()
 
     def __call__(self, symbol: SX) -> str:
         """The LaTeX of a scalar symbol, its index left away: what is diagonal is written once for all elements."""
-        label = self._owner.get(symbol.element_hash())
-        if label is None:
+        label, place = self._owner.get(symbol.element_hash(), ("", 0))
+        if not label:
             return name_latex(symbol.name())
         self._used[label] = None
-        return self._names[label]
+        # the robot's numbers are of many kinds, in one column
+        return rf"{self._names[label]}_{{{place}}}" if label.startswith("robot.") else self._names[label]
 
     def weight(self, weight: SX) -> str:
         """A diagonal weight: one formula, where it is the same for all elements."""
@@ -174,18 +180,18 @@ class Names:
         found = list(dict.fromkeys(str(text) for text in written))
         return found[0] if len(found) == 1 else r"\mathrm{diag}(" + r",\; ".join(found) + ")"
 
-    def matrix(self, block: str, weight: SX) -> str:
-        """A full weight: the robot's M(q), recognised by its values at a random state, or else unnamed."""
+    def mass(self, block: str, weight: SX) -> str:
+        """``M(q)`` if the weight is the robot's, recognised by its values at a random state; else empty."""
         loop, model = self.claim.loop, self.claim.diagram.models[block]
-        states = [symbol for name, symbol in model.states.items() if name == "q"]
-        if model.robot is not None and states:
-            M = model.robot.mass_matrix(states[0])
-            if M.shape == weight.shape:
-                difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
-                state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
-                if not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12):
-                    return "M(q)"
-        return r"\text{a full matrix}"
+        if model.robot is None or "q" not in model.states:
+            return ""
+        M = model.robot.mass_matrix(model.states["q"])
+        if M.shape != weight.shape:
+            return ""
+        difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
+        state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
+        alike = not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12)
+        return "M(q)" if alike else ""
 
     def value(self, weight: SX) -> str:
         """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""

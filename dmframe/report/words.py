@@ -123,6 +123,7 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
 
 def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
     failing = [condition.name for condition in verdict.conditions if not condition.holds]
+    means: tuple[str, ...]
     if verdict.claim is None:
         means = (
             "A proof needs a certificate from every block: what it stores and what it loses. Here there is none to be "
@@ -131,11 +132,16 @@ def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
         why = f"this graph makes no claim that could be tested: {marked(verdict.reason)}."
     elif failing:
         means = (
-            f"The identity for $\\dot V$ is exact; {_decided(verdict)[0].lower()}{_decided(verdict)[1:]}",
-            "But a theorem needs its conditions too, and at the numbers of this graph not all of them hold: "
-            f"{'; '.join(map(marked, failing))}. The margins in the table say how far off these are.",
+            f"The identity for $\\dot V$ is exact. {_decided(verdict)}",
+            "But a theorem needs its conditions too, and at the numbers of this graph these fail: "
+            f"{'; '.join(map(marked, failing))}. The margins in the table say by how much.",
         )
-        why = f"the formula for $\\dot V$ is right, but not every condition holds: {'; '.join(map(marked, failing))}."
+        count = f"{len(failing)} of its {len(verdict.conditions)} conditions"
+        fails = "fails" if len(failing) == 1 else "fail"
+        why = (
+            f"the formula for $\\dot V$ is right, but {count} {fails} at the numbers of this graph, the first being "
+            f"{marked(failing[0])}."
+        )
     else:
         means = ("The test was not able to tell right from wrong here, so its answer does not count.",)
         why = f"{marked(verdict.reason)}."

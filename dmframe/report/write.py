@@ -54,14 +54,27 @@ def write_report(path: str | Path, items: Sequence[Item], *, overrides: Sequence
         Another ending, or a file that cannot be written.
     """
     path = Path(path)
-    writer = WRITERS.get(path.suffix.lower())
-    if writer is None:
-        found = path.suffix or "no ending"
-        raise OutputError(f"{path}: expected a name that ends in {', '.join(WRITERS)}, found {found}")
-    _check_place(path)
+    check_place(path)
     command = _command([graph for graph, _, _ in items], overrides, seed, path)
     contents = [gather(graph, diagram, verdict, command=command, seed=seed) for graph, diagram, verdict in items]
-    _write(path, writer(contents))
+    _write(path, WRITERS[path.suffix.lower()](contents))
+
+
+def check_place(path: Path) -> None:
+    """Can a report be written there? To be asked before anything is computed.
+
+    Raises
+    ------
+    OutputError
+        Another ending than those of `WRITERS`, a folder of that name, or no folder to write in.
+    """
+    if path.suffix.lower() not in WRITERS:
+        endings = ", ".join(WRITERS)
+        raise OutputError(f"{path}: expected a name that ends in {endings}, found {path.suffix or 'no ending'}")
+    if path.is_dir():
+        raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
+    if not path.absolute().parent.is_dir():
+        raise OutputError(f"{path}: the folder {path.parent} does not exist; make it first, or name another")
 
 
 def _command(graphs: Sequence[Graph], overrides: Sequence[str], seed: int, path: Path) -> list[str]:
@@ -72,14 +85,6 @@ def _command(graphs: Sequence[Graph], overrides: Sequence[str], seed: int, path:
     ]
     changes = [word for text in overrides for word in ("--set", text)]
     return ["dmframe", "verify", *names, *changes, "--seed", str(seed), "--report", path.name]
-
-
-def _check_place(path: Path) -> None:
-    """Fail before the simulations, not after them."""
-    if path.is_dir():
-        raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
-    if not path.absolute().parent.is_dir():
-        raise OutputError(f"{path}: the folder {path.parent} does not exist; make it first, or name another")
 
 
 def _write(path: Path, text: str) -> None:

@@ -116,6 +116,23 @@ def test_the_closed_loops_poles_are_the_characteristic_polynomials_roots() -> No
     assert linear.drift < 1e-12
 
 
+def test_the_trajectory_acts_through_the_servo_as_by_hand() -> None:
+    linear = linearise(flywheel())
+    assert linear.trajectories == ("path.q_d[0]", "path.dq_d[0]")
+    row = linear.B[linear.states.index("arm.dq[0]")]
+    assert np.allclose(row, [K_P * ALPHA / J, K_P / J])  # of dq_c = dq_d - alpha (q - q_d)
+    assert np.allclose(linear.B[linear.states.index("servo.i[0]")], [-ALPHA, -1])
+    assert np.allclose(linear.B[linear.states.index("arm.q[0]")], 0)
+
+
+@pytest.mark.parametrize("name", ["arm2_joint", "pendulum"])
+def test_the_inverse_at_its_true_values_is_the_servos_inverse(name: str) -> None:
+    omega = np.logspace(-2, 3, 12)
+    for joint in servo_transfer(packaged(name)[0]):
+        assert joint.inverse is not None
+        assert np.allclose(joint.inverse.at(1j * omega) * joint.servo.at(1j * omega), 1)
+
+
 @pytest.mark.parametrize("period", [0.001, 0.02, 0.3])
 def test_the_sampled_poles_are_scipys_zero_order_hold(period: float) -> None:
     found = linearise(flywheel()).sampled_poles(period)

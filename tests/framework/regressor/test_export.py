@@ -133,3 +133,10 @@ def test_the_self_test_catches_a_model_with_another_mass() -> None:
     outcome = self_test(replace(robot, model=model), points=3)
     assert outcome.Y_d > 1e-5
     assert outcome.Y_k > 1e-5
+
+
+def test_a_robot_of_one_joint_is_tested_too() -> None:
+    outcome = self_test(load("pendulum"), points=3)
+    assert outcome.Y_d < 1e-10
+    assert 0 < outcome.Y_k < 1e-10
+    assert polarised_regressor(load("pendulum"), *np.ones((4, 1))).shape == (1, 10)

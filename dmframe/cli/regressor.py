@@ -1,0 +1,81 @@
+"""``dmframe regressor``: a robot's regressors as text, code and LaTeX, each tested against Pinocchio."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+import typer
+
+from dmframe.robot.chain import SerialChain
+
+NOT_PROVED = 1
+
+
+@final
+@dataclass(frozen=True)
+class Wanted:
+    """What the command line asks for; see its options."""
+
+    base: bool = False
+    kinematic: bool = False
+    symbolic: bool = False
+    prove: bool = False
+    c: Path | None = None
+    python: Path | None = None
+    latex: Path | None = None
+
+
+def regressor_of(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> int:
+    """Print and write what is wanted; returns the exit status."""
+    parts, proved = page(chain, friction, wanted)
+    typer.echo("\n\n".join(parts))
+    return 0 if proved else NOT_PROVED
+
+
+def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[list[str], bool]:
+    """The parts of the text, the files written on the way; and whether all that was to be proved is."""
+    from dmframe.regressor import base_parameters, export_c, self_test, write_out, write_python
+    from dmframe.regressor.export import write_text
+    from dmframe.regressor.typeset import largest_difference, latex, plain_text
+
+    parts, proved = [_parameters(chain, friction, wanted)], True
+    if wanted.symbolic or wanted.latex:
+        keep = base_parameters(chain, friction, symbolic=False).independent if wanted.base else None
+        written = write_out(chain, friction, keep)
+        if wanted.symbolic:
+            parts.append(plain_text(written.Y_k if wanted.kinematic else written.Y_d))
+    test = self_test(chain)
+    parts.append(f"largest relative difference from Pinocchio: Y_d {test.Y_d:.1e}, Y_k {test.Y_k:.1e}")
+    if wanted.prove:
+        from dmframe.regressor.proofs import proof_page, prove
+
+        proofs = prove(chain)
+        parts.append(proof_page(chain, proofs))
+        proved = all(proof.holds for proof in proofs)
+    if wanted.c is not None:
+        export_c(chain, wanted.c, friction, wanted.base, wanted.kinematic)
+        parts.append(f"wrote {wanted.c}")
+    if wanted.python is not None:
+        difference = write_python(chain, wanted.python, friction, wanted.base, wanted.kinematic)
+        parts.append(f"wrote {wanted.python}; largest relative difference from Pinocchio {difference:.1e}")
+    if wanted.latex is not None:
+        write_text(wanted.latex, latex(written), "LaTeX")
+        difference = largest_difference(written)
+        parts.append(f"wrote {wanted.latex}; largest relative difference from Pinocchio {difference:.1e}")
+    return parts, proved
+
+
+def _parameters(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> str:
+    from dmframe.regressor import base_parameters, kinematic_names, kinematic_values, listing, parameter_names
+
+    if wanted.kinematic:
+        pairs = zip(kinematic_names(chain), kinematic_values(chain), strict=True)
+        lengths = ", ".join(f"{name} = {value:.10g}" if value else name for name, value in pairs)
+        return f"{chain.name}: {chain.k} kinematic parameters [m], zero where no value stands: {lengths}"
+    if wanted.base:
+        return listing(chain, base_parameters(chain, friction)).rstrip()
+    names = parameter_names(chain.n, friction)
+    return f"{chain.name}: {len(names)} parameters: {', '.join(names)}"

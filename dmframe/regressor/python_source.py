@@ -1,0 +1,206 @@
+"""The regressors as a Python module that needs NumPy and nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.errors import ValueFault
+from dmframe.regressor.base_parameters import base_parameters
+from dmframe.regressor.export import (
+    kinematic_function,
+    kinematic_names,
+    kinematic_values,
+    polarised_regressor,
+    regressor_function,
+    tool_velocity,
+    travel_of_prismatic_joints,
+    write_text,
+)
+from dmframe.regressor.full import parameter_names, parameter_values
+from dmframe.robot.chain import SerialChain
+
+_OPERATIONS: Final = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_SIN: "np.sin({0})",
+    ca.OP_COS: "np.cos({0})",
+    ca.OP_TANH: "np.tanh({0})",
+    ca.OP_ASSIGN: "{0}",
+}
+
+_TEMPLATE: Final = '''"""{title}
+
+{law}
+
+Written by dmframe {version}. It needs NumPy alone.
+"""
+
+import numpy as np
+
+PARAMETERS = (
+{parameters}
+)
+"""The columns of {name}."""
+
+VALUES = np.array([
+{values}
+])
+"""Their values in the robot's model, in SI units; {friction}."""
+
+
+def {name}({arguments}):
+    """{name}, shape (..., {rows}, {columns}), of {arguments}, each of shape (..., {joints}).
+
+    Joints from the base to the tool; rad, rad/s and rad/s^2 (m for a prismatic joint).
+    """
+    {arguments} = np.broadcast_arrays({arguments})
+{statements}
+    {name} = np.zeros((*q.shape[:-1], {rows}, {columns}))
+{results}
+    return {name}
+'''
+
+
+def python_source(
+    chain: SerialChain, friction: Collection[str] = (), base: bool = False, kinematic: bool = False
+) -> str:
+    """A module with a function ``Y_d(q, dq, dq_ref, ddq_ref)``, or ``Y_k(q, psi)``, and its parameters.
+
+    It is the instruction tape of the CasADi function, one line an operation, and works on whole arrays of motions.
+    With `base`, the columns and values are those of the base parameters.
+
+    Raises `UnknownNameError` for another kind of friction.
+    """
+    from dmframe import __version__
+
+    names: Sequence[str]
+    numbers: Sequence[float]
+    if kinematic:
+        function, names, numbers = kinematic_function(chain), kinematic_names(chain), kinematic_values(chain)
+        title, law = f"Kinematic regressor of {_plain(chain.name)}.", "J(q) psi = Y_k(q, psi) a_k."
+        if any(joint.kind == "prismatic" for joint in chain.joints):
+            law = "J(q) psi = Y_k(q, psi) a_k, and the travel of the prismatic joints, which no parameter scales."
+    else:
+        function = regressor_function(chain, friction, base)
+        names, numbers = _dynamic(chain, friction, base)
+        title = f"Dynamic regressor of {_plain(chain.name)}{', in base parameters' if base else ''}."
+        law = "M(q) ddq_ref + C(q, dq) dq_ref + g(q) [+ friction] = Y_d(q, dq, dq_ref, ddq_ref) a_d, C Christoffel's."
+    statements, results = _statements(function)
+    rows, columns = function.size_out(0)
+    return _TEMPLATE.format(
+        title=title,
+        law=law,
+        version=__version__,
+        name=function.name_out(0),
+        arguments=", ".join(function.name_in()),
+        joints=chain.n,
+        rows=rows,
+        columns=columns,
+        parameters=_lines([f'"{name}"' for name in names]),
+        values=_lines(["np.nan" if math.isnan(number) else repr(number) for number in numbers]),
+        friction="friction, which the model does not state, is nan" if friction else "rounded to doubles",
+        statements="\n".join(statements),
+        results="\n".join(results),
+    )
+
+
+def write_python(
+    chain: SerialChain, path: Path, friction: Collection[str] = (), base: bool = False, kinematic: bool = False
+) -> float:
+    """Write `python_source` to a file, in one step; returns how far it is from Pinocchio (see `python_difference`).
+
+    Raises `OutputError` where it cannot be written.
+    """
+    source = python_source(chain, friction, base, kinematic)
+    write_text(path, source, "Python source")
+    return python_difference(chain, source, friction, base)
+
+
+def python_difference(
+    chain: SerialChain, source: str, friction: Collection[str] = (), base: bool = False, points: int = 10, seed: int = 0
+) -> float:
+    """The largest difference of a module's Y_d, or of its Y_k a_k, from Pinocchio, relative to the largest entry.
+
+    Friction columns, which Pinocchio has not, are left out.
+    """
+    module: dict[str, Any] = {}
+    exec(compile(source, chain.name, "exec"), module)
+    q, dq, dq_ref, ddq_ref = np.random.default_rng(seed).uniform(-2, 2, (4, points, chain.n))
+    if "Y_k" in module:
+        free = travel_of_prismatic_joints(chain)
+        found = [Y @ module["VALUES"] + free(*motion) for Y, *motion in zip(module["Y_k"](q, dq), q, dq, strict=True)]
+        expected = [tool_velocity(chain, *motion) for motion in zip(q, dq, strict=True)]
+    else:
+        columns = base_parameters(chain, friction, symbolic=False).independent if base else range(10 * chain.n)
+        inertial = [column for column in columns if column < 10 * chain.n]
+        found = list(module["Y_d"](q, dq, dq_ref, ddq_ref)[..., : len(inertial)])
+        motions = zip(q, dq, dq_ref, ddq_ref, strict=True)
+        expected = [polarised_regressor(chain, *motion)[:, inertial] for motion in motions]
+    pairs = zip(found, expected, strict=True)
+    return max(float(np.max(np.abs(a - b)) / max(float(np.max(np.abs(b))), 1e-300)) for a, b in pairs)
+
+
+def _dynamic(chain: SerialChain, friction: Collection[str], base: bool) -> tuple[Sequence[str], list[float]]:
+    values = [float(value) for value in parameter_values(chain)]
+    names = parameter_names(chain.n, friction)
+    values += [float("nan")] * (len(names) - len(values))
+    if not base:
+        return names, values
+    found = base_parameters(chain, friction, symbolic=False)
+    sums = [sum(float(x) * v for x, v in zip(row, values, strict=True) if x) for row in found.grouping]
+    return found.kept, sums
+
+
+def _statements(function: Any) -> tuple[list[str], list[str]]:
+    """A line for each instruction, and one for each entry of the result that is not zero."""
+    names: dict[int, str] = {}
+    lines, results = list[str](), list[str]()
+    out, rows, columns = function.name_out(0), function.sparsity_out(0).row(), function.sparsity_out(0).get_col()
+    for k in range(function.n_instructions()):
+        code, arguments, targets = (
+            function.instruction_id(k),
+            function.instruction_input(k),
+            function.instruction_output(k),
+        )
+        if code == ca.OP_OUTPUT:
+            if names[arguments[0]] != "0.0":
+                place = targets[1]
+                results.append(f"    {out}[..., {rows[place]}, {columns[place]}] = {names[arguments[0]]}")
+            continue
+        if code == ca.OP_CONST:
+            names[targets[0]] = _number(function.instruction_constant(k))
+            continue
+        if code == ca.OP_INPUT:
+            text = f"{function.name_in(arguments[0])}[..., {arguments[1]}]"
+        elif code in _OPERATIONS:
+            text = _OPERATIONS[code].format(*(names[a] for a in arguments))
+        else:
+            raise ValueFault(f"Python source of {function.name()}: expected plain operations, found CasADi's {code}")
+        names[targets[0]] = f"w{k}"
+        lines.append(f"    w{k} = {text}")
+    return lines, results
+
+
+def _number(value: float) -> str:
+    return repr(value) if value >= 0 else f"({value!r})"
+
+
+def _lines(items: Sequence[str]) -> str:
+    return "\n".join("    " + ", ".join(items[k : k + 6]) + "," for k in range(0, len(items), 6))
+
+
+def _plain(name: str) -> str:
+    """A name that cannot end the text it stands in."""
+    return name.replace("\\", "/").replace('"', "'").replace("\n", " ")

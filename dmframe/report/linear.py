@@ -1,0 +1,126 @@
+"""What the linear analysis says of the servo, the poles and the sampling period."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from dmframe.config import Graph
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+from dmframe.units import plain
+
+if TYPE_CHECKING:
+    from dmframe.analyse import Analysis, Bracket, JointLoop, Linear
+
+LONGEST: Final = 20.0
+"""Each simulation that looks for the largest sampling period lasts this long, or as long as the graph [s]."""
+
+JOINT_HEADS: Final = ("joint", "inertia", "crossover", "phase margin", "gain margin", "servo alone", "with the inverse")
+
+
+@final
+@dataclass(frozen=True)
+class LinearView:
+    """Tables and pictures of the analysis; where there is none, `sentence` says why.
+
+    Parameters
+    ----------
+    joints
+        A row a joint, under `JOINT_HEADS`.
+    loop, periods
+        Rows: what, at rest, moving; and which search, what it found, what that means.
+    bode, nyquist
+        SVG, or empty.
+    numbers
+        What ``dmframe analyse --json`` prints.
+    """
+
+    sentence: str
+    joints: tuple[tuple[str, ...], ...] = ()
+    loop: tuple[tuple[str, str, str], ...] = ()
+    periods: tuple[tuple[str, str, str], ...] = ()
+    bode: str = ""
+    nyquist: str = ""
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+
+def linear_view(graph: Graph, diagram: Diagram) -> LinearView:
+    """Linearise at the set-point where the path begins; a fault of the analysis is told, not raised."""
+    from dmframe.analyse import analyse, bode_svg, nyquist_svg, summary
+
+    clock = graph.file.clock
+    try:
+        found = analyse(
+            diagram, clock, solver=graph.solver, start=graph.start, horizon=min(LONGEST, graph.file.duration)
+        )
+    except DmframeError as error:
+        return LinearView(f"This loop has no linear analysis: {error.text}.")
+    return LinearView(
+        sentence=(
+            "Near the set-point at which the path begins, with every estimate at its true value, the loop was "
+            "linearised. That speaks of small motions there; it is neither the theorem nor the simulated run."
+        ),
+        joints=tuple(_joint(joint) for joint in found.joints),
+        loop=tuple(_loop(found)),
+        periods=tuple(_periods(found)),
+        bode=bode_svg(found.joints),
+        nyquist=nyquist_svg(found.joints),
+        numbers=summary(graph.name, found),
+    )
+
+
+def _joint(joint: JointLoop) -> tuple[str, ...]:
+    margins = joint.margins
+    port = "" if joint.passive_port is None else _passive(joint.passive_port.holds)
+    return (
+        joint.joint,
+        f"{joint.inertia:.4g} kg m²",
+        f"{margins.gain_crossover:.4g} rad/s",
+        f"{margins.phase:.1f} deg",
+        "infinite" if math.isinf(margins.gain) else f"{margins.gain:.3g}",
+        _passive(joint.passive_servo.holds),
+        port,
+    )
+
+
+def _passive(holds: bool) -> str:
+    return "passive" if holds else "not passive"
+
+
+def _loop(found: Analysis) -> Iterator[tuple[str, str, str]]:
+    both = (found.at_rest, found.moving)
+    for name, place in (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
+        slow, fast = (_pole(linear, place) for linear in both)
+        yield name, slow, fast
+    yield "poles at zero, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    if found.clock is not None:
+        at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
+        yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving
+
+
+def _pole(linear: Linear, place: int) -> str:
+    if not len(linear.poles):
+        return "none"
+    pole = linear.poles[np.argsort(np.abs(linear.poles))][place]
+    return f"{pole.real:.4g}" + (f" ± {abs(pole.imag):.4g} j" if pole.imag else "")
+
+
+def _periods(found: Analysis) -> Iterator[tuple[str, str, str]]:
+    periods = found.periods
+    yield "linearised, at rest", _bracket(periods.at_rest), periods.at_rest.meaning
+    yield "linearised, moving", _bracket(periods.moving), "the same without the slope of Coulomb friction at rest"
+    yield "simulated", _bracket(periods.simulated), periods.simulated.meaning
+
+
+def _bracket(bracket: Bracket) -> str:
+    if bracket.stable == 0:
+        return f"none; unstable at {plain(bracket.unstable, 's', 4)}"
+    if math.isinf(bracket.unstable):
+        return f"above {plain(bracket.stable, 's', 4)}, the longest looked at"
+    ends = dict.fromkeys((plain(bracket.stable, "s", 4), plain(bracket.unstable, "s", 4)))
+    return " to ".join(ends)

@@ -1,0 +1,245 @@
+"""Closed loops to verify: every servo with every way to ask for motion, on a planar arm and on an odd chain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+
+from dmframe.block import AbstractBlock
+from dmframe.catalogue import block_types
+from dmframe.certify import Claim
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.library import load
+from dmframe.simulate.start import loop_trajectories
+from dmframe.simulate.step import Solver, build_step
+
+Spec = tuple[str, Mapping[str, Any]]
+"""A block's type and its parameters."""
+
+
+@cache
+def known_blocks() -> dict[str, type[AbstractBlock]]:
+    """The catalogue, read once."""
+    return block_types()
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A closed loop that is to be proved."""
+
+    name: str
+    robot: Any
+    specs: Mapping[str, Spec]
+    wires: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def types(self) -> set[str]:
+        return {kind for kind, _ in self.specs.values()}
+
+    def build(
+        self, mutants: Mapping[str, Any] | None = None, mutated: Callable[..., type[AbstractBlock]] | None = None
+    ) -> Diagram:
+        """The diagram, with the blocks of some types mutated."""
+        known, blocks = known_blocks(), dict[str, AbstractBlock]()
+        for name, (kind, values) in self.specs.items():
+            block = known[kind]
+            if mutants and mutated and kind in mutants:
+                block = mutated(block, mutants[kind])
+            blocks[name] = block(**values)
+        return Diagram.build(blocks, self.wires, self.robot)
+
+    @cached_property
+    def diagram(self) -> Diagram:
+        return self.build()
+
+
+def odd_chain(n: int, seed: int, axes: str = "xyz", kinds: Sequence[str] = ()) -> SerialChain:
+    """Joints about axes that no coordinate has, each placed at no right angle to the one before."""
+    rng = np.random.default_rng(seed)
+    model, parent = pin.Model(), 0
+    model.name = f"odd{n}"
+    model.gravity.linear = rng.normal(size=3)
+    for i in range(n):
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        slides = bool(kinds) and kinds[i] == "prismatic"
+        joint = pin.JointModelPrismaticUnaligned(axis) if slides else pin.JointModelRevoluteUnaligned(axis)
+        placement = pin.SE3(pin.exp3(rng.normal(size=3)), rng.normal(size=3))
+        parent = model.addJoint(parent, joint, placement, f"joint{i + 1}")
+        model.addJointFrame(parent)
+        inertia = pin.Inertia.FromEllipsoid(rng.uniform(0.5, 5), *rng.uniform(0.05, 0.5, size=3))
+        model.appendBodyToJoint(parent, inertia, pin.SE3(np.eye(3), rng.normal(size=3)))
+    return SerialChain.from_model(model, tool=list(rng.normal(size=3)), axes=axes)
+
+
+FRICTION = {"both": ("viscous", "coulomb"), "viscous": ("viscous",), "coulomb": ("coulomb",), "none": ()}
+
+
+def loop_of(
+    robot: Any, task: str, servo: str, *, friction: str = "both", boxes: bool = False, source: str = ""
+) -> Loop:
+    """{task, joint} x {PI, PID}, as the issue of the day wants it."""
+    n, m = robot.n, robot.m
+    source = source or {"task": "circle" if m > 1 else "setpoint", "joint": "sinusoid"}[task]
+    specs = {"path": (source, _path(source, task, n, m))}
+    if task == "task":
+        specs |= {"geometry": ("kinematics", {}), "task": ("task_tracking", {"gamma": 0.8})}
+    else:
+        specs |= {"task": ("joint_tracking", {"alpha": 2})}
+    kinds = FRICTION[friction]
+    compensator = {"Gamma": 1} | ({"a_d_hat_box": [-1e6, 1e6]} if boxes else {})
+    specs |= {"model": ("regressor", {"friction": kinds}), "dynamics": ("dynamic_compensator", compensator)}
+    if servo == "PI":
+        box = {"w_box": [0, 1], "w_I_box": [0.5, 20]} if boxes else {}
+        specs["inverse"] = ("pi_inverse", {"Lambda": 0.01, "Lambda_I": 1, "w_I": 2} | box)
+        specs["servo"] = ("pi_servo", {"K_P": 60, "K_I": 240})
+    else:
+        box = {"w_box": [0, 1], "w_P_box": [1, 3], "w_I_box": [0.5, 2]} if boxes else {}
+        gains = {"K_c": 0.8, "Lambda": 0.01, "Lambda_P": 10, "Lambda_I": 10, "w_P": 2, "w_I": 0.6}
+        specs["inverse"] = ("pid_inverse", gains | box)
+        specs["servo"] = ("pid_servo", {"K_D": 80, "K_P": 176, "K_I": 56})
+    arm = {"K": 1.5} | dict.fromkeys(kinds, 2.0)
+    specs["arm"] = ("manipulator", arm)
+    return Loop(f"{robot.name} {task} {servo}", robot, specs)
+
+
+def _path(source: str, task: str, n: int, m: int) -> dict[str, Any]:
+    name, size = ("x_d", m) if task == "task" else ("q_d", n)
+    if source == "circle":
+        return {"center": [0.3] * m, "radius": 0.1, "rate": 1.1}
+    if source == "sinusoid":
+        return {"center": [0.3] * n, "amplitude": 0.2, "rate": 1.3, "phase": 0.4}
+    if source == "setpoint":
+        return {name: [0.3] * size}
+    return {"times": [0, 2, 5], name: [[0.1] * size, [0.4] * size, [0.2] * size]}
+
+
+@cache
+def loops() -> tuple[Loop, ...]:
+    """What every fault of the mutation suite is put into, one of each pair where a fault goes into one only."""
+    return tuple(_loops())
+
+
+def _loops() -> Iterator[Loop]:
+    robots = (load("arm2"), odd_chain(3, 5, "xy"))
+    sources = {"task": ("circle", "setpoint"), "joint": ("sinusoid", "waypoints")}
+    for robot in robots:
+        for task in ("task", "joint"):
+            for servo, source in zip(("PI", "PID"), sources[task], strict=True):
+                yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
+    held = {kind for robot in robots[:1] for kind in ("circle", "setpoint", "sinusoid", "waypoints")}
+    yield from _packaged(held)
+
+
+def _packaged(held: set[str]) -> Iterator[Loop]:
+    """A packaged graph for each block that none of the others holds: so a new block brings its own."""
+    from dmframe.catalogue import graphs
+    from dmframe.certify import verify
+    from dmframe.config import load_graph
+
+    held = held | loop_of(load("arm2"), "task", "PI").types | loop_of(load("arm2"), "joint", "PID").types
+    for name in graphs():
+        graph = load_graph(name)
+        specs = {block: (str(entry["type"]), _parameters(entry)) for block, entry in graph.data["blocks"].items()}
+        loop = Loop(name, graph.robot, specs, graph.file.wires)
+        if loop.types - held and verify(loop.diagram).outcome == "proved":
+            held |= loop.types
+            yield loop
+
+
+def _parameters(entry: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in entry.items() if key != "type"}
+
+
+# An independent look at dV/dt: the rates come from the functions that a run calls, the slopes of V from reverse mode.
+
+PERIOD = 1e-3
+
+
+def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
+    """Rates of all states at (state, t), as the simulation's own functions give them, inside the boxes."""
+    loop = diagram.loop
+    step = build_step(loop, PERIOD, Solver(step=PERIOD), ca.SX(0, 1))
+    split = sum(variable.symbol.numel() for variable in loop.controller)
+    p = _unbounded(diagram)
+
+    def rates(state: np.ndarray, t: float) -> np.ndarray:
+        advanced = step.tick(state, t / PERIOD, p).full().ravel()
+        return np.concatenate([(advanced - state)[:split] / PERIOD, step.rate(state, t, p).full().ravel()])
+
+    return rates
+
+
+def _unbounded(diagram: Diagram) -> np.ndarray:
+    """The parameters with boxes so wide that no tick, however fast the rates, leaves them."""
+    boxes = {projection.parameter for projection in diagram.loop.projections}
+    values = []
+    for parameter in diagram.loop.parameters:
+        value = np.array(parameter.value, dtype=float)
+        if parameter.label in boxes:
+            value[..., 0], value[..., 1] = -1e15, 1e15
+        values.append(value.ravel(order="F"))
+    return np.concatenate(values)
+
+
+def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:
+    """Random states, those with a box well inside it, and times."""
+    rng, loop = np.random.default_rng(seed), diagram.loop
+    boxes = {p.label: p.value for p in loop.parameters}
+    held = {projection.name: boxes[projection.parameter] for projection in loop.projections}
+    for _ in range(count):
+        parts = []
+        for variable in (*loop.controller, *loop.plant):
+            size = variable.symbol.numel()
+            share = rng.uniform(-1, 1, size)
+            if variable.label in held:
+                lower, upper = (np.clip(end, -5, 5) for end in held[variable.label].T)
+                share = (lower + upper) / 2 + 0.45 * (upper - lower) * share
+            parts.append(share)
+        yield np.concatenate(parts), rng.uniform(0.1, 4.9)
+
+
+def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> bool:
+    """Is dV/dt + dissipation - consumption zero, to rounding, with the rates that a run has?"""
+    loop, kappa = diagram.loop, ca.SX.sym("kappa")
+    weigh = claim.kappa if not claim.kappa.is_constant() else kappa
+    spent = [claim.weight(part) * part.dissipation for part in claim.parts]
+    corrections = stack(projection.correction for projection in loop.projections)
+
+    def of_time(expression: Any) -> Any:
+        inside = ca.substitute(ca.SX(expression), corrections, ca.SX.zeros(corrections.shape))
+        return loop_trajectories(loop, inside)
+
+    V = of_time(claim.V)
+    slopes = [ca.gradient(V, loop.state), ca.gradient(V, loop.time)]
+    rest = ca.vertcat(*(of_time(term) for term in spent), -of_time(claim.consumption))
+    inputs = [loop.state, loop.time, loop.p, weigh]
+    try:
+        function = ca.Function("V", inputs, [*slopes, rest])
+    except RuntimeError:  # a trajectory's derivative that the run does not need
+        return False
+    rates = field_of(diagram)
+    for state, t in states_of(diagram, 4, 3):
+        slope, by_time, others = (np.ravel(x.full()) for x in function(state, t, loop.p_values, 0.7))
+        terms = np.concatenate([slope * rates(state, t), by_time, others])
+        if not abs(terms.sum()) <= tolerance * np.abs(terms).sum():
+            return False
+    return True
+
+
+def same_field(diagram: Diagram, other: Diagram) -> bool:
+    """Have two closed loops the same rates, to rounding, at random states?"""
+    mine, theirs = field_of(diagram), field_of(other)
+    if diagram.loop.state.numel() != other.loop.state.numel():
+        return False
+    return all(
+        np.allclose(mine(state, t), theirs(state, t), rtol=1e-9, atol=1e-9) for state, t in states_of(diagram, 3, 4)
+    )

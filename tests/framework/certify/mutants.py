@@ -1,0 +1,349 @@
+"""Faults seeded into equations, each of which the certifier must refute; `python tests/framework/certify/mutants.py`.
+
+The faults are made from the source of whatever the catalogue holds, so that a new block brings its own. Every one ends
+as one of `OUTCOMES`; a fault that is proved and not shown to leave dV/dt true is a defect of the certifier.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import copy
+import inspect
+import sys
+import textwrap
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any
+
+from closed_loops import Loop, known_blocks, loops, same_field, true_in_numbers
+
+import dmframe.linalg
+import dmframe.robot.symbolic
+from dmframe.block import AbstractBlock
+from dmframe.certify import claim_of, verify
+from dmframe.certify.identity import equalities, holds_in_reals
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram import Diagram
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.errors import DmframeError
+from dmframe.exact import zero_test
+from dmframe.parameter import specs
+from dmframe.port import Side
+
+OUTCOMES = {
+    "refuted": "the certifier refutes it",
+    "no diagram": "the diagram cannot be built, or is defined nowhere",
+    "condition": "the identity is true, and a condition fails",
+    "equivalent": "the identity is true: seen in numbers, independently",
+    "survived": "proved, though numbers say that the identity is false",
+}
+SWAPS: Mapping[type[ast.AST], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
+}  # fmt: skip
+FUNCTIONS = {"sin": "cos", "cos": "sin", "tanh": "sin", "horzcat": "vertcat", "cross": "dot"}
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A function with one fault: `owner` is a block's type, or the name of a module or class of the library."""
+
+    owner: str
+    fault: str
+    function: FunctionType
+    original: Callable[..., Any]
+
+    def __str__(self) -> str:
+        return f"{self.owner}.{self.original.__name__}, {self.fault}"
+
+
+@dataclass(frozen=True)
+class Result:
+    mutant: Mutant
+    loop: str
+    outcome: str
+    reason: str
+
+
+def mutants_of(function: Callable[..., Any], owner: str, signals: Mapping[str, Mapping[str, str]]) -> Iterator[Mutant]:
+    """All single faults in a function's source; `signals` are names with their shapes, by what they are read from."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    first = function.__code__.co_firstlineno - 1
+    seen = {ast.dump(tree)}
+    for index, node in enumerate(ast.walk(tree)):
+        for fault, changed in _faults(node, signals):
+            mutated = _replaced(tree, index, changed)
+            if ast.dump(mutated) not in seen:
+                seen.add(ast.dump(mutated))
+                where = f"line {first + node.lineno}: {fault}"  # type: ignore[attr-defined]
+                yield Mutant(owner, where, _compiled(mutated, function), function)
+
+
+def _faults(node: ast.AST, signals: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, ast.AST]]:
+    """Single faults of one node: what was done, and the node that takes its place."""
+    text = ast.unparse(node) if isinstance(node, ast.expr | ast.stmt) else ""
+    match node:
+        case ast.BinOp(left=left, op=op, right=right):
+            if type(op) in SWAPS:
+                swapped = ast.BinOp(left, SWAPS[type(op)](), right)
+                yield f"{text} became {ast.unparse(swapped)}", swapped
+            if isinstance(op, ast.MatMult):
+                yield f"{text}: factors in the wrong order", ast.BinOp(right, op, left)
+            else:
+                yield f"{text}: only {ast.unparse(left)} left", left
+                dropped = ast.UnaryOp(ast.USub(), right) if isinstance(op, ast.Sub) else right
+                yield f"{text}: only {ast.unparse(dropped)} left", dropped
+            yield f"{text} doubled", ast.BinOp(ast.Constant(2), ast.Mult(), node)
+        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            yield f"{text} without its sign", operand
+        case ast.Attribute(value=value, attr="T"):
+            yield f"{text} not transposed", value
+        case ast.Attribute(value=ast.Name(id=kind), attr=name, ctx=ast.Load()) if name in signals.get(kind, {}):
+            for other, shape in signals[kind].items():
+                if other != name and shape == signals[kind][name]:
+                    yield f"{text} became {kind}.{other}", ast.Attribute(ast.Name(kind, ast.Load()), other, ast.Load())
+        case ast.Call(func=ast.Attribute(value=value, attr=name), args=args):
+            if name in FUNCTIONS:
+                called = ast.Attribute(value, FUNCTIONS[name], ast.Load())
+                yield f"{name} became {FUNCTIONS[name]}", ast.Call(called, args, node.keywords)
+            for k in range(len(args) - 1):
+                order = [*args[:k], args[k + 1], args[k], *args[k + 2 :]]
+                yield f"{text}: arguments {k + 1} and {k + 2} swapped", ast.Call(node.func, order, node.keywords)
+        case ast.Constant(value=int() | float() as number) if not isinstance(number, bool):
+            yield f"{number} became {number + 1}", ast.Constant(number + 1)
+            yield f"{number} became {-number - 1}", ast.Constant(-number - 1)
+        case ast.AugAssign(target=target, op=op, value=value) if type(op) in SWAPS:
+            yield f"{text}: the other sign", ast.AugAssign(target, SWAPS[type(op)](), value)
+            yield f"{text} dropped", ast.Pass()
+        case ast.Dict(keys=keys, values=values):
+            yield from _entries(keys, values)
+        case ast.Compare(left=left, ops=[ast.In()], comparators=comparators):
+            yield f"{text} negated", ast.Compare(left, [ast.NotIn()], comparators)
+
+
+def _entries(keys: Sequence[ast.expr | None], values: Sequence[ast.expr]) -> Iterator[tuple[str, ast.AST]]:
+    """Faults of what a block states: an output or a rate negated, doubled, or taken for another."""
+    for k, (key, value) in enumerate(zip(keys, values, strict=True)):
+        name = ast.unparse(key) if key else "**"
+        for what, changed in (
+            ("negated", ast.UnaryOp(ast.USub(), value)),
+            ("doubled", ast.BinOp(ast.Constant(2), ast.Mult(), value)),
+        ):
+            yield f"{name} {what}", ast.Dict(list(keys), [*values[:k], changed, *values[k + 1 :]])
+        for j in range(len(values)):
+            if j != k:
+                yield (
+                    f"{name} is that of {ast.unparse(keys[j] or value)}",
+                    ast.Dict(list(keys), [*values[:k], values[j], *values[k + 1 :]]),
+                )
+
+
+def _replaced(tree: ast.Module, index: int, changed: ast.AST) -> ast.Module:
+    """A copy of the tree with the node of that place in the walk replaced."""
+    nodes = list(ast.walk(tree))
+    target = nodes[index]
+
+    class Put(ast.NodeTransformer):
+        def visit(self, node: ast.AST) -> ast.AST:
+            return copy.deepcopy(changed) if node is target else self.generic_visit(_shallow(node))
+
+    put = Put().visit(tree)
+    return ast.fix_missing_locations(put)  # type: ignore[no-any-return]
+
+
+def _shallow(node: ast.AST) -> ast.AST:
+    """A copy whose lists may be changed without changing the node's."""
+    twin = copy.copy(node)
+    for field, value in ast.iter_fields(node):
+        if isinstance(value, list):
+            setattr(twin, field, list(value))
+    return twin
+
+
+def _compiled(tree: ast.Module, original: Callable[..., Any]) -> FunctionType:
+    definition = tree.body[0]
+    assert isinstance(definition, ast.FunctionDef)
+    definition.decorator_list = []
+    space = dict(original.__globals__)
+    exec(compile(tree, f"<mutant of {original.__qualname__}>", "exec", dont_inherit=True, flags=FUTURE), space)
+    made = space[definition.name]
+    assert isinstance(made, FunctionType)
+    # the mutant sees the module as it is when it runs, not as it was: other faults may be patched in
+    return FunctionType(made.__code__, original.__globals__, made.__name__, made.__defaults__)
+
+
+FUTURE = __import__("__future__").annotations.compiler_flag
+
+
+def block_mutants(kind: str, block: type[AbstractBlock], method: str = "equations") -> Iterator[Mutant]:
+    """All single faults of one method of a block."""
+    function = vars(block).get(method)
+    if function is None:
+        return
+    shapes = {"u": {port.name: port.shape for port in block.inputs}}
+    shapes["x"] = {state.name: state.shape for state in block.states}
+    numbers = {name: spec.shape for name, spec in specs(block).items() if spec.form != "box"}
+    shapes["p"] = {name: shape for name, shape in numbers.items() if name not in shapes["x"]}
+    shapes["truth"] = {port.name: port.shape for port in block.truth}
+    yield from mutants_of(function, kind, shapes)
+
+
+def mutated_block(block: type[AbstractBlock], mutant: Mutant) -> type[AbstractBlock]:
+    """The block with one method replaced; its file is left alone."""
+    space = {"__module__": block.__module__, "__doc__": block.__doc__, mutant.original.__name__: mutant.function}
+    return type(block)(block.__name__, (block,), space)
+
+
+LIBRARY: Mapping[str, Sequence[Callable[..., Any]]] = {
+    "linalg": [dmframe.linalg.ldl, dmframe.linalg.solve_spd],
+    "symbolic": [
+        function
+        for holder in (dmframe.robot.symbolic, dmframe.robot.symbolic.SymbolicRobot, dmframe.robot.symbolic.Body)
+        for name, function in vars(holder).items()
+        if isinstance(function, FunctionType)
+        and function.__module__ == dmframe.robot.symbolic.__name__
+        and name not in ("__init__", "__eq__", "__hash__", "__repr__", "__replace__", "values", "kinematic_regressor")
+        and function.__code__.co_filename == dmframe.robot.symbolic.__file__
+    ],
+}
+
+
+def library_mutants(which: str) -> Iterator[Mutant]:
+    """All single faults of the plant library's functions."""
+    for function in LIBRARY[which]:
+        names = [name for name in inspect.signature(function).parameters if name != "self"]
+        yield from mutants_of(function, which, {})
+        yield from _renamed(function, which, names)
+
+
+def _renamed(function: Callable[..., Any], which: str, names: Sequence[str]) -> Iterator[Mutant]:
+    """One argument taken for another, at one place."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
+    first = function.__code__.co_firstlineno - 1
+    for index, node in enumerate(ast.walk(tree)):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in names:
+            for other in names:
+                if other != node.id:
+                    mutated = _replaced(tree, index, ast.Name(other, ast.Load()))
+                    fault = f"line {first + node.lineno}: {node.id} became {other}"
+                    yield Mutant(which, fault, _compiled(mutated, function), function)
+
+
+@contextlib.contextmanager
+def patched(mutant: Mutant) -> Iterator[None]:
+    """The library with one function replaced, wherever it is known."""
+    holders: list[Any] = [module for name, module in sys.modules.items() if name.startswith("dmframe")]
+    holders += [dmframe.robot.symbolic.SymbolicRobot, dmframe.robot.symbolic.Body]
+    name = mutant.original.__name__
+    found = [holder for holder in holders if vars(holder).get(name) is mutant.original]
+    assert found
+    try:
+        for holder in found:
+            setattr(holder, name, mutant.function)
+        yield
+    finally:
+        for holder in found:
+            setattr(holder, name, mutant.original)
+
+
+def judged(mutant: Mutant, loop: Loop) -> Result:
+    """What becomes of a fault in one closed loop."""
+    block = mutant.owner in known_blocks()
+    with contextlib.nullcontext() if block else patched(mutant):
+        try:
+            diagram = loop.build({mutant.owner: mutant} if block else {}, mutated_block)
+            if block and known_blocks()[mutant.owner].side is Side.SOURCE and _free_of_sources(diagram):
+                return Result(mutant, loop.name, "equivalent", "trajectories and their derivatives are free")
+            if _refuted_at_once(diagram):
+                return Result(mutant, loop.name, "refuted", "the residual is not zero")
+            verdict = verify(diagram, trials=1)
+        except DmframeError as error:
+            return Result(mutant, loop.name, "no diagram", error.text)
+        except Exception as error:  # a fault in the library may raise anything; a block's must be told as its own
+            if block:
+                raise
+            return Result(mutant, loop.name, "no diagram", repr(error))
+        outcome = _outcome(diagram, verdict)
+        reason = verdict.reason
+        if outcome == "equivalent":
+            unchanged = same_field(diagram, loop.diagram)
+            reason = "the rates are unchanged" if unchanged else "the rates differ, dV/dt is true all the same"
+    return Result(mutant, loop.name, outcome, reason)
+
+
+def _free_of_sources(diagram: Diagram) -> bool:
+    """Does nothing of the claim depend on what a source's equations say? Then no fault in them can matter."""
+    claim = claim_of(diagram)
+    sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
+    own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in hashes(p.symbol)}
+    held = [claim.V, claim.residual, *(equality.expression for equality in equalities(claim))]
+    return not (own | hashes(claim.loop.time)) & symbols_in(held)
+
+
+def _refuted_at_once(diagram: Diagram) -> bool:
+    """What `verify` finds, without its search for whom to blame."""
+    claim = claim_of(diagram)
+    symbols = symbols_of(claim)
+    residual = symbols.function("residual", [claim.residual])  # a part of what verify tests, and the quicker for it
+    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not holds_in_reals(claim, symbols, 0)
+
+
+def _outcome(diagram: Diagram, verdict: Any) -> str:
+    if verdict.outcome == "refuted":
+        return "refuted"
+    if verdict.claim is None or verdict.test is None:
+        return "no diagram"
+    if not true_in_numbers(diagram, verdict.claim):
+        return "survived"
+    return "equivalent" if verdict.outcome == "proved" or not verdict.test.zero else "condition"
+
+
+def homes(kind: str, available: Sequence[Loop]) -> list[Loop]:
+    """The closed loops that hold a block of this type."""
+    return [loop for loop in available if kind in loop.types]
+
+
+def campaign(*, everywhere: bool, certificates: bool = True, library: bool = True) -> Iterator[Result]:
+    """Every fault in one closed loop that it can touch, taken in turn, or in all of them."""
+    available = loops()
+    for turn, mutant in enumerate(all_mutants(certificates=certificates, library=library)):
+        fitting = homes(mutant.owner, available) if mutant.owner in known_blocks() else list(available)
+        chosen = fitting if everywhere else fitting[turn % len(fitting) :][:1] if fitting else []
+        yield from (judged(mutant, loop) for loop in chosen)
+
+
+def all_mutants(*, certificates: bool, library: bool) -> Iterator[Mutant]:
+    for kind, block in known_blocks().items():
+        yield from block_mutants(kind, block)
+        if certificates:
+            helpers = [name for name, item in vars(block).items() if isinstance(item, FunctionType)]
+            for method in ("certificate", *(name for name in helpers if name.startswith("_") and "model" not in name)):
+                if not method.startswith("__"):
+                    yield from block_mutants(kind, block, method)
+    if library:
+        for which in LIBRARY:
+            yield from library_mutants(which)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="each fault in one closed loop only")
+    parser.add_argument("--equations", action="store_true", help="only those in equations of blocks")
+    parser.add_argument("--list", action="store_true", help="print every fault that was not refuted")
+    options = parser.parse_args()
+    counts = Counter[str]()
+    more = not options.equations
+    for result in campaign(everywhere=not options.quick, certificates=more, library=more):
+        counts[result.outcome] += 1
+        if result.outcome == "survived" or (options.list and result.outcome != "refuted"):
+            print(f"{result.outcome}: {result.mutant} [{result.loop}]: {result.reason}")  # noqa: T201
+    for outcome, meaning in OUTCOMES.items():
+        print(f"{counts[outcome]:6d} {outcome:12s} {meaning}")  # noqa: T201
+    return 1 if counts["survived"] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,154 @@
+"""A block that lies is caught alone and in a diagram, by name; the point that refutes it replays."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import casadi as ca
+import pytest
+from closed_loops import Loop, known_blocks, loop_of
+
+from dmframe.block import AbstractBlock, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.certify import claim_of, verify
+from dmframe.certify.refute import refute, replay
+from dmframe.certify.summary import summary
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram import Diagram
+from dmframe.exact import zero_test
+from dmframe.robot.library import load
+
+PROVABLE = {
+    "PI": ["kinematics", "task_tracking", "regressor", "dynamic_compensator", "pi_inverse", "pi_servo", "manipulator"],
+    "PID": ["pid_inverse", "pid_servo"],
+    "joint PI": ["joint_tracking"],
+}
+LIES = [(kind, loop, how) for loop, kinds in PROVABLE.items() for kind in kinds for how in ("storage", "dissipation")]
+LIES.append(("dynamic_compensator", "PI", "supply"))
+
+
+def loop(which: str) -> Loop:
+    return loop_of(load("arm2"), "joint" if "joint" in which else "task", which.split()[-1])
+
+
+def lying(block: type[AbstractBlock], how: str, factor: float = 1.0) -> type[AbstractBlock]:
+    """The block with a square that is not its own: stored, spent, or in its supply."""
+
+    def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        honest = block.certificate(self, u, x, p, truth)
+        assert honest is not None
+        column = next((u.__getattr__(port.name) for port in block.inputs if port.shape in ("n", "m")), None)
+        column = x.__getattr__(block.states[0].name) if column is None else column
+        lie = Square("a lie", column, ca.SX(factor))
+        sigma = (*honest.sigma, ca.SX(0)) if honest.sigma and how == "dissipation" else honest.sigma
+        return Certificate(
+            storage=(*honest.storage, lie) if how == "storage" else honest.storage,
+            dissipation=(*honest.dissipation, lie) if how == "dissipation" else honest.dissipation,
+            supply=honest.supply + (lie.value if how == "supply" else 0),
+            consumes=honest.consumes,
+            sigma=sigma,
+            truth=honest.truth,
+        )
+
+    return type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
+
+
+def diagram_with(which: str, lies: dict[str, type[AbstractBlock]]) -> Diagram:
+    return loop(which).build(lies, lambda _, mutant: mutant)
+
+
+@pytest.mark.parametrize(("kind", "which", "how"), LIES)
+def test_a_lie_in_any_block_is_caught_alone_and_blamed_in_the_diagram(kind: str, which: str, how: str) -> None:
+    diagram = diagram_with(which, {kind: lying(known_blocks()[kind], how)})
+    (liar,) = (name for name in diagram.blocks if diagram.type_of(name) == kind)
+    claim = claim_of(diagram)
+    symbols = symbols_of(claim)
+    alone = {
+        part.block: zero_test(symbols.function("own", [part.residual]), values=symbols.fixed, trials=1).zero
+        for part in claim.parts
+    }
+    assert [block for block, zero in alone.items() if not zero] == [liar]
+
+    verdict = verify(diagram, trials=1)
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert verdict.refutation.blame == (liar,)
+    assert verdict.reason.endswith(f"to blame: {liar}")
+    assert replay(claim, symbols, verdict.refutation) == verdict.refutation.residue != 0
+
+
+def test_two_lies_that_cancel_in_the_sum_are_caught_by_their_sign() -> None:
+    lies = {"regressor": lying(known_blocks()["regressor"], "storage", 1.0)}
+    lies["pi_inverse"] = lying(known_blocks()["pi_inverse"], "storage", -1.0)
+    verdict = verify(diagram_with("PI", lies), trials=1)
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert set(verdict.refutation.blame) == {"model", "inverse"}
+
+
+def test_the_signals_of_a_refutation_are_as_few_as_can_be() -> None:
+    diagram = diagram_with("PI", {"pi_inverse": lying(known_blocks()["pi_inverse"], "dissipation")})
+    claim = claim_of(diagram)
+    symbols = symbols_of(claim)
+    found = refute(claim, symbols, seed=0)
+    # what was invented is |q|^2, so q alone is enough, and without it nothing is left
+    assert found.signals == ("arm.q",)
+    point = dict(found.point)
+    zero = {g.label for g in symbols.groups if g.kind in ("state", "trajectory", "projection")} - set(found.signals)
+    assert zero
+    assert all(not any(point[label]) for label in zero)
+
+
+def test_the_exact_point_survives_json_and_refutes_there() -> None:
+    diagram = diagram_with("PID", {"pid_inverse": lying(known_blocks()["pid_inverse"], "storage")})
+    claim = claim_of(diagram)
+    verdict = verify(diagram)
+    told = json.loads(json.dumps(summary("lie", verdict)))["refutation"]
+    assert verdict.refutation is not None
+    labels = [label for label, _ in verdict.refutation.point]
+    assert len(set(labels)) == len(labels)
+    functions = [label for label in labels if label.startswith(("cos, sin of ", "tanh of "))]
+    assert functions
+    again = type(verdict.refutation)(
+        blame=tuple(told["blame"]),
+        signals=tuple(told["signals"]),
+        prime=int(told["prime"]),
+        point=tuple((label, tuple(int(x) for x in values)) for label, values in told["point"].items()),
+        residue=int(told["residue"]),
+        says=verdict.refutation.says,
+    )
+    assert replay(claim, symbols_of(claim), again) == again.residue != 0
+
+
+def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> None:
+    block = known_blocks()["pid_inverse"]
+
+    def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        honest = block.certificate(self, u, x, p, truth)
+        assert honest is not None
+        return Certificate(honest.storage, honest.dissipation, honest.supply, sigma=(ca.SX(1), 2 * p.K_c))
+
+    liar = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
+    verdict = verify(diagram_with("PID", {"pid_inverse": liar}))
+    assert verdict.outcome == "refuted"
+    assert verdict.reason.startswith("inverse: sigma is not what the block claims")
+    assert verdict.refutation is not None
+    assert verdict.refutation.blame == ("inverse",)
+    claim = claim_of(diagram_with("PID", {"pid_inverse": liar}))
+    assert replay(claim, symbols_of(claim), verdict.refutation) == verdict.refutation.residue != 0
+
+
+def test_a_square_that_is_identically_zero_says_nothing_and_proves_nothing() -> None:
+    block = known_blocks()["joint_tracking"]
+
+    def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        honest = block.certificate(self, u, x, p, truth)
+        assert honest is not None
+        idle = Square("q - q_d, or so it says", u.q - 2 * u.q_d / 2 - u.q + u.q_d, ca.SX(1))
+        return Certificate((*honest.storage, idle), honest.dissipation, honest.supply, consumes=honest.consumes)
+
+    liar = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
+    verdict = verify(diagram_with("joint PI", {"joint_tracking": liar}), trials=1)
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason == "identically zero, so that nothing would be proved: task: q - q_d, or so it says"

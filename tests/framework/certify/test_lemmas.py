@@ -1,0 +1,189 @@
+"""Functions that the field does not have, the lemmas for them, projections, and blocks that a user brings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from closed_loops import known_blocks, loop_of, true_in_numbers
+from user_blocks import FilteredDamping, OddDamping, SaturatedDamping
+
+from dmframe.block import AbstractBlock, Signals
+from dmframe.certificate import MONOTONE, Certificate, Lemma, Square
+from dmframe.certify import Verdict, claim_of, verify
+from dmframe.diagram import Diagram
+from dmframe.robot.library import load
+
+
+def diagram(
+    *, extra: dict[str, AbstractBlock] | None = None, swapped: dict[str, Any] | None = None, **options: Any
+) -> Diagram:
+    loop = loop_of(load("arm2"), "joint", "PI", **options)
+    blocks = dict(loop.build(swapped or {}, lambda _, mutant: mutant).blocks)
+    return Diagram.build({**blocks, **(extra or {})}, {}, loop.robot)
+
+
+def claiming(kind: str, certificate: Any) -> dict[str, type[AbstractBlock]]:
+    """A block of the catalogue with another certificate, made of its own."""
+    block = known_blocks()[kind]
+
+    def stated(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return certificate(block.certificate(self, u, x, p, truth), u, x, p, truth)  # type: ignore[no-any-return]
+
+    space = {"__module__": block.__module__, "certificate": stated}
+    return {kind: type(block)(block.__name__, (block,), space)}
+
+
+def verdict_of(diagram: Diagram) -> Verdict:
+    return verify(diagram, trials=1)
+
+
+@pytest.mark.parametrize("missing", ["viscous", "coulomb"])
+def test_friction_in_the_plant_that_the_regressor_leaves_out_is_refuted(missing: str) -> None:
+    honest = diagram(friction="both")
+    kept = tuple(kind for kind in ("viscous", "coulomb") if kind != missing)
+    other = {**honest.blocks, "model": known_blocks()["regressor"](friction=kept)}
+    verdict = verdict_of(Diagram.build(other, {}, honest.robot))
+    assert verdict.outcome == "refuted"
+
+
+def test_friction_in_the_regressor_that_the_plant_has_not_is_proved() -> None:
+    honest = diagram(friction="none")
+    other = {**honest.blocks, "model": known_blocks()["regressor"](friction=("viscous", "coulomb"))}
+    assert verdict_of(Diagram.build(other, {}, honest.robot)).outcome == "proved"
+
+
+@pytest.mark.parametrize("phi", MONOTONE)
+def test_a_lemma_is_never_negative_whatever_its_parts(phi: str) -> None:
+    rng = np.random.default_rng(0)
+    a, b = ca.SX.sym("a", 3), ca.SX.sym("b", 3)
+    lemma = Lemma("friction", ca.SX([2, 0, 1]), a, b, ca.SX(0.1), phi)
+    value = ca.Function("value", [a, b], [lemma.value])
+    assert min(float(value(*rng.normal(size=(2, 3)))) for _ in range(200)) >= 0
+
+
+def test_a_lemma_with_a_negative_weight_fails_its_condition() -> None:
+    def lying(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        lemma = Lemma("monotone friction", -p.Gamma[:2] / p.Gamma[:2] * 3, u.sigma, -u.sigma, ca.SX(1))
+        return Certificate(honest.storage, (lemma,), honest.supply + lemma.value)
+
+    # on its own the block keeps its word; the diagram does not
+    verdict = verdict_of(diagram(swapped=claiming("dynamic_compensator", lying)))
+    assert verdict.outcome == "refuted"
+    from dmframe.certify.conditions import conditions_of
+
+    checked, _ = conditions_of(claim_of(diagram(swapped=claiming("dynamic_compensator", lying))), {})
+    (failing,) = (item for item in checked if not item.holds)
+    assert failing.name == "dynamics: weight of monotone friction in dV/dt >= 0"
+    assert failing.value == -3
+
+
+def test_a_lemma_about_a_function_that_is_not_known_to_be_monotone_is_not_applicable() -> None:
+    def wrong(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        lemma = Lemma("waves", ca.SX(1), u.sigma, u.sigma, ca.SX(1), "sin")
+        return Certificate(honest.storage, (lemma,), honest.supply)
+
+    verdict = verdict_of(diagram(swapped=claiming("dynamic_compensator", wrong)))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason == "dynamics: waves: sin is not known to be monotone; did you mean sign?"
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        lambda err, weight: (Square("twice", 2 * err, weight / 4),),
+        lambda err, weight: (Square("full", err, ca.diag(weight)),),
+        lambda err, weight: (Square("half", err, weight / 2), Square("other half", err, weight / 2)),
+    ],
+    ids=["twice the error", "a matrix of weights", "two squares"],
+)
+def test_a_projected_state_that_v_does_not_store_as_one_square_is_not_applicable(stored: Any) -> None:
+    def stated(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(stored(x.a_d_hat - truth.a_d, 1 / p.Gamma), (), honest.supply)
+
+    swapped = claiming("dynamic_compensator", stated)
+    verdict = verdict_of(diagram(swapped=swapped, boxes=True))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason == (
+        "dynamics: dynamics.a_d_hat is projected, but is not stored as one square of its error with a diagonal weight, "
+        "which the projection lemma needs"
+    )
+    assert verdict_of(diagram(swapped=swapped, boxes=False)).outcome == "proved"
+
+
+@pytest.mark.parametrize(
+    "block", [FilteredDamping(beta=3, k=2), SaturatedDamping(beta=3, v=0.1)], ids=lambda block: type(block).__name__
+)
+def test_a_users_own_block_is_proved_without_a_change_to_the_framework(block: AbstractBlock) -> None:
+    found = diagram(extra={"damping": block})
+    verdict = verify(found)
+    assert verdict.outcome == "proved"
+    assert verdict.claim is not None
+    assert "damping" in {part.block for part in verdict.claim.parts if part.certificate.dissipation}
+    assert true_in_numbers(found, verdict.claim)
+
+
+def test_a_users_block_with_a_wrong_sign_is_refuted_and_blamed() -> None:
+    class Wrong(FilteredDamping):  # type: ignore[misc]
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            honest = super().certificate(u, x, p, truth)
+            return Certificate(honest.storage, honest.dissipation, -honest.supply)
+
+    verdict = verdict_of(diagram(extra={"damping": Wrong(beta=3, k=2)}))
+    assert (verdict.outcome, verdict.reason) == (
+        "refuted",
+        "damping: dS/dt is not what the block claims, though dV/dt of the diagram is; to blame: damping",
+    )
+
+
+def test_what_is_true_only_by_a_property_that_the_field_lacks_is_neither_proved_nor_refuted() -> None:
+    verdict = verdict_of(diagram(extra={"damping": OddDamping(beta=3, v=0.1)}))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason.startswith("not decided: dV/dt is what the blocks claim to rounding")
+
+
+def test_a_certificate_that_raises_is_told_with_its_line() -> None:
+    def broken(honest: Certificate, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        raise ZeroDivisionError("no reason")
+
+    verdict = verdict_of(diagram(swapped=claiming("dynamic_compensator", broken)))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason.startswith("dynamics: certificate(), test_lemmas.py:")
+    assert verdict.reason.endswith(": ZeroDivisionError: no reason")
+
+
+FORMS = {
+    "expected each term of the storage to be a Square": lambda c, u: Certificate(
+        (Lemma("x", ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
+    ),
+    "expected each term of the dissipation to be a Square or a Lemma": lambda c, u: Certificate(
+        c.storage, (ca.dot(u.sigma, u.sigma),), c.supply
+    ),
+    "s: expected columns of one length": lambda c, u: Certificate(
+        c.storage, (Square("s", u.sigma, ca.SX(3, 1)),), c.supply
+    ),
+    "expected a scalar supply, found 2 x 1": lambda c, u: Certificate(c.storage, (), u.sigma),
+    "sigma has 2 shares, expected one for each of 0": lambda c, u: Certificate(
+        c.storage, (), c.supply, sigma=(ca.SX(1), ca.SX(1))
+    ),
+    "a cascade consumes and cannot pay": lambda c, u: Certificate(
+        c.storage, (Square("s", u.sigma, ca.SX(1)),), c.supply, consumes=ca.SX(1), sigma=(ca.SX(1),)
+    ),
+    "whoever pays for a cascade must dissipate squares": lambda c, u: Certificate(
+        c.storage, (Lemma("x", ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), c.supply, sigma=(ca.SX(1),)
+    ),
+    "a certificate holds stranger, which is no signal": lambda c, u: Certificate(
+        c.storage, (Square("s", u.sigma, ca.SX.sym("stranger")),), c.supply
+    ),
+    "expected a Certificate, found dict": lambda c, u: {},
+}
+
+
+@pytest.mark.parametrize("text", FORMS)
+def test_an_ill_formed_certificate_is_not_applicable_and_says_why(text: str) -> None:
+    made = claiming("dynamic_compensator", lambda c, u, x, p, truth: FORMS[text](c, u))
+    verdict = verdict_of(diagram(swapped=made))
+    assert verdict.outcome == "not_applicable"
+    assert text in verdict.reason

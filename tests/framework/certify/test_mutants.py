@@ -1,0 +1,118 @@
+"""Some hundred of the faults in equations, certificates and the plant library, each in the least loop that holds it.
+
+``make mutants`` tries all of them in all loops.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import casadi as ca
+import numpy as np
+import pytest
+from closed_loops import Loop, field_of, known_blocks, loops, states_of, true_in_numbers
+from mutants import LIBRARY, Mutant, Result, all_mutants, block_mutants, homes, judged, library_mutants, mutated_block
+
+from dmframe.certify import claim_of
+from dmframe.certify.identity import check_identity
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.port import Side
+from dmframe.simulate.start import loop_trajectories
+
+CAUGHT = {"refuted", "no diagram", "condition", "equivalent"}
+
+
+def small(kinds: Iterable[str] = ()) -> list[Loop]:
+    """Loops of the planar arm, at its joints where that will do: a third of the time of the odd chain's."""
+    found = [loop for loop in loops() if "odd" not in loop.name and all(kind in loop.types for kind in kinds)]
+    return [loop for loop in found if "joint" in loop.name] or found
+
+
+def some(mutants: Iterable[Mutant]) -> list[Mutant]:
+    """All of a few, half of some, a quarter of many."""
+    found = list(mutants)
+    return found[:: 1 if len(found) < 15 else 2 if len(found) < 60 else 4]
+
+
+def tried(mutants: Sequence[Mutant]) -> list[Result]:
+    results = []
+    for turn, mutant in enumerate(mutants):
+        fitting = small([mutant.owner]) if mutant.owner in known_blocks() else small()
+        results.append(judged(mutant, fitting[turn % len(fitting)]))
+    return results
+
+
+def test_of_more_than_200_faults_in_the_equations_of_all_blocks_none_is_proved_unless_dv_dt_is_true_all_the_same() -> (
+    None
+):
+    blocks = {kind: block for kind, block in known_blocks().items() if block.side is not Side.SOURCE}
+    provable = [kind for kind in blocks if homes(kind, loops())]
+    mutants = [mutant for kind in provable for mutant in some(block_mutants(kind, blocks[kind]))]
+    results = tried(mutants)
+    assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
+    assert len(results) >= 200
+    assert Counter(result.outcome for result in results)["refuted"] > 0.8 * len(results)
+    assert {result.mutant.owner for result in results if result.outcome == "refuted"} == set(provable)
+
+
+def test_every_block_that_has_equations_of_motion_and_a_certificate_stands_in_a_loop_that_is_proved() -> None:
+    without = {kind for kind, block in known_blocks().items() if not homes(kind, loops())}
+    assert without == {"kinematic_command"}  # it has no certificate
+
+
+def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothing() -> None:
+    block = known_blocks()["kinematic_command"]
+    assert "certificate" not in vars(block)
+    assert len(list(block_mutants("kinematic_command", block))) > 0
+
+
+def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> None:
+    mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ != "equations"]
+    provable = [mutant for mutant in mutants if homes(mutant.owner, loops())]
+    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::40])
+    assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
+    assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
+
+
+@pytest.mark.parametrize("which", LIBRARY)
+def test_faults_in_the_plant_library_are_refuted_or_make_another_robot(which: str) -> None:
+    mutants = list(library_mutants(which))
+    results = tried(mutants[:: len(mutants) // 10])
+    assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
+    assert Counter(result.outcome for result in results)["refuted"] >= 3
+
+
+def test_a_source_has_no_part_in_the_claim() -> None:
+    claim = claim_of(small(["waypoints"])[0].diagram)
+    own = {s for p in claim.loop.parameters if p.label.startswith("path.") for s in hashes(p.symbol)}
+    assert own
+    assert not own & symbols_in([claim.V, claim.rate, claim.residual])
+
+
+def test_the_independent_look_at_dv_dt_sees_a_false_claim() -> None:
+    loop = small()[0]
+    claim = claim_of(loop.diagram)
+    assert true_in_numbers(loop.diagram, claim)
+    faults = {
+        mutant.fault.split(": ", 1)[1]: mutant for mutant in block_mutants("pi_servo", known_blocks()["pi_servo"])
+    }
+    broken = loop.build({"pi_servo": faults["'i' doubled"]}, mutated_block)
+    assert not true_in_numbers(broken, claim_of(broken))
+
+
+def test_the_field_of_a_run_is_the_rate_of_every_state() -> None:
+    diagram = small()[1].diagram
+    loop = diagram.loop
+    joined = loop.joined([ca.vertcat(*(variable.rate for variable in (*loop.controller, *loop.plant)))])[0]
+    exact = ca.Function("F", [loop.state, loop.time, loop.p], [loop_trajectories(loop, joined)])
+    rates = field_of(diagram)
+    for state, t in states_of(diagram, 3, 0):
+        np.testing.assert_allclose(rates(state, t), exact(state, t, loop.p_values).full().ravel(), rtol=1e-8, atol=1e-8)
+
+
+def test_every_loop_that_faults_are_put_into_is_true_without_them() -> None:
+    for loop in loops():
+        claim = claim_of(loop.diagram)
+        assert check_identity(claim, symbols_of(claim), trials=1, seed=0).zero, loop.name

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import pytest
+
+from dmframe.report.notation import latex, marked, name_latex
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("q", "q"),
+        ("dq", r"\dot{q}"),
+        ("ddq_ref", r"\ddot{q}_{\mathrm{ref}}"),
+        ("a_d_hat", r"\hat{a}_{d}"),
+        ("w_err", r"\tilde{w}"),
+        ("M_bar", r"\bar{M}"),
+        ("K_star", r"K_{\star}"),
+        ("Lambda_P", r"\Lambda_{P}"),
+        ("tau_dc", r"\tau_{\mathrm{dc}}"),
+        ("q_1", "q_{1}"),
+        ("viscous", r"\mathrm{viscous}"),
+    ],
+)
+def test_names_of_the_code_become_those_of_the_paper(name, expected):
+    assert name_latex(name) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("w - 1/K_star", r"w - 1/K_{\star}"),
+        ("J'(x - x_d)/2 - sigma/gamma", r"J^{\top} (x - x_{d})/2 - \sigma/\gamma"),
+        ("q - q_r + K_c (i + z)", r"q - q_{r} + K_{c} (i + z)"),
+        ("monotone friction", r"\text{monotone friction}"),
+        ("50% of w_box", r"\text{50\% of w\_box}"),
+    ],
+)
+def test_what_a_certificate_calls_its_squares_becomes_a_formula(text, expected):
+    assert latex(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("weight of |q - q_d|^2 in dV/dt > 0", r"weight of $|q - q_{d}|^2$ in $\dot V > 0$"),
+        (
+            "z'' + w_P z' + w_I z = 0 stays stable (give w_P_box)",
+            r"$\ddot{z} + w_{P} \dot{z} + w_{I} z = 0$ stays stable (give `w_P_box`)",
+        ),
+        ("a signal that a proof needs", "a signal that a proof needs"),
+        ("inverse.w_I: inside the box", "`inverse.w_I`: inside the box"),
+        ("sign of d inverse.w/dt flipped", "sign of `d inverse.w/dt` flipped"),
+        ("lower <= true value <= upper", "lower ≤ true value ≤ upper"),
+        ("the maker's servo (7)", "the maker's servo (7)"),
+        ("some kappa > 0 exists", r"some $\kappa > 0$ exists"),
+        ("V(0) is all that there is (M(q) > 0)", "$V(0)$ is all that there is ($M(q) > 0$)"),
+        ("A'P + P A < 0 at the corners", r"$A^{\top} P + P A < 0$ at the corners"),
+        ("property P2", "property P2"),
+        ("", ""),
+    ],
+)
+def test_formulas_are_found_among_the_words_of_a_sentence(text, expected):
+    assert marked(text) == expected
