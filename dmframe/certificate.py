@@ -126,6 +126,8 @@ class Certificate:
     sigma
         For the block that pays: coefficients with which sigma is composed of the dissipated squares' vectors, one a
         dissipation, elementwise; none for a block that does not pay.
+    task
+        The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
     truth
         True values that other blocks' estimates have: ``{"a_d": ...}``.
     """
@@ -135,6 +137,7 @@ class Certificate:
     supply: SX = 0
     consumes: SX | None = None
     sigma: tuple[SX, ...] = ()
+    task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
@@ -150,6 +153,7 @@ class Certificate:
             supply=next(done),
             consumes=next(done) if consumes else None,
             sigma=tuple(done),
+            task=self.task,
             truth=self.truth,
         )
 

@@ -59,6 +59,9 @@ class Port:
         drives the other input.
     optional
         An input that is zero when nobody drives it; an output that a block may leave out.
+    full_rank
+        Of a matrix that is an output: whoever reads it counts on its rows being independent. A run tells how close it
+        came to losing that.
     """
 
     name: str
@@ -67,6 +70,7 @@ class Port:
     access: Access = Access.INTERNAL
     derivative_of: str = ""
     optional: bool = False
+    full_rank: bool = False
 
 
 @final
@@ -88,6 +92,9 @@ class State:
     unit: str = ""
     box: str = ""
 
+
+ANY = "*"
+"""The unit of an input that takes any unit: an error that drives an adaptation, say."""
 
 TIME = Port("t", "", "s")
 """The input that every block may declare without anyone driving it."""

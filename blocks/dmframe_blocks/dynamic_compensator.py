@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Square
+from dmframe.certificate import SX, Certificate, Square
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
 from dmframe.port import Port, State
 
@@ -34,7 +35,7 @@ class DynamicCompensator(AbstractBlock):
         Adaptation gain. Larger adapts faster, passes more velocity noise, and lowers the sampling period up to which
         the loop is stable.
     a_d_hat : (p,)
-        The estimate at the start.
+        The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
 
@@ -51,13 +52,14 @@ class DynamicCompensator(AbstractBlock):
         Port("Y_d", "n p", "N m"),
         Port("sigma", "n", "rad/s"),
         Port("tau_task", "n", "N m", optional=True),
+        Port("a_d_nominal", "p", "", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"),)
     states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
-    a_d_hat: Diagonal = Real("p", default=0.0)
+    a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -66,6 +68,10 @@ class DynamicCompensator(AbstractBlock):
             outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task},
             rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ u.sigma)},
         )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model, or zero."""
+        return {"a_d_hat": u.a_d_nominal}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

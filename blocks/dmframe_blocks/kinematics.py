@@ -35,12 +35,15 @@ class Kinematics(AbstractBlock):
 
     uses_robot: ClassVar[bool] = True
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq", "n", "rad/s"), Port("x", "m", "m"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("J", "m n", "m/rad"), Port("dx", "m", "m/s", derivative_of="x"))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("J_hat", "m n", "m/rad", full_rank=True),
+        Port("dx", "m", "m/s", derivative_of="x"),
+    )
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         J = p.robot.jacobian(u.q)
-        return Equations(outputs={"J": J, "dx": J @ u.dq})
+        return Equations(outputs={"J_hat": J, "dx": J @ u.dq})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored."""

@@ -7,9 +7,9 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Lemma, Square
+from dmframe.certificate import SX, Certificate, Lemma, Square
 from dmframe.linalg import solve_spd
-from dmframe.parameter import Diagonal, NonNegative, Positive
+from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
 from dmframe.port import Access, Port, Side, State
 
 
@@ -19,7 +19,10 @@ class Manipulator(AbstractBlock):
 
     .. math::
 
-        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g(q) = K u, \quad x = f(q)   \tag{1}
+        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + (1 - c)\, g(q) = K u, \quad x = f(q) \tag{1}
+
+    A maker's servo may already compensate a share c of gravity, and viscous friction :math:`B_m` of the joints' own
+    :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g` and :math:`B = B_0 - B_m`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
     is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
@@ -30,17 +33,21 @@ class Manipulator(AbstractBlock):
         \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
                   - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + g`; the last term
-    of (3) is not positive, since the friction does not decrease with velocity.
+    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the
+    last term of (3) is not positive, since the friction does not decrease with velocity.
 
     Parameters
     ----------
     viscous : diagonal (n,), N m s/rad, >= 0
-        B.
+        B_0.
     coulomb : diagonal (n,), N m, >= 0
         D.
     K : diagonal (n,), N m/V, > 0
         Torque a volt.
+    maker_gravity : scalar, >= 0
+        c, the share of gravity that the servo compensates; 1 is all of it.
+    maker_viscous : diagonal (n,), N m s/rad, >= 0
+        B_m; more than the joints have, and the arm is left with negative friction.
 
     References
     ----------
@@ -54,11 +61,13 @@ class Manipulator(AbstractBlock):
         Port("q", "n", "rad", Access.MEASURED),
         Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
         Port("x", "m", "m", Access.MEASURED),
+        Port("dx", "m", "m/s", derivative_of="x"),
         Port("ddq", "n", "rad/s^2", derivative_of="dq"),
         Port("g", "n", "N m"),
         Port("K", "n", "N m/V"),
         Port("B", "n", "N m s/rad"),
         Port("D", "n", "N m"),
+        Port("g_share"),
     )
     states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
     truth: ClassVar[tuple[Port, ...]] = (
@@ -70,34 +79,46 @@ class Manipulator(AbstractBlock):
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
     coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
     K: Diagonal = Positive("n", "N m/V", default=1.0)
+    maker_gravity: Scalar = NonNegative(default=0.0)
+    maker_viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         robot = p.robot
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n))
-        friction = p.viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
+        moving -= p.maker_gravity * robot.gravity_torque(x.q)
+        friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
         ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,
                 "dq": x.dq,
                 "x": robot.position(x.q),
+                "dx": robot.jacobian(x.q) @ x.dq,
                 "ddq": ddq,
-                "g": robot.gravity_torque(x.q),
+                "g": (1 - p.maker_gravity) * robot.gravity_torque(x.q),
                 "K": p.K,
-                "B": p.viscous,
+                "B": self._viscous(p),
                 "D": p.coulomb,
+                "g_share": 1 - p.maker_gravity,
             },
             rates={"q": x.dq, "dq": ddq},
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(2) and (3)."""
+        """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
+        if "sigma" not in truth:
+            return Certificate()
         robot, sigma = p.robot, truth.sigma
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref)
-        friction = p.viscous * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        reference -= p.maker_gravity * robot.gravity_torque(x.q)
+        B = self._viscous(p)
+        friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
         return Certificate(
             storage=(Square("sigma", sigma, robot.mass_matrix(x.q)),),
             dissipation=(Lemma("monotone friction", p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
-            supply=ca.dot(sigma, p.K * u.u - p.viscous * sigma - reference - friction),
+            supply=ca.dot(sigma, p.K * u.u - B * sigma - reference - friction),
         )
+
+    def _viscous(self, p: Signals) -> SX:
+        return p.viscous - p.maker_viscous

@@ -18,10 +18,11 @@ class PiServo(AbstractBlock):
     .. math::
 
         \dot i &= \dot q - \dot q_c                                \tag{1} \\
-        u      &= -K_P (\dot q - \dot q_c) - K_I i                 \tag{2}
+        u      &= -K_P (\dot q - \dot q_c) - K_I (i - q_{step})    \tag{2}
 
     The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result;
-    makers call it the target position. At the start the integrator holds the robot against gravity:
+    makers call it the target position. :math:`q_{step}` is zero unless positions are commanded: see
+    `position_interface`. At the start the integrator holds the robot against gravity:
     :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters
@@ -41,6 +42,7 @@ class PiServo(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq", "n", "rad/s"),
         Port("dq_c", "n", "rad/s"),
+        Port("q_step", "n", "rad", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q_c", "n", "rad", Access.MEASURED),
@@ -57,7 +59,7 @@ class PiServo(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        voltage = -p.K_P * (u.dq - u.dq_c) - p.K_I * x.i
+        voltage = -p.K_P * (u.dq - u.dq_c) - p.K_I * (x.i - u.q_step)
         return Equations(
             outputs={"q_c": x.q_c, "u": voltage, "i": x.i, "K_P": p.K_P, "K_I": p.K_I},
             rates={"q_c": u.dq_c, "i": u.dq - u.dq_c},

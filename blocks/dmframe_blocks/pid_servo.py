@@ -17,11 +17,12 @@ class PidServo(AbstractBlock):
 
     .. math::
 
-        \dot i &= q - q_c                                              \tag{1} \\
-        u      &= -K_D (\dot q - \dot q_c) - K_P (q - q_c) - K_I i     \tag{2}
+        \dot i &= q - q_c - q_{step}                                               \tag{1} \\
+        u      &= -K_D (\dot q - \dot q_c) - K_P (q - q_c - q_{step}) - K_I i     \tag{2}
 
     The servo integrates the velocity command by itself, :math:`q_c = q(0) + \int \dot q_c`, and reports the result;
-    makers call it the target position. At the start the integrator holds the robot against gravity:
+    makers call it the target position. :math:`q_{step}` is zero unless positions are commanded: see
+    `position_interface`. At the start the integrator holds the robot against gravity:
     :math:`i(0) = -g(q)/(K K_I)`.
 
     Parameters
@@ -43,6 +44,7 @@ class PidServo(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq", "n", "rad/s"),
         Port("dq_c", "n", "rad/s"),
+        Port("q_step", "n", "rad", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q_c", "n", "rad", Access.MEASURED),
@@ -61,10 +63,10 @@ class PidServo(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
+        voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c - u.q_step) - p.K_I * x.i
         return Equations(
             outputs={"q_c": x.q_c, "u": voltage, "i": x.i, "K_D": p.K_D, "K_P": p.K_P, "K_I": p.K_I},
-            rates={"q_c": u.dq_c, "i": u.q - x.q_c},
+            rates={"q_c": u.dq_c, "i": u.q - x.q_c - u.q_step},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:

@@ -9,7 +9,11 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
+from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Port
+
+_HEAVY = 4
+"""Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
 
 
 @final
@@ -21,13 +25,32 @@ class Regressor(AbstractBlock):
         Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
 
+    The estimates may start at
+
+    .. math::
+
+        a_d^\ast = (\nu\, a_{inertia},\, 0,\, -\nu\, g(q))   \tag{2}
+
+    with the share :math:`\nu` that `nominal` says; the friction is unknown, and the bias is the gravity that the servo
+    holds at rest.
+
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes
+    the servo to compensate nothing.
 
     Parameters
     ----------
     friction : list of viscous, coulomb
         Friction that the compensator estimates along with the inertial parameters.
+    gravity : together or apart
+        Whether gravity is estimated by the masses that the motion has too, or apart from them, for a servo that may
+        already compensate some of it.
+    bias : true or false
+        Estimate a constant torque a joint too, such as the offset of the servo's integrator.
+    nominal : scalar, >= 0
+        Let the estimates start at this share of the robot's own inertial parameters, as from a drawing that is wrong:
+        1 knows the links and not the friction. Left out, they start where the adaptation says, or at zero.
 
     Notes
     -----
@@ -45,29 +68,63 @@ class Regressor(AbstractBlock):
         Port("dq_ref", "n", "rad/s"),
         Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("B", "n", "N m s/rad"), Port("D", "n", "N m"))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("a_d_nominal", "p", "", optional=True),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+        Port("bias", "n", "N m"),
+        Port("g_share"),
+    )
 
     friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    gravity: Literal["together", "apart"] = "together"
+    bias: bool = False
+    nominal: Scalar | None = NonNegative(default=None)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """p: ten a link, and one a joint for each kind of friction."""
-        return {"p": (10 + len(set(self.friction))) * robot.n}
+        """p: ten a link, four more where gravity is apart, and one a joint for each kind of friction."""
+        apart = _HEAVY if self.gravity == "apart" else 0
+        return {"p": (10 + apart + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1)."""
+        """(1) and, if asked, (2)."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
+        if self.gravity == "apart":
+            still = ca.SX(p.robot.n, 1)
+            weight = p.robot.regressor(u.q, still, still, still)
+            columns = [columns[0] - weight, weight[:, _heavy(p.robot.n)]]
         if "viscous" in self.friction:
             columns.append(ca.diag(u.dq_ref))
         if "coulomb" in self.friction:
             columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
-        return Equations(outputs={"Y_d": ca.horzcat(*columns)})
+        if self.bias:
+            columns.append(ca.SX.eye(p.robot.n))
+        outputs = {"Y_d": ca.densify(ca.horzcat(*columns))}
+        if "nominal" in p:
+            n, frictions = p.robot.n, len(set(self.friction))
+            held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
+            heavy = [p.robot.inertia[_heavy(n)]] if self.gravity == "apart" else []
+            inertia = p.nominal * ca.vertcat(p.robot.inertia, *heavy)
+            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.SX.zeros(frictions * n), *held)
+        return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; the true a_d."""
         parts = [p.robot.inertia]
+        if self.gravity == "apart":
+            parts.append(truth.g_share * p.robot.inertia[_heavy(p.robot.n)])
         if "viscous" in self.friction:
             parts.append(truth.B)
         if "coulomb" in self.friction:
             parts.append(truth.D)
+        if self.bias:
+            parts.append(truth.bias)
         return Certificate(truth={"a_d": ca.vertcat(*parts)})
+
+
+def _heavy(n: int) -> list[int]:
+    """Where those stand among all inertial parameters."""
+    return [10 * link + k for link in range(n) for k in range(_HEAVY)]

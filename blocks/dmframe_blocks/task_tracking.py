@@ -20,8 +20,12 @@ class TaskTracking(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} &= J^\top (J J^\top)^{-1} \dot x_d - \gamma J^\top (x - x_d)   \tag{1} \\
+        \dot q_{ref} &= J^+ \dot x_d - \gamma J^\top (x - x_d) + (I - J^+ J)\, z, \quad
+                        J^+ = J^\top (J J^\top)^{-1}                                \tag{1} \\
         \sigma       &= \dot q - \dot q_{ref}                                       \tag{2}
+
+    A redundant robot may move by :math:`z` as far as its tool does not notice, :math:`J (I - J^+ J) = 0`: see
+    `null_space_posture`. Nobody needs to drive z.
 
     With :math:`\Delta x = x - x_d` and :math:`b = J^\top \Delta x` it is a cascade on the servo level, of which it
     consumes :math:`|\sigma|^2 / \gamma`:
@@ -49,8 +53,9 @@ class TaskTracking(AbstractBlock):
         Port("x", "m", "m"),
         Port("x_d", "m", "m"),
         Port("dx_d", "m", "m/s", derivative_of="x_d"),
-        Port("J", "m n", "m/rad"),
+        Port("J_hat", "m n", "m/rad"),
         Port("dq", "n", "rad/s"),
+        Port("z", "n", "rad/s", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"), Port("sigma", "n", "rad/s"))
 
@@ -58,14 +63,15 @@ class TaskTracking(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        dq_ref = u.J.T @ (solve_spd(u.J @ u.J.T, u.dx_d) - p.gamma * (u.x - u.x_d))
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.z)
+        dq_ref = u.J_hat.T @ (forward - p.gamma * (u.x - u.x_d)) + u.z
         return Equations(outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4); of the supply, dx is J dq."""
         x_err = u.x - u.x_d
         sigma = self.equations(u, x, p).outputs["sigma"]
-        b = u.J.T @ x_err
+        b = u.J_hat.T @ x_err
         return Certificate(
             storage=(Square("x - x_d", x_err, ca.SX(1)),),
             dissipation=(

@@ -84,6 +84,11 @@ class Claim:
     sigma: SX
     truths: Mapping[str, SX]
 
+    @property
+    def cascaded(self) -> bool:
+        """Is there a cascade that the servo level pays for?"""
+        return not bool(self.kappa.is_constant())
+
     def weight(self, part: Part) -> SX:
         """1 or kappa."""
         return ca.SX(1) if part.cascade else self.kappa
@@ -128,7 +133,7 @@ def claim_of(diagram: Diagram) -> Claim:
     parts = tuple(field.part(name, certificate) for name, certificate in stated.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
-    cascades = [part for part in parts if part.cascade]
+    cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
     return Claim(diagram, loop, parts, kappa, _sigma(diagram, loop) if cascades else ca.SX(0), truths)
 
@@ -163,8 +168,9 @@ class Field:
         _check_form(name, certificate)
         joined = certificate.mapped(self.loop.joined)
         storage = total([square.value for square in joined.storage]) / 2
-        lemma = total([self._lemma(name, joined, item) for item in self._projections(storage)])
-        return Part(name, joined, certificate.consumes is not None, self.derivative(storage), lemma)
+        lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
+        task = certificate.task or certificate.consumes is not None
+        return Part(name, joined, task, self.derivative(storage), lemma)
 
     def derivative(self, expression: SX) -> SX:
         """d/dt along the closed loop, trajectories moving as they like."""
@@ -172,14 +178,17 @@ class Field:
         pairs = [(leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & hashes(leaf)]
         for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
             if used & hashes(leaf.symbol):
-                pairs.append((leaf.symbol, self.diagram.resolver.trajectory(block, port, order + 1).symbol))
+                pairs.append((leaf.symbol, self.diagram.resolver.trajectory_rate(block, port, order)))
         if not pairs:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
 
-    def _projections(self, storage: SX) -> list[Projection]:
+    def _projections(self, name: str, storage: SX) -> list[Projection]:
+        """Of the block's own states. What another block stores may move with them too, as sigma does through dq_ref:
+        it has no lemma, so the correction must cancel there, as it does where ddq_ref is derived with it.
+        """
         used = symbols_in([storage])
-        return [projection for projection in self.loop.projections if used & hashes(projection.state)]
+        return [item for item in self.loop.projections if item.block == name and used & hashes(item.state)]
 
     def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
         r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""

@@ -67,12 +67,13 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
         else:
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
-    checked += _boxes(claim, numbers)
+    inside, unknown = _boxes(claim, numbers)
+    checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(_matrices(claim, numbers))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
         assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
-    if any(part.cascade for part in claim.parts):
+    if claim.cascaded:
         checked.append(_payment(claim, numbers))
     return checked, assumed
 
@@ -198,18 +199,29 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
 
 
-def _boxes(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """A projection needs the true value in its box; so does the start, or it would jump."""
+def _boxes(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """A projection needs the true value in its box; so does the start, or it would jump.
+
+    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
+    """
+    checked, assumed = list[Checked](), list[Assumption]()
     for projection in claim.loop.projections:
-        own = hashes(projection.state)
+        own, text = hashes(projection.state), f"{projection.name}: true value inside the box"
         for part in claim.parts:
             for square in part.certificate.storage:
-                if symbols_in([square.vector]) & own:
-                    zero = ca.SX.zeros(projection.state.shape[0])
-                    truth = -ca.substitute(square.vector, projection.state, zero)
-                    room = ca.vertcat(truth - projection.lower, projection.upper - truth)
-                    name, text = f"{projection.name}: true value inside the box", "lower <= true value <= upper"
-                    yield _decided(name, text, "Remark 2", partial(numbers.least, room), strict=False)
+                if part.block != projection.block or not symbols_in([square.vector]) & own:
+                    continue
+                truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
+                known = [row for row in range(truth.shape[0]) if symbols_in([truth[row]]) <= numbers.known]
+                room = ca.vertcat(truth - projection.lower, projection.upper - truth)
+                room = room[[*known, *(truth.shape[0] + row for row in known)]]
+                rule = "lower <= true value <= upper"
+                if known:
+                    checked.append(_decided(text, rule, "Remark 2", partial(numbers.least, room), strict=False))
+                if rest := [str(row) for row in range(truth.shape[0]) if row not in known]:
+                    where = f"{text}, at [{', '.join(rest)}], where the plant's start decides it"
+                    assumed.append(Assumption(where, "Remark 2"))
+    return checked, assumed
 
 
 def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
@@ -219,7 +231,7 @@ def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
         return None
     (part,) = payers
     weights = [term.weight for term in part.certificate.dissipation]
-    c = total([other.certificate.consumes for other in claim.parts if other.cascade])
+    c = total([other.certificate.consumes for other in claim.parts if other.certificate.consumes is not None])
     ones = ca.SX.ones(claim.sigma.shape[0])
     shares = list(zip(part.certificate.sigma, weights, strict=True))
     need = c * sum((share * share * ones / weight for share, weight in shares), ca.SX(0))

@@ -51,7 +51,7 @@ def equalities(claim: Claim) -> list[Equality]:
     """
     found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
     found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
-    if any(part.cascade for part in claim.parts):
+    if claim.cascaded:
         for part in claim.parts:
             if part.certificate.sigma:
                 difference = composed(part) - claim.sigma

@@ -69,15 +69,11 @@ def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
             "block": part.block,
             "of": term.of,
             "kind": "square" if isinstance(term, Square) else "lemma",
-            "weight": "kappa" if _weighed(claim) and not part.cascade else "1",
+            "weight": "kappa" if claim.cascaded and not part.cascade else "1",
         }
         for part in claim.parts
         for term in getattr(part.certificate, role)
     ]
-
-
-def _weighed(claim: Claim) -> bool:
-    return any(part.cascade for part in claim.parts)
 
 
 def _finite(value: float | None) -> float | None:

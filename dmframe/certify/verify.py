@@ -133,7 +133,7 @@ def _verified(
         reason=reason,
         claim=claim,
         test=test,
-        kappa=payment(claim, Numbers(claim, uncertain)) if any(p.cascade for p in claim.parts) else None,
+        kappa=payment(claim, Numbers(claim, uncertain)) if claim.cascaded else None,
         conditions=tuple(conditions),
         assumptions=(*assumptions, *STANDING),
         controls=controls,

@@ -11,7 +11,7 @@ from dmframe.diagram.closed_loop import ClosedLoop, Parameter, flatten
 from dmframe.diagram.model import BlockModel, model_block
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
-from dmframe.diagram.wiring import End, Outputs, Source, check_wires, wire_blocks
+from dmframe.diagram.wiring import End, Outputs, Source, check_truths, check_wires, wire_blocks
 from dmframe.errors import DmframeError, MissingError, WiringError, raise_all
 from dmframe.port import Port
 
@@ -90,6 +90,7 @@ class Diagram:
         produced = _produced(models)
         sources, faults = wire_blocks(blocks, produced, wires or {})
         faults += check_wires(blocks, produced, sources, sizes, wires or {})
+        faults += check_truths(blocks, produced)
         raise_all(faults)
         resolver = Resolver(models, sources)
         try:

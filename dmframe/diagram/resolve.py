@@ -48,6 +48,11 @@ class Projection:
     lower: SX
     upper: SX
 
+    @property
+    def block(self) -> str:
+        """Whose state it is."""
+        return self.name.partition(".")[0]
+
 
 @final
 class Resolver:
@@ -126,7 +131,7 @@ class Resolver:
                     yield leaf, self.rate(name, state)
         for key, trajectory in list(self.trajectories.items()):
             if used & hashes(trajectory.symbol):
-                yield trajectory.symbol, self.trajectory(key[0], key[1], key[2] + 1).symbol
+                yield trajectory.symbol, self.trajectory_rate(*key)
         for end, crossing in list(self.crossings.items()):
             if used & hashes(crossing.symbol):
                 yield crossing.symbol, self._rate_across(end, wanted_by)
@@ -164,6 +169,13 @@ class Resolver:
             leaf = symbol(name, model.equations.outputs[end[1]].shape)
             self.crossings[end] = Leaf(name, model.block.side, leaf, leaf)
         return self.crossings[end]
+
+    def trajectory_rate(self, block: str, port: str, order: int) -> SX:
+        """The next derivative of a source's output: a leaf, or zero where the source stands still."""
+        held = self.trajectory(block, port, order)
+        if ca.jtimes(held.expression, self.time, ca.SX(1)).is_zero():
+            return ca.SX.zeros(*held.symbol.shape)
+        return self.trajectory(block, port, order + 1).symbol
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
         """A source's output, or a time derivative of it, as a leaf."""

@@ -9,6 +9,7 @@ from typing import final
 from dmframe.block import Signals
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
+from dmframe.diagram.wiring import same_unit
 from dmframe.port import Port
 
 
@@ -44,7 +45,7 @@ def _truth(diagram: Diagram, reader: str, port: Port, found: Mapping[str, SX], k
         return known[port.name]
     for name, model in diagram.models.items():
         for other in model.block.outputs:
-            if other.name == port.name and other.name in model.equations.outputs and other.unit == port.unit:
+            if other.name == port.name and other.name in model.equations.outputs and same_unit(other, port):
                 return diagram.resolver.output(name, port.name)
     if port.derivative_of in found:
         return diagram.resolver.derivative(found[port.derivative_of], f"{reader}.{port.name}")

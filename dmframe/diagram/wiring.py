@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
-from dmframe.block import AbstractBlock
+from dmframe.block import AbstractBlock, type_name
 from dmframe.diagram.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
-from dmframe.port import TIME, Access, Port, Side
+from dmframe.port import ANY, TIME, Access, Port, Side
 from dmframe.units import compatible
 
 End = tuple[str, str]
@@ -132,10 +132,41 @@ def check_wires(
                 faults.append(barred)
                 continue
             faults.append(_shape(text, out, into, sizes, path))
-            if not compatible(out.unit, into.unit):
+            if not same_unit(out, into):
                 found = out.unit or "a plain number"
                 faults.append(UnitError(f"{text}: expected {into.unit or 'a plain number'}, found {found}", path=path))
     return [fault for fault in faults if fault is not None]
+
+
+def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[DmframeError]:
+    """A plant signal that a block's proof names must have the unit that it expects: else it is about another plant."""
+    plant = [
+        (name, port) for name, ports in outputs.items() if blocks[name].side is Side.PLANT for port in ports.values()
+    ]
+    faults = list[DmframeError]()
+    for name, block in blocks.items():
+        strangers = set[str]()
+        for truth in block.truth:
+            found = [(other, port) for other, port in plant if port.name == truth.name and other != name]
+            if not found or any(same_unit(port, truth) for _, port in found):
+                continue
+            other, port = found[0]
+            if other not in strangers:  # of several signals of one stranger, the first says it all
+                strangers.add(other)
+                faults.append(
+                    UnitError(
+                        f"{name}: {type_name(type(block))} expects {other}.{port.name} in {truth.unit or 'no unit'}, "
+                        f"found {port.unit or 'no unit'}; "
+                        f"it does not go with {other} ({type_name(type(blocks[other]))})",
+                        path=("blocks", name),
+                    )
+                )
+    return faults
+
+
+def same_unit(output: Port, reader: Port) -> bool:
+    """Can the reader take the output's numbers as they are?"""
+    return reader.unit == ANY or compatible(output.unit, reader.unit)
 
 
 def _access(

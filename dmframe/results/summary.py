@@ -35,6 +35,11 @@ def summary(name: str, run: Run, out: str | None = None) -> dict[str, Any]:
             "rms_by_eighth": [_number(value) for value in error.rms_by_eighth],
             "rms_final": _number(error.rms_final),
         },
+        "rank": [
+            {"signal": rank.signal, "unit": rank.unit}
+            | {key: _number(getattr(rank, key)) for key in ("smallest", "time", "share", "since")}
+            for rank in run.ranks
+        ],
         "engine": run.engine,
         "wall_time": _number(run.wall_time),
         "real_time_factor": _number(run.real_time_factor),

@@ -15,6 +15,7 @@ import numpy as np
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import EngineError, ValueFault
+from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
 
@@ -54,6 +55,8 @@ class Run:
         (N,) [s].
     states, outputs
         By label ``block.name``: (N, rows) arrays.
+    ranks
+        How close each matrix that must keep its rank came to losing it.
     """
 
     diagram: Diagram
@@ -68,6 +71,7 @@ class Run:
     wall_time: float
     engine: str
     notices: tuple[str, ...] = field(default=())
+    ranks: tuple[Rank, ...] = field(default=())
 
     @property
     def real_time_factor(self) -> float:
@@ -111,7 +115,8 @@ def simulate(
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
     loop = diagram.loop
-    recorded = _recorded(diagram)
+    matrices = watched(diagram)
+    recorded = [*_recorded(diagram), *matrices]
     _check_length(duration / (solver.output if clock is None else clock), loop.state.numel())
     step = build_step(loop, clock, solver, stack(signal.expression for signal in recorded))
     state, p = start_state(diagram, start or {}), loop.p_values
@@ -122,6 +127,7 @@ def simulate(
     count = _finite(history)
     times = np.arange(count) * step.period
     outputs = _outputs(step, history[:, :count], times, p, recorded)
+    ranked = ranks(matrices, {signal.label: outputs.pop(signal.label) for signal in matrices}, times)
     wall = time.perf_counter() - begin
     variables = (*loop.controller, *loop.plant)
     divergence = None
@@ -143,19 +149,20 @@ def simulate(
         interrupted=end is End.STOPPED,
         wall_time=wall,
         engine="interpreted",
-        notices=notices,
+        notices=(*notices, *(rank.notice for rank in ranked if rank.notice)),
+        ranks=ranked,
     )
 
 
 def _recorded(diagram: Diagram) -> list[Signal]:
-    """Outputs worth keeping: columns that move, and that are not states already."""
+    """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
-    states = {variable.label for variable in (*loop.controller, *loop.plant)}
+    others = {state.label for state in (*loop.controller, *loop.plant)} | {matrix.label for matrix in watched(diagram)}
     moving = stack([loop.time, loop.state, *(leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))])
     return [
         signal
         for signal in loop.outputs
-        if signal.label not in states and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
+        if signal.label not in others and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
     ]
 
 

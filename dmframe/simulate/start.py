@@ -20,14 +20,17 @@ NEAR = "near"
 REACHED = 1e-9
 """A start pose is on the path if it is this close [m or rad]."""
 
+ROUNDING = 1e-9
+"""A start is in its box if it misses it by less, relative to one plus its size."""
+
 
 def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
     """Every state at t = 0, the controller's first, as one column.
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. Then it is projected onto
-    its box, where it has one.
+    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box must
+    start inside it.
     """
     loop = diagram.loop
     variables = (*loop.controller, *loop.plant)
@@ -41,11 +44,28 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
         if not _has_start(diagram, variable):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values)
-    for projection in loop.projections:
-        box = {leaf.label: leaf.value for leaf in loop.parameters}[projection.box]
-        values[projection.name] = np.clip(np.ravel(values[projection.name]), box[..., 0], box[..., 1])
     _check_finite(variables, values)
+    _into_boxes(loop, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
+
+
+def _into_boxes(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
+    """Refuse a start outside its box; one that misses it by rounding is put onto its end."""
+    boxes, faults = {leaf.label: leaf.value for leaf in loop.parameters}, list[DmframeError]()
+    for projection in loop.projections:
+        start, box = np.ravel(values[projection.name]), np.reshape(boxes[projection.box], (-1, 2))
+        lower, upper = box[:, 0], box[:, 1]
+        values[projection.name] = np.clip(start, lower, upper)
+        missed = np.abs(start - values[projection.name]) > ROUNDING * (1 + np.abs(start))
+        if missed.any():
+            k = int(np.argmax(missed))
+            label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
+            block, parameter = projection.box.split(".")
+            text = (
+                f"{label}: expected a start inside {parameter}, {lower[k]:.6g} to {upper[k]:.6g}, found {start[k]:.6g}"
+            )
+            faults.append(StartError(f"{text}; move the start or the box", path=("blocks", block, parameter)))
+    raise_all(faults)
 
 
 def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:

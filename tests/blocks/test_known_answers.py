@@ -9,13 +9,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.block import AbstractBlock
+from dmframe.block import AbstractBlock, Signals
 from dmframe.catalogue import find_block
+from dmframe.config.graph import load_graph
 from dmframe.diagram.model import model_block
 from dmframe.diagram.sizes import bind_sizes, parameter_arrays
 from dmframe.errors import DmframeError
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.simulate import simulate
+from dmframe.simulate.start import loop_trajectories
 from dmframe_plants.arm2 import closed_form
 
 
@@ -92,7 +95,7 @@ def test_joint_tracking_leads_the_error_back() -> None:
 def test_task_tracking_inverts_the_jacobian_and_pulls_towards_the_path() -> None:
     J = np.array([[1.0, 2.0], [0.5, -1.0]])
     x, x_d, dx_d = np.array([0.3, 0.1]), np.array([0.2, 0.4]), np.array([1.0, -0.5])
-    found = answer("task_tracking", {"gamma": 0.8}, J=J, x=x, x_d=x_d, dx_d=dx_d, dq=[1, 1])
+    found = answer("task_tracking", {"gamma": 0.8}, J_hat=J, x=x, x_d=x_d, dx_d=dx_d, dq=[1, 1])
     expected = np.linalg.solve(J, dx_d) - 0.8 * J.T @ (x - x_d)
     close(found["dq_ref"], expected)
     close(found["sigma"], 1 - expected)
@@ -159,7 +162,7 @@ Q, DQ = np.array([0.4, -0.9]), np.array([1.1, -0.6])
 def test_kinematics_and_the_manipulators_position_are_the_textbooks() -> None:
     robot = load("arm2")
     found = answer("kinematics", robot=robot, q=Q, dq=DQ)
-    close(found["J"], closed_form.jacobian(Q))
+    close(found["J_hat"], closed_form.jacobian(Q))
     close(found["dx"], closed_form.jacobian(Q) @ DQ)
     close(answer("manipulator", robot=robot, q=Q)["x"], closed_form.position(Q))
 
@@ -193,3 +196,178 @@ def test_a_frozen_block_cannot_be_changed() -> None:
     block: AbstractBlock = find_block("joint_tracking")(alpha=1)
     with pytest.raises(ValueError, match="frozen"):
         block.alpha = 2  # type: ignore[attr-defined]
+
+
+X, X_D, X_O = np.array([0.3, 0.1]), np.array([0.2, 0.4]), np.array([0.25, 0.15])
+J_HAT = np.array([[1.0, 2.0], [0.5, -1.0]])
+
+
+def test_the_passive_filter_is_eq_8() -> None:
+    found = answer("passive_filter", {"K_1": [2, 3]}, x=X, x_d=X_D, J_hat=J_HAT, y=[0.1, 0.2])
+    close(found["y"], [0.1, 0.2])
+    close(found["d(y)"], [2 * (-0.05 - 0.1), 3 * (0.5 - 0.2)])  # J'(x - x_d) = [0.1 - 0.15, 0.2 + 0.3]
+
+
+def test_filtered_regulation_is_eq_9_with_its_passive_torque() -> None:
+    given = {"K_2": [2, 3], "alpha": 10}
+    found = answer("filtered_regulation", given, y=[0.1, 0.2], x=X, x_d=X_D, J_hat=J_HAT, dq=[1, 1])
+    close(found["dq_ref"], [-0.2, -0.6])
+    close(found["sigma"], [1.2, 1.6])
+    close(found["tau_task"], [0.5, -5])
+    close(found["e_k"], [0.1, -0.3])
+
+
+def test_the_task_observer_is_eq_19() -> None:
+    found = answer("task_observer", {"beta": 4}, x=X, J_hat=J_HAT, dq_ref=[1, 2], x_o=X_O)
+    # J'(x_o - x) = [-0.05 + 0.025, -0.1 - 0.05]; dq_ref - 4 of it = [1.1, 2.6]
+    close(found["d(x_o)"], [1.1 + 5.2, 0.55 - 2.6])
+    close(found["x_o"], X_O)
+
+
+def test_observed_tracking_is_eqs_20_and_30() -> None:
+    dx_d = np.array([1.0, -0.5])
+    found = answer("observed_tracking", {"gamma": 2}, x=X, x_o=X_O, x_d=X_D, dx_d=dx_d, J_hat=J_HAT, dq=[1, 1])
+    # the inverse of J_hat is [[1, 2], [0.5, -1]] / 2; J'(x_o - x_d) = [0.05 - 0.125, 0.1 + 0.25]
+    close(found["dq_ref"], [0 + 0.15, 0.5 - 0.7])
+    close(found["sigma"], [0.85, 1.2])
+    close(found["e_k"], [0.1 + 0.05, -0.3 - 0.05])
+
+
+def test_observed_tracking_of_a_redundant_robot_takes_the_least_velocity() -> None:
+    J = np.array([[1.0, 2.0, 0.5], [0.5, -1.0, 1.0]])
+    dx_d = np.array([0.3, -0.2])
+    block = find_block("observed_tracking")(gamma=1.5)
+    q = {name: ca.SX.sym(name, *size) for name, size in {"J_hat": (2, 3), "dx_d": (2,), "dq": (3,)}.items()}
+    held = {name: ca.SX(X) for name in ("x", "x_o", "x_d")}
+    u = Signals("task", "inputs", {**q, **held})
+    stated = block.equations(u, Signals("task", "states", {}), Signals("task", "parameters", {"gamma": ca.SX(1.5)}))
+    dq_ref = ca.Function("dq_ref", list(q.values()), [stated.outputs["dq_ref"]])(J, dx_d, np.zeros(3))
+    close(dq_ref.full().ravel(), np.linalg.pinv(J) @ dx_d)
+
+
+def turned(angle: float) -> np.ndarray:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+@pytest.mark.parametrize("adapt", ["all", "links", "tool"])
+def test_adaptive_kinematics_are_eqs_4_and_13_of_a_planar_arm_with_wrong_lengths(adapt: str) -> None:
+    robot = load("arm2")
+    true = np.array([x for joint in robot.joints for x in joint.translation] + list(robot.tool), dtype=float)
+    part = {"all": slice(0, 9), "links": slice(0, 6), "tool": slice(6, 9)}[adapt]
+    wrong = true.copy()
+    wrong[part] += np.linspace(0.02, 0.1, 9)[part]
+    e_k = np.array([0.3, -0.2])
+    given = {"Gamma_k": 2, "adapt": adapt}
+    found = answer("adaptive_kinematics", given, robot=robot, q=Q, dq=DQ, e_k=e_k, a_k_hat=wrong[part])
+    quarter, both = turned(np.pi / 2), turned(Q[0] + Q[1])
+    upper, fore = quarter @ turned(Q[0]), quarter @ both
+    plane = [0, 2]  # the arm moves in x and z
+    J = np.column_stack([upper @ wrong[3:6][plane] + fore @ wrong[6:][plane], fore @ wrong[6:][plane]])
+    close(found["J_hat"], J)
+    Y_k = np.zeros((2, 9))
+    Y_k[:, [3, 5]], Y_k[:, [6, 8]] = DQ[0] * upper, DQ.sum() * fore
+    close(Y_k @ wrong, J @ DQ)
+    close(found["d(a_k_hat)"], 2 * (Y_k.T @ e_k)[part])
+
+
+def test_the_accelerometer_hands_out_the_acceleration() -> None:
+    close(answer("accelerometer", ddq=[1.5, -2])["ddq_m"], [1.5, -2])
+
+
+def test_computed_torque_is_eqs_59_and_60() -> None:
+    found = answer("computed_torque", {"alpha": 3}, q=[1, 2], dq=[1, 1], q_d=[0.5, 2.5], dq_d=[0.2, 2], ddq_d=[7, 8])
+    close(found["dq_ref"], [1, 1])
+    close(found["ddq_ref"], [7 - 6 * 0.8 - 9 * 0.5, 8 + 6 + 9 * 0.5])
+    close(found["s_star"], [0.8 + 1.5, -1 - 1.5])
+
+
+Y_D = np.array([[1.0, 2, 3], [0, -1, 1]])
+
+
+def test_certainty_equivalence_is_the_estimated_dynamics() -> None:
+    close(answer("certainty_equivalence", Y_d=Y_D, a_d_hat=[1, 0, 2])["tau_d"], [7, 2])
+
+
+def test_indirect_adaptation_is_eqs_54_to_58() -> None:
+    found = answer("indirect_adaptation", {"Gamma": [1, 2, 4]}, Y_d=Y_D, tau_d=[6, 4], a_d_hat=[1, 0, 2])
+    close(found["epsilon"], [1, -2])
+    close(found["d(a_d_hat)"], [-1, -8, -4])
+
+
+def test_direct_adaptation_sees_the_error_through_the_estimated_mass_matrix() -> None:
+    M_hat = np.array([[3.0, 1], [1, 2]])
+    numbers = {"Y_d": Y_D, "M_hat": M_hat, "s_star": [1, 2], "a_d_hat": [1, 0, 2]}
+    found = answer("direct_adaptation", {"Gamma": [1, 2, 4]}, **numbers)
+    close(found["epsilon"], [0, 1])
+    close(found["d(a_d_hat)"], [0, 2, -4])
+    close(found["a_d_hat"], [1, 0, 2])
+
+
+def test_the_mass_estimate_is_the_textbooks_matrix_of_the_estimated_parameters() -> None:
+    robot = load("arm2")
+    a_d_hat = np.append(1.5 * np.array(robot.inertia, dtype=float).ravel(), [7, 8])  # two of friction: no part of M
+    found = mass_estimate(robot, a_d_hat)
+    close(found, 1.5 * closed_form.mass_matrix(Q))
+
+
+def mass_estimate(robot: Any, a_d_hat: np.ndarray) -> np.ndarray:
+    block, symbolic = find_block("mass_estimate")(), SymbolicRobot(robot)
+    q, a = ca.SX.sym("q", 2), ca.SX.sym("a", a_d_hat.size)
+    nothing = Signals("mass", "states", {})
+    stated = block.equations(
+        Signals("mass", "inputs", {"q": q, "a_d_hat": a}), nothing, Signals("mass", "parameters", {"robot": symbolic})
+    )
+    symbols = [constant.symbol for constant in symbolic.constants]
+    function = ca.Function("M", [q, a, *symbols], [ca.densify(stated.outputs["M_hat"])])
+    values = symbolic.values()
+    return np.asarray(function(Q, a_d_hat, *(values[c.name] for c in symbolic.constants)).full())
+
+
+def test_the_pi_torque_inverse_is_eqs_49_to_53() -> None:
+    given, state = {"Lambda": 2, "Lambda_I": 3}, {"w": [0.1, 0.2], "w_I": [2, 3]}
+    numbers = {"q": [1, 1], "dq": [0.5, 0], "q_c": [1.5, 0], "tau_d": [10, 20], "epsilon": [0.5, -1]}
+    found = answer("pi_torque_inverse", given, **numbers, **state)
+    close(found["dq_c"], [0.5 - 1 + 1, 3 + 4])
+    close(found["d(w)"], [-10, 40])
+    close(found["d(w_I)"], [0.75, 3])
+
+
+def test_the_pid_torque_inverse_is_eqs_49_to_53_with_the_integral() -> None:
+    given = {"Lambda": 2, "Lambda_P": 3, "Lambda_I": 4}
+    state = {"z": [0.2, -0.4], "w": [0.1, 0.2], "w_P": [2, 3], "w_I": [5, 6]}
+    numbers = {"q": [1, 1], "dq": [0.5, 0], "q_c": [1.5, 0], "tau_d": [10, 20], "epsilon": [0.5, -1]}
+    found = answer("pid_torque_inverse", given, **numbers, **state)
+    close(found["dq_c"], [0.5 - 1 - 1 + 1, 3 + 2.4 + 4])
+    close(found["d(z)"], [0.5, -1])
+    close(found["d(w)"], [-10, 40])
+    close(found["d(w_P)"], [0.75, 3])
+    close(found["d(w_I)"], [0.4, 1.6])
+
+
+def test_the_regressors_bias_is_a_torque_of_each_joint_and_its_nominal_model_holds_gravity_at_rest() -> None:
+    robot = load("arm2")
+    given = {"friction": ["viscous"], "bias": True, "nominal": 0.8}
+    found = answer("regressor", given, robot=robot, q=Q, dq=DQ, dq_ref=[0.3, 0.8])
+    close(found["Y_d"][:, 20:22], np.diag([0.3, 0.8]))
+    close(found["Y_d"][:, 22:], np.eye(2))
+    inertia = 0.8 * np.array(robot.inertia, dtype=float).ravel()
+    close(found["a_d_nominal"], np.concatenate([inertia, [0, 0], -0.8 * closed_form.gravity_torque(Q)]))
+    at_rest = answer("regressor", given, robot=robot, q=Q)
+    close(at_rest["Y_d"] @ at_rest["a_d_nominal"], [0, 0])
+    assert "a_d_nominal" not in answer("regressor", robot=robot, q=Q)
+
+
+def test_the_derived_reference_acceleration_is_the_slope_of_the_reference_while_the_kinematics_adapt() -> None:
+    graph = load_graph("theorem_3", ["geometry.Gamma_k=20", "solver={output: 0.5 ms}"])
+    diagram = graph.diagram()
+    run = simulate(diagram, 0.4, clock=None, solver=graph.solver, start=graph.start)
+    assert np.ptp(run["geometry.a_k_hat"], axis=0).max() > 1e-3  # it does adapt
+    loop = diagram.loop
+    (derived,) = loop.joined([diagram.resolver.input("model", "ddq_ref")])
+    function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [loop_trajectories(loop, derived)])
+    states = np.hstack([run.states[variable.label] for variable in (*loop.controller, *loop.plant)])
+    rows = range(10, len(run.time) - 10, 25)
+    expected = np.array([(run["task.dq_ref"][k + 1] - run["task.dq_ref"][k - 1]) / 0.001 for k in rows])
+    found = np.array([function(states[k], run.time[k], loop.p_values).full().ravel() for k in rows])
+    assert np.abs(expected).max() > 0.05
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -19,7 +19,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpk")
+LETTERS = set("nmpkh")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {

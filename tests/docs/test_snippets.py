@@ -101,7 +101,7 @@ def run_console(text: str, where: str) -> None:
         assert status == 0, f"{where}: status {status} before `$ {command}`"
         status, printed = run_command(command)
         if wanted:
-            assert re.fullmatch(pattern(wanted), printed.rstrip()), f"{where}: `$ {command}` printed\n{printed}"
+            assert re.fullmatch(pattern(wanted), printed.rstrip() + "\n"), f"{where}: `$ {command}` printed\n{printed}"
     assert status == 0, f"{where}: the last command's status is {status}"
 
 
@@ -119,7 +119,7 @@ def commands(text: str) -> list[tuple[str, list[str]]]:
 
 def pattern(lines: list[str]) -> str:
     """Expected lines as a regular expression; blanks that line columns up may differ in number."""
-    parts = ["(?:.*\n?)*?" if line.strip() == "..." else f"{_line(line)}\n?" for line in lines]
+    parts = ["(?:.*\n)*?" if line.strip() == "..." else f"{_line(line)}\n?" for line in lines]
     return "".join(parts) + r"\s*"
 
 
@@ -162,6 +162,12 @@ def test_the_runner_takes_a_wanted_failure() -> None:
 
 def test_the_runner_takes_dots_for_any_lines() -> None:
     run_console("$ dmframe graphs\n...\npendulum  ...\n...\n", "here")
+
+
+def test_a_long_output_that_differs_at_its_end_is_told_rather_than_searched_for_ever() -> None:
+    lines = "".join(f"a line with some words {k}\n" for k in range(400))
+    assert re.fullmatch(pattern(["...", "a line with some words 399"]), lines)
+    assert not re.fullmatch(pattern(["...", "some other line", "...", "the end"]), lines)
 
 
 def test_the_docs_are_there() -> None:

@@ -169,13 +169,25 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
     loop = diagram.loop
     step = build_step(loop, PERIOD, Solver(step=PERIOD), ca.SX(0, 1))
     split = sum(variable.symbol.numel() for variable in loop.controller)
-    p = loop.p_values
+    p = _unbounded(diagram)
 
     def rates(state: np.ndarray, t: float) -> np.ndarray:
         advanced = step.tick(state, t / PERIOD, p).full().ravel()
         return np.concatenate([(advanced - state)[:split] / PERIOD, step.rate(state, t, p).full().ravel()])
 
     return rates
+
+
+def _unbounded(diagram: Diagram) -> np.ndarray:
+    """The parameters with boxes so wide that no tick, however fast the rates, leaves them."""
+    boxes = {projection.box for projection in diagram.loop.projections}
+    values = []
+    for parameter in diagram.loop.parameters:
+        value = np.array(parameter.value, dtype=float)
+        if parameter.label in boxes:
+            value[..., 0], value[..., 1] = -1e15, 1e15
+        values.append(value.ravel(order="F"))
+    return np.concatenate(values)
 
 
 def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndarray, float]]:

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-GRAPHS = "arm2_joint, pendulum, ur10_fast, ur10_fast_kinematic, ur10_fast_tuned, ur10_slow, ur10_slow_kinematic"
+PACKAGED = Path(__file__).parents[3] / "blocks" / "dmframe_blocks" / "graphs"
+GRAPHS = ", ".join(sorted(file.stem for file in PACKAGED.glob("*.yaml")))
 RUN = ("run", "pendulum", "--no-plots")
 
 FAULTS = {

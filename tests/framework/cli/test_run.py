@@ -13,7 +13,7 @@ import xarray
 from dmframe.config import load_graph
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
-EXTRAS = {"divergence", "interrupted", "notices"}
+EXTRAS = {"divergence", "interrupted", "notices", "rank"}
 FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
 SHORT = ("--until", "0.5 s", "--no-plots")
 UNSTABLE = ("run", "arm2_joint", "--no-plots", "--set", "inverse.w_box=null", "--set", "dynamics.Gamma=1e9")

@@ -2,7 +2,7 @@
 
 In those files ``== name`` begins a case; ``- old`` and ``+ new`` change `GOOD`, ``$`` is an override, ``|`` a line of a
 graph of its own, ``> file`` begins a file beside it whose lines follow after a colon (``> Mine``: the body of a block
-class Mine in mine.py), and what remains is the whole message.
+class Mine in mine.py), and what remains is the whole message, in which ``{block types}`` lists the packaged ones.
 """
 
 from __future__ import annotations
@@ -47,6 +47,8 @@ class Mine(AbstractBlock):
 """
 
 HERE = Path(__file__).parent
+PACKAGED = HERE.parents[2] / "blocks" / "dmframe_blocks"
+TYPES = ", ".join(sorted(file.stem for file in PACKAGED.glob("[a-z]*.py")))
 
 
 @dataclass
@@ -90,7 +92,7 @@ def cases(file: str) -> Iterator[Case]:
             case "":
                 yield case
             case _:
-                case.message.append(line)
+                case.message.append(line.replace("{block types}", TYPES))
     yield case
 
 

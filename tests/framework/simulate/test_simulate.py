@@ -158,8 +158,17 @@ def test_a_projected_state_stays_in_its_box_and_leaves_its_end_when_the_rate_tur
     assert left.any()
 
 
-def test_a_state_starts_projected_onto_its_box() -> None:
-    assert simulate(toy(z_box=(0.7, 0.9)), 0.1, clock=0.1)["law.z"][0] == 0.7
+def test_a_start_outside_its_box_is_refused() -> None:
+    with pytest.raises(DmframeError) as caught:
+        simulate(toy(z_box=(0.7, 0.9)), 0.1, clock=0.1)
+    assert str(caught.value) == (
+        "law.z: expected a start inside z_box, 0.7 to 0.9, found 0.5; move the start or the box"
+    )
+
+
+def test_a_start_that_misses_its_box_by_rounding_is_put_onto_its_end() -> None:
+    run = simulate(toy(z_box=(0.5 + 1e-12, 0.9)), 0.1, clock=0.1)
+    assert run["law.z"][0] == 0.5 + 1e-12
 
 
 @pytest.mark.parametrize("clock", [0.1, None])

@@ -1,0 +1,43 @@
+"""A sensor of joint accelerations."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.port import Access, Port, Side
+
+
+@final
+class Accelerometer(AbstractBlock):
+    r"""Hands out the joint accelerations, which the robot's maker does not.
+
+    .. math::
+
+        \ddot q_m = \ddot q   \tag{1}
+
+    Parameters
+    ----------
+    None.
+
+    Notes
+    -----
+    Not for: accelerations differentiated from a velocity; their noise and delay are no part of the proof.
+
+    References
+    ----------
+    [WangTAC2020]_ Section IV: the torque-based framework needs accelerations.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("ddq_m", "n", "rad/s^2", Access.MEASURED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        return Equations(outputs={"ddq_m": u.ddq})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored."""
+        return Certificate()

@@ -1,0 +1,86 @@
+"""Reference acceleration of computed torque."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Assumption, Certificate, Condition, Square
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class ComputedTorque(AbstractBlock):
+    r"""The acceleration that makes the joint error decay, to be realised by a torque.
+
+    .. math::
+
+        \ddot q_{ref} &= \ddot q_d - 2 \bar\alpha\, \Delta\dot q - \bar\alpha^2 \Delta q   \tag{1} \\
+        s^\star       &= \Delta\dot q + \bar\alpha\, \Delta q                             \tag{2}
+
+    with :math:`\Delta q = q - q_d`, and :math:`\dot q_{ref} = \dot q` for the regressor:
+
+    .. math::
+
+        S &= \tfrac12 |s^\star|^2                                                                       \tag{3} \\
+        \dot S &= -\bar\alpha |s^\star|^2 + s^{\star\top} (\ddot q - \ddot q_{ref})                     \tag{4}
+
+    Parameters
+    ----------
+    alpha : scalar, 1/s, > 0
+        Rate at which the error decays once the estimates fit. Larger asks for more torque.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (59), (60).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("q_d", "n", "rad"),
+        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
+        Port("ddq_d", "n", "rad/s^2", derivative_of="dq_d"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_ref", "n", "rad/s"),
+        Port("ddq_ref", "n", "rad/s^2"),
+        Port("s_star", "n", "rad/s"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"), Port("direct"))
+
+    alpha: Scalar = Positive("", "1/s")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        q_err, dq_err = u.q - u.q_d, u.dq - u.dq_d
+        return Equations(
+            outputs={
+                "dq_ref": u.dq,
+                "ddq_ref": u.ddq_d - 2 * p.alpha * dq_err - p.alpha * p.alpha * q_err,
+                "s_star": dq_err + p.alpha * q_err,
+            }
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4) where the adaptation is direct; the indirect one stores no tracking error."""
+        if truth.direct.is_zero():
+            return Certificate()
+        outputs = self.equations(u, x, p).outputs
+        s_star = outputs["s_star"]
+        return Certificate(
+            storage=(Square("s_star", s_star, ca.SX(1)),),
+            dissipation=(Square("s_star", s_star, p.alpha),),
+            supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """(4) names no error where the adaptation is indirect: it is the prediction error that vanishes."""
+        if truth.direct.is_zero():
+            text = "M_hat stays uniformly positive definite, so that a vanishing prediction error brings (1) about"
+            return (Assumption(text, "eqs. (54), (58)"),)
+        return ()

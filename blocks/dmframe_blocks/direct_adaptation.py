@@ -1,0 +1,85 @@
+"""Adaptation of the dynamic parameters by the tracking error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Assumption, Certificate, Condition, Square
+from dmframe.linalg import solve_spd
+from dmframe.parameter import Box, Diagonal, Interval, Positive
+from dmframe.port import Port, State
+
+
+@final
+class DirectAdaptation(AbstractBlock):
+    r"""Adaptive computed torque: the tracking error, seen through the estimated mass matrix, drives the estimates.
+
+    .. math::
+
+        \epsilon &= \hat M^{-1} s^\star                                              \tag{1} \\
+        \dot{\hat a}_d &= -\Gamma_d Y_d(q, \dot q, \dot q, \ddot q)^\top \epsilon    \tag{2}
+
+    With :math:`\tilde a_d = \hat a_d - a_d`:
+
+    .. math::
+
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}          \tag{3} \\
+        \dot S &= -\epsilon^\top Y_d \tilde a_d               \tag{4}
+
+    Parameters
+    ----------
+    Gamma : diagonal (p,), > 0
+        Adaptation gain.
+    a_d_hat_box : [lower, upper]
+        Interval onto which the estimate is projected, to keep M-hat invertible.
+
+    Notes
+    -----
+    Not for: a robot without a nominal model, at which the estimates start: M-hat is singular at zero.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (59), (60).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("M_hat", "n n", "N m s^2/rad"),
+        Port("s_star", "n", "rad/s"),
+        Port("a_d_nominal", "p", ""),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+
+    Gamma: Diagonal = Positive("p")
+    a_d_hat_box: Box = Interval("p")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        epsilon = solve_spd(u.M_hat, u.s_star)
+        return Equations(
+            outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
+            rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ epsilon)},
+        )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The nominal model."""
+        return {"a_d_hat": u.a_d_nominal}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4)."""
+        a_d_err, epsilon = x.a_d_hat - truth.a_d, self.equations(u, x, p).outputs["epsilon"]
+        return Certificate(
+            storage=(Square("a_d_hat - a_d", a_d_err, 1 / p.Gamma),),
+            supply=-ca.dot(epsilon, u.Y_d @ a_d_err),
+            truth={"direct": ca.SX(1)},
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
+        """M-hat stays invertible."""
+        return (Assumption("M_hat stays uniformly positive definite (a_d_hat_box can keep it so)", "eq. (60)"),)

@@ -1,0 +1,86 @@
+"""Reference for reaching a point in the task space through a passive filter."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class FilteredRegulation(AbstractBlock):
+    r"""Joint reference from the filtered task error, with a passive task feedback as a torque.
+
+    .. math::
+
+        \dot q_{ref} &= -K_2 y, \quad \sigma = \dot q - \dot q_{ref}      \tag{1} \\
+        \tau_{task}  &= -\alpha \hat J^\top \Delta x                      \tag{2} \\
+        e_k          &= \Delta x = x - x_d                                \tag{3}
+
+    It adds up with the servo level with weight 1, :math:`x_d` standing still:
+
+    .. math::
+
+        S &= \tfrac12 \alpha |\Delta x|^2               \tag{4} \\
+        \dot S &= \alpha\, \Delta x^\top \dot x         \tag{5}
+
+    Parameters
+    ----------
+    K_2 : diagonal (n,), rad^2/(m^2 s), > 0
+        Gain from the filtered error to the reference velocity.
+    alpha : scalar, N/m, > 0
+        Stiffness of the task feedback that goes through the servo as a torque.
+
+    Notes
+    -----
+    Not for: a goal that moves; see `observed_tracking`.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (9), (12), (13), Theorem 1.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("y", "n", "m^2/rad"),
+        Port("x", "m", "m"),
+        Port("x_d", "m", "m"),
+        Port("J_hat", "m n", "m/rad"),
+        Port("dq", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_ref", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+        Port("tau_task", "n", "N m"),
+        Port("e_k", "m", "m"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"),)
+
+    K_2: Diagonal = Positive("n", "rad^2/(m^2 s)")
+    alpha: Scalar = Positive("", "N/m")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1), (2) and (3)."""
+        dq_ref, e_k = -p.K_2 * u.y, u.x - u.x_d
+        return Equations(
+            outputs={
+                "dq_ref": dq_ref,
+                "sigma": u.dq - dq_ref,
+                "tau_task": -p.alpha * (u.J_hat.T @ e_k),
+                "e_k": e_k,
+            }
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(4) and (5)."""
+        x_err = u.x - u.x_d
+        return Certificate(
+            storage=(Square("x - x_d", x_err, p.alpha),),
+            supply=p.alpha * ca.dot(x_err, truth.dx),
+            task=True,
+            truth={"task_weight": p.alpha, "K_2": p.K_2},
+        )

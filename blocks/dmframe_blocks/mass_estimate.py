@@ -1,0 +1,39 @@
+"""The mass matrix of the estimated parameters."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.port import Port
+
+
+@final
+class MassEstimate(AbstractBlock):
+    r"""The robot's mass matrix with the estimated inertial parameters.
+
+    .. math::
+
+        \hat M(q) = M(q; \hat a_d)   \tag{1}
+
+    Parameters
+    ----------
+    None.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (59).
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("a_d_hat", "p", ""))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("M_hat", "n n", "N m s^2/rad"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1); the inertial parameters come first in a_d."""
+        return Equations(outputs={"M_hat": p.robot.mass_matrix(u.q, u.a_d_hat[: 10 * p.robot.n])})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored."""
+        return Certificate()

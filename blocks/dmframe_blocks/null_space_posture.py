@@ -1,0 +1,57 @@
+"""Self-motion of a redundant robot towards a posture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Assumption, Certificate, Condition
+from dmframe.parameter import Diagonal, Positive, Real
+from dmframe.port import Port
+
+
+@final
+class NullSpacePosture(AbstractBlock):
+    r"""Asks for a joint velocity towards a posture; the generator keeps the part that the tool does not notice.
+
+    .. math::
+
+        z = -k (q - q_0)   \tag{1}
+
+    The generator adds :math:`(I - \hat J^+ \hat J) z` to its reference velocity. With a scalar k that goes down the
+    slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not depend on z.
+
+    Parameters
+    ----------
+    k : diagonal (n,), 1/s, > 0
+        Posture gain. Larger returns faster to the posture, and asks more of the servo.
+    q_0 : (n,), rad
+        The posture.
+
+    Notes
+    -----
+    Not for: a robot with as many joints as task coordinates; it has no self-motion, and z has no effect.
+
+    References
+    ----------
+    [Siciliano2009]_ section 3.5.1, the gradient of a cost projected onto the null space.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("z", "n", "rad/s"),)
+
+    k: Diagonal = Positive("n", "1/s")
+    q_0: Diagonal = Real("n", "rad")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        return Equations(outputs={"z": -p.k * (u.q - p.q_0)})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored: V does not see the self-motion."""
+        return Certificate()
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """V bounds the task, not a redundant robot's joints."""
+        return (Assumption("the joints stay bounded along the self-motion, which V does not weigh"),)

@@ -1,0 +1,95 @@
+"""Reference for tracking in the task space with uncertain kinematics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Condition, Inequality, Square
+from dmframe.linalg import solve_spd
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class ObservedTracking(AbstractBlock):
+    r"""Joint reference from the observed instead of the measured position; a goal at rest makes it regulation.
+
+    .. math::
+
+        \dot q_{ref} &= \hat J^+ \dot x_d - \gamma \hat J^\top (x_o - x_d) + (I - \hat J^+ \hat J)\, z, \quad
+        \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}, \quad \sigma = \dot q - \dot q_{ref}     \tag{1} \\
+        e_k &= \Delta x - \Delta x_o, \quad \Delta x = x - x_d, \quad \Delta x_o = x_o - x         \tag{2}
+
+    A redundant robot may move by :math:`z` as far as the observer does not notice: see `null_space_posture`. Nobody
+    needs to drive z.
+
+    With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x` it is a cascade on the servo level:
+
+    .. math::
+
+        S &= \tfrac12 |\Delta x|^2   \tag{3} \\
+        \dot S &= -(\tfrac34 \beta |a|^2 + \gamma a^\top b + \tfrac34 \gamma |b|^2)
+                  - \gamma |\tfrac12 b - \sigma/\gamma|^2 + \tfrac34 \beta |a|^2 + \tfrac1\gamma |\sigma|^2
+                  - \Delta x^\top (\hat J \dot q - \dot x)   \tag{4}
+
+    Parameters
+    ----------
+    gamma : scalar, rad^2/(m^2 s), > 0
+        Task gain; the proof asks for less than 9/4 of the observer's beta.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (20), (22), (30), (31), Theorems 2 and 3.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("x", "m", "m"),
+        Port("x_o", "m", "m"),
+        Port("x_d", "m", "m"),
+        Port("dx_d", "m", "m/s", derivative_of="x_d"),
+        Port("J_hat", "m n", "m/rad"),
+        Port("dq", "n", "rad/s"),
+        Port("z", "n", "rad/s", optional=True),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_ref", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+        Port("e_k", "m", "m"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("beta", "", "rad^2/(m^2 s)"))
+
+    gamma: Scalar = Positive("", "rad^2/(m^2 s)")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.z)
+        dq_ref = u.J_hat.T @ (forward - p.gamma * (u.x_o - u.x_d)) + u.z
+        return Equations(
+            outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref, "e_k": (u.x - u.x_d) - (u.x_o - u.x)},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4)."""
+        x_err, sigma = u.x - u.x_d, self.equations(u, x, p).outputs["sigma"]
+        a, b = u.J_hat.T @ (u.x_o - u.x), u.J_hat.T @ x_err
+        one = ca.SX.eye(a.numel())
+        Q = ca.blockcat([[3 * truth.beta / 4 * one, p.gamma / 2 * one], [p.gamma / 2 * one, 3 * p.gamma / 4 * one]])
+        exchange = 3 * truth.beta / 4 * ca.dot(a, a) - ca.dot(x_err, u.J_hat @ u.dq - truth.dx)
+        return Certificate(
+            storage=(Square("x - x_d", x_err, ca.SX(1)),),
+            dissipation=(
+                Square("(J_hat'(x_o - x), J_hat'(x - x_d))", ca.vertcat(a, b), Q),
+                Square("J_hat'(x - x_d)/2 - sigma/gamma", b / 2 - sigma / p.gamma, p.gamma),
+            ),
+            supply=ca.dot(sigma, sigma) / p.gamma + exchange,
+            consumes=1 / p.gamma,
+            truth={"task_weight": ca.SX(1)},
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The observer must be fast enough for the task."""
+        return (Inequality("beta > 4 gamma / 9", truth.beta - 4 * p.gamma / 9, "eqs. (26), (31)"),)

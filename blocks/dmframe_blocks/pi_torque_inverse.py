@@ -1,0 +1,99 @@
+"""Realises a torque through a PI velocity servo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Assumption, Certificate, Condition, Inequality, Square
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.port import Access, Port, State
+
+
+@final
+class PiTorqueInverse(AbstractBlock):
+    r"""Turns a torque into the velocity command of a PI servo that nobody can open.
+
+    .. math::
+
+        \dot q_c &= \dot q + w_I (q - q_c) + w \tau_d    \tag{1} \\
+        \dot w   &= -\Lambda\, \tau_d\, \epsilon         \tag{2} \\
+        \dot w_I &= \Lambda_I (q_c - q)\, \epsilon       \tag{3}
+
+    products element by element; :math:`\epsilon` drives the adaptation. True values: :math:`1/K_\star` and
+    :math:`K_I/K_P`, with :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset
+    :math:`i - (q - q_c)` acts as the torque :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
+
+    .. math::
+
+        S &= \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda} + \tfrac12 |w_I - K_I/K_P|^2_{K_\star/\Lambda_I}   \tag{4} \\
+        \dot S &= -\epsilon^\top K_\star (\tilde w \tau_d + \tilde w_I (q - q_c))                            \tag{5}
+
+    Parameters
+    ----------
+    Lambda, Lambda_I : diagonal (n,), > 0
+        Adaptation gains of w and w_I.
+    w, w_I : (n,), rad/(N m s), 1/s
+        The estimates at the start.
+    w_box, w_I_box : [lower, upper]
+        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (49)-(53).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("q_c", "n", "rad"),
+        Port("tau_d", "n", "N m"),
+        Port("epsilon", "n", "*"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("w", "n", "rad/(N m s)", box="w_box"),
+        State("w_I", "n", "1/s", box="w_I_box"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("K", "n", "N m/V"),
+        Port("K_P", "n", "V s/rad"),
+        Port("K_I", "n", "V/rad"),
+        Port("i", "n", "rad"),
+    )
+
+    Lambda: Diagonal = Positive("n")
+    Lambda_I: Diagonal = Positive("n")
+    w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
+    w_I: Diagonal = Real("n", "1/s", default=0.0)
+    w_box: Box = Interval("n", "rad/(N m s)")
+    w_I_box: Box = Interval("n", "1/s")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1), (2) and (3)."""
+        return Equations(
+            outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d},
+            rates={"w": -p.Lambda * u.tau_d * u.epsilon, "w_I": p.Lambda_I * (u.q_c - u.q) * u.epsilon},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(4) and (5)."""
+        K_star = truth.K * truth.K_P
+        w_err, w_I_err = x.w - 1 / K_star, x.w_I - truth.K_I / truth.K_P
+        return Certificate(
+            storage=(
+                Square("w - 1/K_star", w_err, K_star / p.Lambda),
+                Square("w_I - K_I/K_P", w_I_err, K_star / p.Lambda_I),
+            ),
+            supply=-ca.dot(u.epsilon, K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))),
+            truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
+        if "w_I_box" in p:
+            return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)
+        return (Assumption("w_I stays uniformly above zero (give w_I_box to make sure of it)", "Section IV"),)

@@ -1,0 +1,118 @@
+"""Realises a torque through a PID position servo."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition, Square
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.port import Access, Port, State
+
+
+@final
+class PidTorqueInverse(AbstractBlock):
+    r"""Turns a torque into the command of a PID servo that nobody can open.
+
+    With :math:`z = \int (q_c - q)`, products element by element; :math:`\epsilon` drives the adaptation:
+
+    .. math::
+
+        \dot q_c &= \dot q + w_P (q - q_c) - w_I z + w \tau_d    \tag{1} \\
+        \dot w   &= -\Lambda\, \tau_d\, \epsilon                 \tag{2} \\
+        \dot w_P &= \Lambda_P (q_c - q)\, \epsilon               \tag{3} \\
+        \dot w_I &= \Lambda_I z\, \epsilon                       \tag{4}
+
+    True values: :math:`1/K_\star`, :math:`K_P/K_D`, :math:`K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
+    integrator starts anywhere; its constant offset i + z acts as the torque :math:`-K K_I (i + z)`, which the
+    regressor's bias column takes up.
+
+    .. math::
+
+        S &= \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda} + \tfrac12 |w_P - K_P/K_D|^2_{K_\star/\Lambda_P}
+             + \tfrac12 |w_I - K_I/K_D|^2_{K_\star/\Lambda_I}                                                \tag{5} \\
+        \dot S &= -\epsilon^\top K_\star (\tilde w \tau_d + \tilde w_P (q - q_c) - \tilde w_I z)             \tag{6}
+
+    Parameters
+    ----------
+    Lambda, Lambda_P, Lambda_I : diagonal (n,), > 0
+        Adaptation gains of w, w_P and w_I.
+    w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
+        The estimates at the start.
+    w_box, w_P_box, w_I_box : [lower, upper]
+        Intervals onto which the estimates are projected.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (49)-(53).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("q_c", "n", "rad"),
+        Port("tau_d", "n", "N m"),
+        Port("epsilon", "n", "*"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("z", "n", "rad s"),
+        State("w", "n", "rad/(N m s)", box="w_box"),
+        State("w_P", "n", "1/s", box="w_P_box"),
+        State("w_I", "n", "1/s^2", box="w_I_box"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("K", "n", "N m/V"),
+        Port("K_D", "n", "V s/rad"),
+        Port("K_P", "n", "V/rad"),
+        Port("K_I", "n", "V/(rad s)"),
+        Port("i", "n", "rad s"),
+    )
+
+    Lambda: Diagonal = Positive("n")
+    Lambda_P: Diagonal = Positive("n")
+    Lambda_I: Diagonal = Positive("n")
+    w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
+    w_P: Diagonal = Real("n", "1/s", default=0.0)
+    w_I: Diagonal = Real("n", "1/s^2", default=0.0)
+    w_box: Box = Interval("n", "rad/(N m s)")
+    w_P_box: Box = Interval("n", "1/s")
+    w_I_box: Box = Interval("n", "1/s^2")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (4)."""
+        return Equations(
+            outputs={"dq_c": u.dq + x.w_P * (u.q - u.q_c) - x.w_I * x.z + x.w * u.tau_d},
+            rates={
+                "z": u.q_c - u.q,
+                "w": -p.Lambda * u.tau_d * u.epsilon,
+                "w_P": p.Lambda_P * (u.q_c - u.q) * u.epsilon,
+                "w_I": p.Lambda_I * x.z * u.epsilon,
+            },
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(5) and (6)."""
+        K_star = truth.K * truth.K_D
+        w_err = x.w - 1 / K_star
+        w_P_err, w_I_err = x.w_P - truth.K_P / truth.K_D, x.w_I - truth.K_I / truth.K_D
+        realised = w_err * u.tau_d + w_P_err * (u.q - u.q_c) - w_I_err * x.z
+        return Certificate(
+            storage=(
+                Square("w - 1/K_star", w_err, K_star / p.Lambda),
+                Square("w_P - K_P/K_D", w_P_err, K_star / p.Lambda_P),
+                Square("w_I - K_I/K_D", w_I_err, K_star / p.Lambda_I),
+            ),
+            supply=-ca.dot(u.epsilon, K_star * realised),
+            truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The distance from q to q_c in (1) decays while w_P and w_I move in boxes that keep it so."""
+        moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
+        if "w_P_box" in p and "w_I_box" in p:
+            return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
+        return (Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"),)

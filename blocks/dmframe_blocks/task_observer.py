@@ -1,0 +1,78 @@
+"""Observer of the task position, free of task velocities."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Square
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, State
+
+
+@final
+class TaskObserver(AbstractBlock):
+    r"""Predicts the tool's position from the reference motion and corrects it by the measured one.
+
+    .. math::
+
+        \dot x_o = \hat J \dot q_{ref} - \beta \hat J \hat J^\top \Delta x_o, \quad \Delta x_o = x_o - x   \tag{1}
+
+    With :math:`a = \hat J^\top \Delta x_o` it is a cascade, of which it consumes :math:`|\sigma|^2/\beta`; the part
+    :math:`\tfrac34 \beta |a|^2` of its dissipation is handed to the reference generator:
+
+    .. math::
+
+        S &= \tfrac12 |\Delta x_o|^2   \tag{2} \\
+        \dot S &= -\beta |\tfrac12 a + \sigma/\beta|^2 - \tfrac34 \beta |a|^2 + \tfrac1\beta |\sigma|^2
+                  + \Delta x_o^\top (\hat J \dot q - \dot x)   \tag{3}
+
+    Parameters
+    ----------
+    beta : scalar, rad^2/(m^2 s), > 0
+        Observer gain; the proof asks for more than 4/9 of the generator's gamma.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (19), (26).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("x", "m", "m"),
+        Port("J_hat", "m n", "m/rad"),
+        Port("dq_ref", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x_o", "m", "m"),)
+    states: ClassVar[tuple[State, ...]] = (State("x_o", "m", "m"),)
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("dx", "m", "m/s"),
+        Port("dq", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+    )
+
+    beta: Scalar = Positive("", "rad^2/(m^2 s)")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        back = u.J_hat.T @ (x.x_o - u.x)
+        return Equations(outputs={"x_o": x.x_o}, rates={"x_o": u.J_hat @ (u.dq_ref - p.beta * back)})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The measured position."""
+        return {"x_o": u.x}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(2) and (3)."""
+        x_o_err = x.x_o - u.x
+        a, sigma = u.J_hat.T @ x_o_err, truth.sigma
+        exchange = ca.dot(x_o_err, u.J_hat @ truth.dq - truth.dx) - 3 * p.beta / 4 * ca.dot(a, a)
+        return Certificate(
+            storage=(Square("x_o - x", x_o_err, ca.SX(1)),),
+            dissipation=(Square("J_hat'(x_o - x)/2 + sigma/beta", a / 2 + sigma / p.beta, p.beta),),
+            supply=ca.dot(sigma, sigma) / p.beta + exchange,
+            consumes=1 / p.beta,
+            truth={"beta": p.beta},
+        )
