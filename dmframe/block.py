@@ -68,7 +68,8 @@ class AbstractBlock(BaseModel):
 
     Parameters are pydantic fields declared through `dmframe.parameter`; ports and states are class constants. In
     the methods below `u` holds the inputs, `x` the states, `p` the parameters as symbols (and ``p.robot``, the robot's
-    symbolic model, where `uses_robot`), and `truth` the signals that only the analysis may see, each by its name.
+    symbolic model, where `uses_robot`; and ``p.w_0``, where the state w starts, if a parameter w says so), and `truth`
+    the signals that only the analysis may see, each by its name.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -163,9 +164,15 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for name in block.model_fields:
         if hasattr(AbstractBlock, name):
             yield f"the parameter {name} hides what every block has under that name; rename it"
+    balls = [name for name, spec in numbers.items() if spec.form == "ball"]
     for state in block.states:
         if state.box and state.box not in boxes:
             yield f"the box of {state.name} is {state.box}, which is no Interval parameter; {nearest(state.box, boxes)}"
+        if state.ball and state.ball not in balls:
+            near = nearest(state.ball, balls)
+            yield f"the ball of {state.name} is {state.ball}, which is no Around parameter; {near}"
+        if state.ball and state.gain not in numbers:
+            yield f"the gain of {state.name}, with a ball, is no parameter; {nearest(state.gain, numbers)}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
             yield f"the parameter {state.name} and the state that starts there have different shapes"
 

@@ -2,7 +2,7 @@
 
 A block with storage S, dissipations d_i and supply s claims, along the closed loop,
 
-    dS/dt = s - d_1 - d_2 - ...
+    dS/dt = s - d_1 - d_2 - ... (+ e_1 + ..., bounded terms, of a robust adaptation)
 
 The supplies of the blocks of a diagram cancel, so that V, the weighted sum of the storages, falls by the dissipations.
 Squares and lemmas are kept apart, term by term, so that boundedness and integrability can be read off mechanically.
@@ -56,8 +56,36 @@ class Square:
         return ca.dot(self.vector, self.weight @ self.vector)
 
 
-MONOTONE: Mapping[str, Callable[[SX], SX]] = {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan}
-"""Functions that never decrease, by the name that a `Lemma` gives."""
+TINY = 2.0**-100
+"""Under the root of a norm, so that it has a derivative, zero, at zero."""
+
+
+def norm(vector: SX) -> SX:
+    """The Euclidean norm of a column."""
+    return ca.sqrt(ca.fmax(ca.sumsqr(vector), TINY))
+
+
+def clip(vector: SX, width: SX) -> SX:
+    """Each element held between -width and width."""
+    return width * ca.fmin(ca.fmax(vector / width, -1), 1)
+
+
+def dead_zone(vector: SX, width: SX) -> SX:
+    """What each element has beyond -width or width: zero in between."""
+    return width * _beyond(vector / width)
+
+
+def _beyond(x: SX) -> SX:
+    return x - ca.fmin(ca.fmax(x, -1), 1)
+
+
+MONOTONE: Mapping[str, Callable[[SX], SX]] = {
+    "tanh": ca.tanh,
+    "sign": ca.sign,
+    "atan": ca.atan,
+    "dead_zone": _beyond,
+}
+"""Functions that never decrease, by the name that a `Lemma` gives; the dead zone is that of width 1."""
 
 
 @final
@@ -110,6 +138,87 @@ class Lemma:
 
 @final
 @dataclass(frozen=True)
+class NormSquare:
+    r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
+
+    Parameters
+    ----------
+    of, vector, weight
+        As of a `Square`, the weight a column or a scalar of parameters.
+    by
+        b, a column of signals.
+    by_of
+        How a reader writes b: ``"sigma"``.
+    """
+
+    of: str
+    vector: SX
+    weight: SX
+    by: SX
+    by_of: str
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight, self.by
+
+    @property
+    def value(self) -> SX:
+        """The form as one scalar expression."""
+        return norm(self.by) * self.square.value
+
+    @property
+    def square(self) -> Square:
+        """The form without the norm."""
+        return Square(self.of, self.vector, self.weight)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> NormSquare:
+        """The same form of other expressions."""
+        vector, weight, by = pieces
+        return NormSquare(self.of, vector, weight, by, self.by_of)
+
+
+@final
+@dataclass(frozen=True)
+class Clipped:
+    r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
+
+    Parameters
+    ----------
+    of
+        How a reader writes b.
+    first, width, other
+        s, v and b: columns, the width of parameters above zero.
+    """
+
+    of: str
+    first: SX
+    width: SX
+    other: SX
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.first, self.width, self.other
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        return ca.dot(clip(self.first, self.width), self.other)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
+        """The same term of other expressions."""
+        return Clipped(self.of, *pieces)
+
+
+Dissipated = Square | NormSquare | Lemma
+"""A term that is never negative, by how it is built."""
+Bounded = Square | NormSquare | Clipped
+"""A term with a known bound."""
+
+
+@final
+@dataclass(frozen=True)
 class Certificate:
     """One block's part of the Lyapunov function.
 
@@ -119,13 +228,16 @@ class Certificate:
         S is *half* the sum of these squares.
     dissipation
         What is lost, each term non-negative.
+    excess
+        What dS/dt may have above that: terms that are not dissipated but bounded, such as a leak leaves behind. A claim
+        with one is proved up to a bounded residual.
     supply
         What flows in from the other blocks.
     consumes
         c, for a cascade: its supply is c |sigma|^2, and the servo level has to pay for it.
     sigma
-        For the block that pays: coefficients with which sigma is composed of the dissipated squares' vectors, one a
-        dissipation, elementwise; none for a block that does not pay.
+        For the block that pays: coefficients with which sigma is composed of the first dissipated squares' vectors,
+        elementwise; none for a block that does not pay.
     task
         The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
     truth
@@ -133,7 +245,8 @@ class Certificate:
     """
 
     storage: tuple[Square, ...] = ()
-    dissipation: tuple[Square | Lemma, ...] = ()
+    dissipation: tuple[Dissipated, ...] = ()
+    excess: tuple[Bounded, ...] = ()
     supply: SX = 0
     consumes: SX | None = None
     sigma: tuple[SX, ...] = ()
@@ -142,14 +255,18 @@ class Certificate:
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
-        terms = (*self.storage, *self.dissipation)
+        terms = (*self.storage, *self.dissipation, *self.excess)
         pieces = [ca.SX(piece) for term in terms for piece in term.pieces]
         consumes = [] if self.consumes is None else [self.consumes]
         done = iter(transform([*pieces, ca.SX(self.supply), *consumes, *self.sigma]))
-        rebuilt = [term.with_pieces([next(done) for _ in term.pieces]) for term in terms]
+
+        def rebuilt(term: Any) -> Any:
+            return term.with_pieces([next(done) for _ in term.pieces])
+
         return Certificate(
-            storage=tuple(term for term in rebuilt[: len(self.storage)] if isinstance(term, Square)),
-            dissipation=tuple(rebuilt[len(self.storage) :]),
+            storage=tuple(rebuilt(term) for term in self.storage),
+            dissipation=tuple(rebuilt(term) for term in self.dissipation),
+            excess=tuple(rebuilt(term) for term in self.excess),
             supply=next(done),
             consumes=next(done) if consumes else None,
             sigma=tuple(done),

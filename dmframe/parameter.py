@@ -28,7 +28,14 @@ Table = tuple[tuple[float, ...], ...]
 Box = tuple[Diagonal, Diagonal] | None
 """An interval, lower and upper end, for each element; none means no bound."""
 
+Ball = tuple[Diagonal, Diagonal] | None
+"""A centre, and a radius or the half axes of an ellipsoid; none means no bound."""
+
 KEY = "x-dmframe"
+
+
+PAIRS = {"box": "an interval [lower, upper]", "ball": "a ball [centre, radius]"}
+"""Forms of two numbers, or lists of them, by how they are written."""
 
 
 @final
@@ -62,6 +69,11 @@ def Interval(shape: str = "", unit: str = "") -> Any:
     return _field(Spec(shape, unit, "", "box"), None)
 
 
+def Around(shape: str = "", unit: str = "") -> Any:
+    """A ball ``[centre, radius]`` for a state of this shape, or an ellipsoid ``[centre, half axes]``; or no bound."""
+    return _field(Spec(shape, unit, "", "ball"), None)
+
+
 def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:
     """Rows of numbers, each as long as the letter says; their count is free."""
     return _field(Spec(f"* {columns}", unit, "", "table"), default)
@@ -88,12 +100,12 @@ def read(value: Any, spec: Spec) -> Any:
 
     Raises `ValueError` with what was expected and found.
     """
-    if value is None and spec.form == "box":
+    if value is None and spec.form in PAIRS:
         return None
     numbers = _numbers(value, spec)
     depth = _depth(numbers)
-    if spec.form == "box":
-        return _box(numbers, value)
+    if spec.form in PAIRS:
+        return _pair(numbers, value, spec)
     wanted = {"diagonal": (0, 1) if spec.shape else (0,), "vector": (1,), "table": (2,)}[spec.form]
     if depth not in wanted:
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
@@ -120,15 +132,18 @@ def _numbers(value: Any, spec: Spec) -> Any:
     return number
 
 
-def _box(numbers: Any, value: Any) -> tuple[Any, Any]:
+def _pair(numbers: Any, value: Any, spec: Spec) -> tuple[Any, Any]:
     if not isinstance(numbers, tuple) or len(numbers) != 2 or any(_depth(end) not in (0, 1) for end in numbers):
-        raise ValueError("expected an interval [lower, upper], found " + _shown(value))
-    lower, upper = numbers
-    if _depth(lower) == _depth(upper) == 1 and len(lower) != len(upper):
-        raise ValueError(f"expected as many lower ends as upper ones, found {len(lower)} and {len(upper)}")
-    if np.any(np.asarray(lower) > np.asarray(upper)):
+        raise ValueError(f"expected {PAIRS[spec.form]}, found " + _shown(value))
+    first, second = numbers
+    if _depth(first) == _depth(second) == 1 and len(first) != len(second):
+        names = "lower ends as upper ones" if spec.form == "box" else "coordinates of the centre as half axes"
+        raise ValueError(f"expected as many {names}, found {len(first)} and {len(second)}")
+    if spec.form == "box" and np.any(np.asarray(first) > np.asarray(second)):
         raise ValueError(f"expected lower <= upper, found {_shown(value)}")
-    return lower, upper
+    if spec.form == "ball" and np.any(np.asarray(second) <= 0):
+        raise ValueError(f"expected a radius > 0, found {_shown(value)}")
+    return first, second
 
 
 def _depth(value: Any) -> int:
@@ -141,8 +156,8 @@ def _depth(value: Any) -> int:
 
 def _form(spec: Spec) -> str:
     unit = f" in {spec.unit}" if spec.unit else ""
-    if spec.form == "box":
-        return f"an interval [lower, upper]{unit}"
+    if spec.form in PAIRS:
+        return f"{PAIRS[spec.form]}{unit}"
     if spec.form == "table":
         return f"a list of rows of equally many numbers{unit}"
     if spec.form == "vector":
@@ -161,9 +176,10 @@ def _shown(value: Any) -> str:
 def array(value: Any, spec: Spec, size: Sequence[int]) -> np.ndarray:
     """The value as an array of the size that the diagram has bound; one number fills it.
 
-    A box gains a last axis of two, lower and upper end. Raises `ValueError` where the size does not fit.
+    A box gains a last axis of two, lower and upper end; a ball too, centre and radius.
+    Raises `ValueError` where the size does not fit.
     """
-    if spec.form == "box":
+    if spec.form in PAIRS:
         ends = [array(end, Spec(spec.shape, spec.unit), size) for end in value]
         return np.stack([np.atleast_1d(end) for end in ends], axis=-1)
     numbers = np.asarray(value, dtype=float)

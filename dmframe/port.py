@@ -85,12 +85,18 @@ class State:
     ----------
     box
         Name of the parameter that holds the interval onto which the state is projected, where there is one.
+    ball
+        Name of the parameter that holds the ball onto which the state is projected, where there is one.
+    gain
+        Of a state with a ball, the name of the parameter that is its adaptation gain, in whose metric it is projected.
     """
 
     name: str
     shape: str = ""
     unit: str = ""
     box: str = ""
+    ball: str = ""
+    gain: str = ""
 
 
 ANY = "*"

@@ -7,10 +7,11 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition, Square
+from dmframe.certificate import SX, Assumption, Certificate, Condition
 from dmframe.linalg import solve_spd
-from dmframe.parameter import Box, Diagonal, Interval, Positive
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
 from dmframe.port import Port, State
 
 
@@ -36,6 +37,11 @@ class DirectAdaptation(AbstractBlock):
         Adaptation gain.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep M-hat invertible.
+    a_d_hat_ball : [centre, radius]
+        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
+    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), rad^2/(N m s^3); > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
+        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -53,18 +59,25 @@ class DirectAdaptation(AbstractBlock):
         Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
     a_d_hat_box: Box = Interval("p")
+    a_d_hat_ball: Ball = Around("p")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak()
+    dead_zone: Diagonal | None = DeadZone("n", "rad^2/(N m s^3)")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        epsilon = solve_spd(u.M_hat, u.s_star)
+        law, epsilon = adaptation(p), solve_spd(u.M_hat, u.s_star)
+        gradient = -p.Gamma * (u.Y_d.T @ law.drive(epsilon))
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ epsilon)},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, u.a_d_nominal, epsilon)},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -73,10 +86,15 @@ class DirectAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        a_d_err, epsilon = x.a_d_hat - truth.a_d, self.equations(u, x, p).outputs["epsilon"]
+        law, epsilon = adaptation(p), self.equations(u, x, p).outputs["epsilon"]
+        effect = u.Y_d @ (x.a_d_hat - truth.a_d)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, u.a_d_nominal, 1 / p.Gamma)
+        robust = law.terms([a_d], epsilon, "epsilon") + law.idle(epsilon, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
-            storage=(Square("a_d_hat - a_d", a_d_err, 1 / p.Gamma),),
-            supply=-ca.dot(epsilon, u.Y_d @ a_d_err),
+            storage=(a_d.storage,),
+            dissipation=robust.dissipation,
+            excess=robust.excess,
+            supply=-ca.dot(epsilon, effect),
             truth={"direct": ca.SX(1)},
         )
 

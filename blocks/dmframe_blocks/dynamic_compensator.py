@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.certificate import SX, Certificate
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -20,14 +21,15 @@ class DynamicCompensator(AbstractBlock):
     .. math::
 
         \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d^\top \sigma           \tag{2}
+        \dot{\hat a}_d &= -\Gamma_d (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
-    With :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
+    The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
+    :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
         S &= \tfrac12 \tilde a_d^\top \Gamma_d^{-1} \tilde a_d   \tag{3} \\
-        \dot S &= -\sigma^\top Y_d \tilde a_d                    \tag{4}
+        \dot S &= -\sigma^\top Y_d \tilde a_d - e_f^\top Y_f \tilde a_d   \tag{4}
 
     Parameters
     ----------
@@ -38,6 +40,11 @@ class DynamicCompensator(AbstractBlock):
         The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
+    a_d_hat_ball : [centre, radius]
+        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
+    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
+        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -53,20 +60,30 @@ class DynamicCompensator(AbstractBlock):
         Port("sigma", "n", "rad/s"),
         Port("tau_task", "n", "N m", optional=True),
         Port("a_d_nominal", "p", "", optional=True),
+        Port("Y_f", "n p", "N m", optional=True),
+        Port("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"),)
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
+    states: ClassVar[tuple[State, ...]] = (
+        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
+    a_d_hat_ball: Ball = Around("p")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/rad")
+    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
+        law = adaptation(p)
+        gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
         return Equations(
-            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task},
-            rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ u.sigma)},
+            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, self._nominal(u, p), u.sigma)},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -75,8 +92,16 @@ class DynamicCompensator(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        a_d_err = x.a_d_hat - truth.a_d
+        law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
+        robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
-            storage=(Square("a_d_hat - a_d", a_d_err, 1 / p.Gamma),),
-            supply=-ca.dot(u.sigma, u.Y_d @ a_d_err),
+            storage=(a_d.storage,),
+            dissipation=robust.dissipation,
+            excess=robust.excess,
+            supply=-ca.dot(u.sigma, effect) - ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
         )
+
+    def _nominal(self, u: Signals, p: Signals) -> SX:
+        """Where the estimate starts."""
+        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.certificate import SX, Certificate, Lemma, Square
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -37,6 +38,11 @@ class IndirectAdaptation(AbstractBlock):
         The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected.
+    a_d_hat_ball : [centre, radius]
+        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
+    leak, error_leak, dead_zone : 1/s; 1/(N m s); (n,), N m; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
+        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -54,19 +60,26 @@ class IndirectAdaptation(AbstractBlock):
         Port("a_d_nominal", "p", "", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "N m"))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", box="a_d_hat_box"),)
+    states: ClassVar[tuple[State, ...]] = (
+        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     Gamma: Diagonal = Positive("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
+    a_d_hat_ball: Ball = Around("p")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/(N m s)")
+    dead_zone: Diagonal | None = DeadZone("n", "N m")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        epsilon = u.Y_d @ x.a_d_hat - u.tau_d
+        law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
+        epsilon = law.drive(error)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": -p.Gamma * (u.Y_d.T @ epsilon)},
+            rates={"a_d_hat": law.rate(-p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, self._nominal(u, p), error)},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -75,10 +88,23 @@ class IndirectAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        a_d_err, epsilon = x.a_d_hat - truth.a_d, self.equations(u, x, p).outputs["epsilon"]
+        law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
+        epsilon = law.drive(error)
+        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
+        robust = law.terms([a_d], error, "epsilon")
+        spent = Square("epsilon", error, ca.SX(1)) if law.width is None else self._beyond(error, law.width)
         return Certificate(
-            storage=(Square("a_d_hat - a_d", a_d_err, 1 / p.Gamma),),
-            dissipation=(Square("epsilon", epsilon, ca.SX(1)),),
-            supply=ca.dot(epsilon, epsilon - u.Y_d @ a_d_err),
+            storage=(a_d.storage,),
+            dissipation=(spent, *robust.dissipation),
+            excess=robust.excess,
+            supply=ca.dot(epsilon, error - u.Y_d @ (x.a_d_hat - truth.a_d)),
             truth={"direct": ca.SX(0)},
         )
+
+    def _beyond(self, error: SX, width: SX) -> Lemma:
+        """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
+        return Lemma("epsilon", width, error, ca.SX.zeros(error.shape[0]), width, "dead_zone")
+
+    def _nominal(self, u: Signals, p: Signals) -> SX:
+        """Where the estimate starts."""
+        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

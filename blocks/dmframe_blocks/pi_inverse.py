@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Assumption, Certificate, Condition, Inequality, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
 
@@ -20,17 +21,20 @@ class PiInverse(AbstractBlock):
     .. math::
 
         \dot q_c &= \dot q_{ref} + w_I q_r + w \tau_{dc} - w_I q_c, \quad \dot q_r = \dot q_{ref}  \tag{1} \\
-        \dot w   &= -\Lambda\, \tau_{dc} \sigma                                                    \tag{2} \\
-        \dot w_I &= \Lambda_I (q_c - q_r) \sigma                                                   \tag{3}
+        \dot w   &= -\Lambda (\tau_{dc} \sigma + \tau_f e_f)                                        \tag{2} \\
+        \dot w_I &= \Lambda_I ((q_c - q_r) \sigma - q_f e_f)                                       \tag{3}
 
-    products element by element. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. With
-    the servo's integrator i and :math:`e = i + q_c - q_r`, so that :math:`\dot e = \sigma`:
+    products element by element; the terms in :math:`e_f` are those of a composite adaptation, with a
+    `filtered_regressor`, and zero without. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with
+    :math:`K_\star = K K_P`. With the servo's integrator i and :math:`e = i + q_c - q_r`, so that
+    :math:`\dot e = \sigma`:
 
     .. math::
 
         S &= \tfrac12 |e|^2_{K K_I} + \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda}
              + \tfrac12 |w_I - K_I/K_P|^2_{K_\star/\Lambda_I}                                      \tag{4} \\
-        \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)     \tag{5}
+        \dot S &= -\sigma^\top (K_\star + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)
+                  - e_f^\top K_\star (\tilde w \tau_f + \tilde w_I q_f)                            \tag{5}
 
     Parameters
     ----------
@@ -42,6 +46,9 @@ class PiInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
+    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
+        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -58,8 +65,15 @@ class PiInverse(AbstractBlock):
         Port("dq_ref", "n", "rad/s"),
         Port("sigma", "n", "rad/s"),
         Port("tau_dc", "n", "N m"),
+        Port("tau_f", "n", "N m", optional=True),
+        Port("q_f", "n", "rad", optional=True),
+        Port("e_f", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("w", "n", "rad/(N m s)"),
+        Port("w_I", "n", "1/s"),
+    )
     states: ClassVar[tuple[State, ...]] = (
         State("q_r", "n", "rad"),
         State("w", "n", "rad/(N m s)", box="w_box"),
@@ -80,16 +94,21 @@ class PiInverse(AbstractBlock):
     w_I: Diagonal = Real("n", "1/s", default=0.0)
     w_box: Box = Interval("n", "rad/(N m s)")
     w_I_box: Box = Interval("n", "1/s")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/rad")
+    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), (2) and (3)."""
         dq_c = u.dq_ref + x.w_I * x.q_r + x.w * u.tau_dc - x.w_I * u.q_c
+        law = adaptation(p)
+        sigma = law.drive(u.sigma)
         return Equations(
-            outputs={"dq_c": dq_c},
+            outputs={"dq_c": dq_c, "w": x.w, "w_I": x.w_I},
             rates={
                 "q_r": u.dq_ref,
-                "w": -p.Lambda * u.tau_dc * u.sigma,
-                "w_I": p.Lambda_I * (u.q_c - x.q_r) * u.sigma,
+                "w": law.rate(-p.Lambda * (u.tau_dc * sigma + u.tau_f * u.e_f), x.w, p.w_0, u.sigma),
+                "w_I": law.rate(p.Lambda_I * ((u.q_c - x.q_r) * sigma - u.q_f * u.e_f), x.w_I, p.w_I_0, u.sigma),
             },
         )
 
@@ -101,15 +120,19 @@ class PiInverse(AbstractBlock):
         """(4) and (5)."""
         K_star = truth.K * truth.K_P
         e = truth.i + u.q_c - x.q_r
+        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
+        w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
+        effect = K_star * (w_err * u.tau_dc - w_I_err * (u.q_c - x.q_r))
+        filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
+        law = adaptation(p)
+        robust = law.terms([w, w_I], u.sigma, "sigma") + law.idle(u.sigma, effect, "the inverse's torque error")
         return Certificate(
-            storage=(
-                Square("i + q_c - q_r", e, truth.K * truth.K_I),
-                Square("w - 1/K_star", x.w - 1 / K_star, K_star / p.Lambda),
-                Square("w_I - K_I/K_P", x.w_I - truth.K_I / truth.K_P, K_star / p.Lambda_I),
-            ),
-            dissipation=(Square("sigma", u.sigma, K_star + truth.B),),
+            storage=(Square("i + q_c - q_r", e, truth.K * truth.K_I), w.storage, w_I.storage),
+            dissipation=(Square("sigma", u.sigma, K_star + truth.B), *robust.dissipation),
+            excess=robust.excess,
             sigma=(ca.SX(1),),
-            supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma),
+            supply=-ca.dot(u.sigma, truth.K * truth.u - u.tau_dc - truth.B * u.sigma) - ca.dot(u.e_f, filtered),
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

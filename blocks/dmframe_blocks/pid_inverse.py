@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Inequality, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
 
@@ -52,6 +53,9 @@ class PidInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_P_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected.
+    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
+        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -97,18 +101,23 @@ class PidInverse(AbstractBlock):
     w_box: Box = Interval("n", "rad/(N m s)")
     w_P_box: Box = Interval("n", "1/s")
     w_I_box: Box = Interval("n", "1/s^2")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak("1/rad")
+    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
         dq_c = u.dq_ref + x.w_P * x.q_r + x.w * u.tau_dc - x.w_P * u.q_c - x.w_I * x.z
+        law = adaptation(p)
+        sigma = law.drive(u.sigma)
         return Equations(
             outputs={"dq_c": dq_c},
             rates={
                 "q_r": u.dq_ref + p.K_c * (u.q - x.q_r),
                 "z": u.q_c - x.q_r,
-                "w": -p.Lambda * u.tau_dc * u.sigma,
-                "w_P": p.Lambda_P * (u.q_c - x.q_r) * u.sigma,
-                "w_I": p.Lambda_I * x.z * u.sigma,
+                "w": law.rate(-p.Lambda * u.tau_dc * sigma, x.w, p.w_0, u.sigma),
+                "w_P": law.rate(p.Lambda_P * (u.q_c - x.q_r) * sigma, x.w_P, p.w_P_0, u.sigma),
+                "w_I": law.rate(p.Lambda_I * x.z * sigma, x.w_I, p.w_I_0, u.sigma),
             },
         )
 
@@ -122,15 +131,27 @@ class PidInverse(AbstractBlock):
         K_star, M_bar = K * K_D, self._M_bar(p, truth)
         e = u.q - x.q_r
         E, s = truth.i + x.z, u.sigma - p.K_c * e
+        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_P = Estimate("w_P - K_P/K_D", "w_P - w_P(0)", x.w_P, K_P / K_D, p.w_P_0, K_star / p.Lambda_P)
+        w_I = Estimate("w_I - K_I/K_D", "w_I - w_I(0)", x.w_I, K_I / K_D, p.w_I_0, K_star / p.Lambda_I)
+        off = (w_P.value - w_P.truth) * (u.q_c - x.q_r) + (w_I.value - w_I.truth) * x.z
+        effect = K_star * ((w.value - w.truth) * u.tau_dc - off)
+        law = adaptation(p)
+        robust = law.terms([w, w_P, w_I], u.sigma, "sigma") + law.idle(u.sigma, effect, "the inverse's torque error")
         return Certificate(
             storage=(
                 Square("q - q_r + K_c (i + z)", e + p.K_c * E, K * K_I / p.K_c),
                 Square("q - q_r", e, K * M_bar + K * p.K_c * K_D + p.K_c * B),
-                Square("w - 1/K_star", x.w - 1 / K_star, K_star / p.Lambda),
-                Square("w_P - K_P/K_D", x.w_P - K_P / K_D, K_star / p.Lambda_P),
-                Square("w_I - K_I/K_D", x.w_I - K_I / K_D, K_star / p.Lambda_I),
+                w.storage,
+                w_P.storage,
+                w_I.storage,
             ),
-            dissipation=(Square("dq - dq_r", s, K_star + B), Square("q - q_r", e, K * M_bar * p.K_c)),
+            dissipation=(
+                Square("dq - dq_r", s, K_star + B),
+                Square("q - q_r", e, K * M_bar * p.K_c),
+                *robust.dissipation,
+            ),
+            excess=robust.excess,
             sigma=(ca.SX(1), p.K_c),
             supply=-ca.dot(u.sigma, K * truth.u - u.tau_dc - B * u.sigma),
         )

@@ -7,9 +7,10 @@ from typing import ClassVar, final
 
 import casadi as ca
 
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition, Square
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real
+from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
 
@@ -44,6 +45,9 @@ class PidTorqueInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_P_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected.
+    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
+        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
+        while epsilon is below this width. See `dmframe.adaptation`.
 
     References
     ----------
@@ -81,32 +85,40 @@ class PidTorqueInverse(AbstractBlock):
     w_box: Box = Interval("n", "rad/(N m s)")
     w_P_box: Box = Interval("n", "1/s")
     w_I_box: Box = Interval("n", "1/s^2")
+    leak: Scalar | None = Leak()
+    error_leak: Scalar | None = ErrorLeak()
+    dead_zone: Diagonal | None = DeadZone("n")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
+        law = adaptation(p)
+        epsilon = law.drive(u.epsilon)
         return Equations(
             outputs={"dq_c": u.dq + x.w_P * (u.q - u.q_c) - x.w_I * x.z + x.w * u.tau_d},
             rates={
                 "z": u.q_c - u.q,
-                "w": -p.Lambda * u.tau_d * u.epsilon,
-                "w_P": p.Lambda_P * (u.q_c - u.q) * u.epsilon,
-                "w_I": p.Lambda_I * x.z * u.epsilon,
+                "w": law.rate(-p.Lambda * u.tau_d * epsilon, x.w, p.w_0, u.epsilon),
+                "w_P": law.rate(p.Lambda_P * (u.q_c - u.q) * epsilon, x.w_P, p.w_P_0, u.epsilon),
+                "w_I": law.rate(p.Lambda_I * x.z * epsilon, x.w_I, p.w_I_0, u.epsilon),
             },
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""
         K_star = truth.K * truth.K_D
-        w_err = x.w - 1 / K_star
-        w_P_err, w_I_err = x.w_P - truth.K_P / truth.K_D, x.w_I - truth.K_I / truth.K_D
-        realised = w_err * u.tau_d + w_P_err * (u.q - u.q_c) - w_I_err * x.z
+        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_P = Estimate("w_P - K_P/K_D", "w_P - w_P(0)", x.w_P, truth.K_P / truth.K_D, p.w_P_0, K_star / p.Lambda_P)
+        w_I = Estimate("w_I - K_I/K_D", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_D, p.w_I_0, K_star / p.Lambda_I)
+        off = (w_P.value - w_P.truth) * (u.q - u.q_c) - (w_I.value - w_I.truth) * x.z
+        effect = K_star * ((w.value - w.truth) * u.tau_d + off)
+        law = adaptation(p)
+        robust = law.terms([w, w_P, w_I], u.epsilon, "epsilon")
+        robust += law.idle(u.epsilon, effect, "the inverse's torque error")
         return Certificate(
-            storage=(
-                Square("w - 1/K_star", w_err, K_star / p.Lambda),
-                Square("w_P - K_P/K_D", w_P_err, K_star / p.Lambda_P),
-                Square("w_I - K_I/K_D", w_I_err, K_star / p.Lambda_I),
-            ),
-            supply=-ca.dot(u.epsilon, K_star * realised),
+            storage=(w.storage, w_P.storage, w_I.storage),
+            dissipation=robust.dissipation,
+            excess=robust.excess,
+            supply=-ca.dot(u.epsilon, effect),
             truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
 

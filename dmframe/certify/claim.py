@@ -3,7 +3,8 @@ r"""What a diagram claims: V, dV/dt, and the residual that must vanish identical
 The blocks on the servo level have the weight kappa, a cascade on top of them the weight 1:
 
     V = kappa (S_1 + S_2 + ...) + S_cascade,
-    dV/dt = -kappa (d_1 + d_2 + ...) - d_cascade + c |sigma|^2 + (terms of the projection lemma),
+    dV/dt = -kappa (d_1 + d_2 + ...) - d_cascade + c |sigma|^2 + (terms of the projection lemma)
+            + (bounded terms that a robust adaptation leaves),
 
 with kappa a free symbol; without a cascade kappa is 1. dV/dt is differentiated along the rates of the same
 `ClosedLoop` that a run integrates; the desired trajectories and all their derivatives are free symbols.
@@ -17,11 +18,11 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import MONOTONE, SX, Certificate, Lemma, Square
+from dmframe.certificate import MONOTONE, SX, Certificate, Clipped, Dissipated, Lemma, NormSquare, Square
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
-from dmframe.diagram.resolve import Projection
+from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, nearest
 from dmframe.port import Side
@@ -55,9 +56,19 @@ class Part:
         return total([term.value for term in self.certificate.dissipation])
 
     @property
+    def paying(self) -> tuple[Dissipated, ...]:
+        """The dissipated squares of which sigma is composed, in the block that pays for a cascade."""
+        return self.certificate.dissipation[: len(self.certificate.sigma)]
+
+    @property
+    def excess(self) -> SX:
+        """The bounded terms that are not dissipated."""
+        return total([term.value for term in self.certificate.excess])
+
+    @property
     def residual(self) -> SX:
-        """dS/dt - supply + dissipation - lemma: what the block's own claim says is zero."""
-        return self.rate - self.certificate.supply + self.dissipation - self.lemma
+        """dS/dt - supply + dissipation - excess - lemma: what the block's own claim says is zero."""
+        return self.rate - self.certificate.supply + self.dissipation - self.excess - self.lemma
 
 
 @final
@@ -111,8 +122,8 @@ class Claim:
 
     @property
     def residual(self) -> SX:
-        """dV/dt + dissipation - consumption - lemma terms: zero, if the claim is true."""
-        own = [self.weight(part) * (part.rate + part.dissipation - part.lemma) for part in self.parts]
+        """dV/dt + dissipation - excess - consumption - lemma terms: zero, if the claim is true."""
+        own = [self.weight(part) * (part.rate + part.dissipation - part.excess - part.lemma) for part in self.parts]
         return total(own) - self.consumption
 
 
@@ -252,19 +263,15 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     terms = certificate.dissipation
     if not all(isinstance(term, Square) for term in certificate.storage):
         yield "expected each term of the storage to be a Square; nothing else is known to be positive"
-    if not all(isinstance(term, Square | Lemma) for term in terms):
-        yield "expected each term of the dissipation to be a Square or a Lemma"
-    for term in (*certificate.storage, *terms):
+    if not all(isinstance(term, Square | NormSquare | Lemma) for term in terms):
+        yield "expected each term of the dissipation to be a Square, a NormSquare or a Lemma"
+    if not all(isinstance(term, Square | NormSquare | Clipped) for term in certificate.excess):
+        yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
+    for term in (*certificate.storage, *terms, *certificate.excess):
         pieces = [ca.SX(piece) for piece in term.pieces]
-        if isinstance(term, Lemma):
-            rows = max(piece.shape[0] for piece in pieces)
-            if term.phi not in MONOTONE:
-                yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
-            good = all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)
-        else:
-            rows = pieces[0].shape[0]
-            good = pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
-        if not good:
+        if isinstance(term, Lemma) and term.phi not in MONOTONE:
+            yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
+        if not _fits(term, pieces):
             yield f"{term.of}: expected columns of one length, or a square matrix of weights, found other shapes"
     for what, value in (("supply", certificate.supply), ("consumes", certificate.consumes)):
         if value is not None and not ca.SX(value).is_scalar():
@@ -272,10 +279,26 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
     if certificate.sigma:
         if certificate.consumes is not None:
             yield "a cascade consumes and cannot pay; expected one of consumes and sigma"
-        if len(certificate.sigma) != len(terms):
+        paying = terms[: len(certificate.sigma)]
+        if len(certificate.sigma) > len(terms):
             yield f"sigma has {len(certificate.sigma)} shares, expected one for each of {len(terms)} dissipated squares"
-        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in terms):
+        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
             yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
+
+
+def _fits(term: object, pieces: Sequence[SX]) -> bool:
+    """Columns of one length or scalars; a square may have a matrix of weights, a norm a vector of any length."""
+    if isinstance(term, NormSquare):
+        return pieces[2].is_column() and _columns(pieces[:2])
+    if isinstance(term, Square):
+        rows = pieces[0].shape[0]
+        return pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
+    return _columns(pieces)
+
+
+def _columns(pieces: Sequence[SX]) -> bool:
+    rows = max(piece.shape[0] for piece in pieces)
+    return all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)
 
 
 def _sigma(diagram: Diagram, loop: ClosedLoop) -> SX:

@@ -10,7 +10,7 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Assumption, CommonLyapunov, Condition, Inequality, Lemma, Square
+from dmframe.certificate import SX, Assumption, CommonLyapunov, Condition, Dissipated, Inequality, Lemma, Square
 from dmframe.certify.claim import Claim, NotApplicableError, Part, total
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled, pivots
 from dmframe.certify.stability import common_margin
@@ -67,7 +67,7 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
         else:
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
-    inside, unknown = _boxes(claim, numbers)
+    inside, unknown = _sets(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(_matrices(claim, numbers))
     checked += matrices
@@ -153,7 +153,7 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     return _decided(f"{name}: {text}", text, condition.source, least, condition.strict)
 
 
-def _terms(claim: Claim) -> Iterator[tuple[Part, str, Square | Lemma]]:
+def _terms(claim: Claim) -> Iterator[tuple[Part, str, Dissipated]]:
     for part in claim.parts:
         yield from ((part, "V", square) for square in part.certificate.storage)
         yield from ((part, "dV/dt", term) for term in part.certificate.dissipation)
@@ -199,29 +199,46 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
 
 
-def _boxes(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
-    """A projection needs the true value in its box; so does the start, or it would jump.
+def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it.
 
     A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
     """
     checked, assumed = list[Checked](), list[Assumption]()
     for projection in claim.loop.projections:
-        own, text = hashes(projection.state), f"{projection.name}: true value inside the box"
+        own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
         for part in claim.parts:
             for square in part.certificate.storage:
                 if part.block != projection.block or not symbols_in([square.vector]) & own:
                     continue
                 truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
-                known = [row for row in range(truth.shape[0]) if symbols_in([truth[row]]) <= numbers.known]
-                room = ca.vertcat(truth - projection.lower, projection.upper - truth)
-                room = room[[*known, *(truth.shape[0] + row for row in known)]]
-                rule = "lower <= true value <= upper"
-                if known:
-                    checked.append(_decided(text, rule, "Remark 2", partial(numbers.least, room), strict=False))
-                if rest := [str(row) for row in range(truth.shape[0]) if row not in known]:
-                    where = f"{text}, at [{', '.join(rest)}], where the plant's start decides it"
-                    assumed.append(Assumption(where, "Remark 2"))
+                room, rest = _decidable(projection.set.room(truth), numbers)
+                if room.numel():
+                    least = partial(numbers.least, room)
+                    checked.append(_decided(text, INSIDE[projection.kind], "Remark 2", least, strict=False))
+                if rest:
+                    at = sorted({row % truth.shape[0] for row in rest})
+                    where = f", at [{', '.join(map(str, at))}]" if projection.kind == "box" else ""
+                    assumed.append(Assumption(f"{text}{where}, where the plant's start decides it", "Remark 2"))
+                askew = projection.set.askew(square.weight)
+                if not askew.is_zero():
+                    checked.append(_normal(projection.name, askew, numbers))
     return checked, assumed
+
+
+INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
+
+
+def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
+    """The rows that depend on parameters alone, and the positions of the others."""
+    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
+    return room[known], [row for row in range(room.shape[0]) if row not in known]
+
+
+def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
+    text = "weight in V times adaptation gain is one number for all elements"
+    least = partial(numbers.least, ca.vertcat(askew, -askew))
+    return _decided(f"{name}: projected in the metric of V", text, "projection lemma", least, strict=False)
 
 
 def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
@@ -230,7 +247,7 @@ def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
     if len(payers) != 1:
         return None
     (part,) = payers
-    weights = [term.weight for term in part.certificate.dissipation]
+    weights = [term.weight for term in part.paying]
     c = total([other.certificate.consumes for other in claim.parts if other.certificate.consumes is not None])
     ones = ca.SX.ones(claim.sigma.shape[0])
     shares = list(zip(part.certificate.sigma, weights, strict=True))

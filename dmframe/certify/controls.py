@@ -82,7 +82,7 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
     field = field.with_factors({label: fault.factor for label, fault in flips.items()})
     faults, own = list(flips.values()), list[SX]()
     for part in claim.parts:
-        rate = dissipation = ca.SX(0)
+        rate = dissipation = excess = ca.SX(0)
         for square in part.certificate.storage:
             term = field.derivative(square.value / 2)
             if not term.is_zero():
@@ -92,7 +92,10 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
         for spent in part.certificate.dissipation:
             faults.append(_dropped(f"{part.block}: dissipation of {spent.of} dropped", spent.value))
             dissipation += faults[-1].factor * spent.value
-        own.append(claim.weight(part) * (rate + dissipation - part.lemma))
+        for left in part.certificate.excess:
+            faults.append(_dropped(f"{part.block}: bounded residual of {left.of} dropped", left.value))
+            excess += faults[-1].factor * left.value
+        own.append(claim.weight(part) * (rate + dissipation - excess - part.lemma))
     return faults, total(own) - claim.consumption
 
 

@@ -11,7 +11,7 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Square
+from dmframe.certificate import SX, NormSquare, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, ZeroTest, random_prime, zero_test
@@ -61,7 +61,7 @@ def equalities(claim: Claim) -> list[Equality]:
 
 def composed(part: Part) -> SX:
     """Sigma as the paying block composes it of what it dissipates."""
-    vectors = [term.pieces[0] for term in part.certificate.dissipation]
+    vectors = [term.pieces[0] for term in part.paying]
     return sum((share * vector for share, vector in zip(part.certificate.sigma, vectors, strict=True)), ca.SX(0))
 
 
@@ -71,7 +71,7 @@ def _scale(claim: Claim) -> SX:
 
 
 def _own_scale(part: Part) -> SX:
-    terms = (part.rate, part.certificate.supply, part.dissipation, part.lemma)
+    terms = (part.rate, part.certificate.supply, part.dissipation, part.excess, part.lemma)
     return sum((ca.fabs(ca.SX(term)) for term in terms), ca.SX(0))
 
 
@@ -90,7 +90,7 @@ def empty_terms(claim: Claim, symbols: Symbols, seed: int) -> list[str]:
         (f"{part.block}: {term.of}", term.vector)
         for part in claim.parts
         for term in (*part.certificate.storage, *part.certificate.dissipation)
-        if isinstance(term, Square)
+        if isinstance(term, Square | NormSquare)
     ]
     named = [("V", claim.V), ("dV/dt", claim.rate), *squares]
     tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))

@@ -5,9 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dmframe.certificate import Square
+from dmframe.certificate import Clipped, Lemma, NormSquare, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.verify import Verdict
+
+KINDS = {Square: "square", NormSquare: "norm_square", Lemma: "lemma", Clipped: "clipped"}
+"""Of a term, as it is printed."""
 
 
 def summary(name: str, verdict: Verdict) -> dict[str, Any]:
@@ -25,6 +28,18 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "log2_error_bound": None if test is None else _finite(test.log2_error_bound),
         "storage": [] if claim is None else _terms(claim, "storage"),
         "dissipation": [] if claim is None else _terms(claim, "dissipation"),
+        "residual_bound": None if claim is None else verdict.residual_bound,
+        "bounded_by": [
+            {
+                "block": b.block,
+                "of": b.of,
+                "bound": b.value,
+                "constant": b.constant,
+                "times": b.times,
+                "weight": b.weight,
+            }
+            for b in verdict.bounds
+        ],
         "kappa": None
         if verdict.kappa is None
         else {"least": float(verdict.kappa.least), "chosen": float(verdict.kappa.chosen)},
@@ -68,7 +83,7 @@ def _terms(claim: Claim, role: str) -> list[dict[str, Any]]:
         {
             "block": part.block,
             "of": term.of,
-            "kind": "square" if isinstance(term, Square) else "lemma",
+            "kind": KINDS[type(term)],
             "weight": "kappa" if claim.cascaded and not part.cascade else "1",
         }
         for part in claim.parts

@@ -11,6 +11,7 @@ from dmframe.certificate import Assumption
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
 from dmframe.certify.controls import Control, negative_controls
+from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
@@ -45,10 +46,13 @@ class Verdict:
     ----------
     outcome
         ``proved``: the identity holds for all values of its symbols, every condition holds at the graph's numbers, and
-        every negative control was refuted. ``refuted``: the identity is false. ``not_applicable``: there is nothing to
-        prove, or a condition fails; `reason` says which.
+        every negative control was refuted; where there are `bounds`, it is proved up to a bounded residual.
+        ``refuted``: the identity is false. ``not_applicable``: there is nothing to prove, or a condition fails;
+        `reason` says which.
     test
         The exact test, with its error bound.
+    bounds
+        What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
     """
@@ -63,8 +67,14 @@ class Verdict:
     assumptions: tuple[Assumption, ...] = ()
     controls: tuple[Control, ...] = ()
     statements: tuple[Statement, ...] = ()
+    bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
+
+    @property
+    def residual_bound(self) -> float | None:
+        """The most that dV/dt can be above minus the dissipation; None where a signal scales it."""
+        return total_bound(list(self.bounds), float(self.kappa.chosen) if self.kappa else 1.0)
 
 
 def verify(
@@ -127,7 +137,8 @@ def _verified(
         return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
     controls = negative_controls(claim, symbols, seed=seed)
     conditions, assumptions = conditions_of(claim, uncertain)
-    outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed))
+    bounds = bounds_of(claim, Numbers(claim, uncertain), symbols)
+    outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
         reason=reason,
@@ -137,7 +148,8 @@ def _verified(
         conditions=tuple(conditions),
         assumptions=(*assumptions, *STANDING),
         controls=controls,
-        statements=tuple(statements_of(claim)),
+        statements=tuple(statements_of(claim, symbols)),
+        bounds=tuple(bounds),
         build=clock.build,
         check=clock.check,
     )
@@ -151,7 +163,9 @@ def _blame(refutation: Refutation) -> str:
     return f"dV/dt is not what the blocks claim; to blame: {where or none}"
 
 
-def _judge(conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]) -> tuple[Outcome, str]:
+def _judge(
+    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str], bounds: Sequence[Bound]
+) -> tuple[Outcome, str]:
     if empty:
         return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
@@ -160,4 +174,11 @@ def _judge(conditions: Sequence[Checked], controls: Sequence[Control], empty: Se
     failing = [condition.name for condition in conditions if not condition.holds]
     if failing:
         return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
-    return "proved", "dV/dt equals minus the dissipation, for all values of the symbols; every condition holds"
+    unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
+    if unbounded:
+        return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"
+    residual = " plus a bounded residual" if bounds else ""
+    return (
+        "proved",
+        f"dV/dt equals minus the dissipation{residual}, for all values of the symbols; every condition holds",
+    )

@@ -11,8 +11,8 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Source, Time, Wire
-from dmframe.parameter import specs
-from dmframe.port import Access, Port, Side
+from dmframe.parameter import PAIRS, Spec, specs
+from dmframe.port import Access, Port, Side, State
 from dmframe.units import plain
 
 
@@ -102,10 +102,15 @@ def block_page(kind: type[AbstractBlock]) -> str:
     parts = [f"{type_name(kind)} ({kind.side.value})", readable(inspect.getdoc(kind) or "")]
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
-    states = ((s.name, f"({s.shape})", s.unit or "-", f"projected onto {s.box}" if s.box else "") for s in kind.states)
+    states = ((s.name, f"({s.shape})", s.unit or "-", _projected(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
     return "\n\n".join(parts)
+
+
+def _projected(state: State) -> str:
+    sets = [name for name in (state.box, state.ball) if name]
+    return f"projected onto {' or '.join(sets)}" if sets else ""
 
 
 def _port(port: Port) -> tuple[str, str, str, str]:
@@ -117,12 +122,22 @@ def _port(port: Port) -> tuple[str, str, str, str]:
 def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:
     known = specs(kind)
     for name, field in kind.model_fields.items():
-        default = "needed" if field.is_required() else "no bound" if field.default is None else f"{field.default}"
+        default = (
+            "needed"
+            if field.is_required()
+            else _absent(known.get(name))
+            if field.default is None
+            else f"{field.default}"
+        )
         if name in known:
             spec = known[name]
             yield name, f"({spec.shape})", " ".join([spec.unit or "-", spec.sign]).strip(), default
         else:
             yield name, "", "option", default
+
+
+def _absent(spec: Spec | None) -> str:
+    return "no bound" if spec is not None and spec.form in PAIRS else "none"
 
 
 def readable(docstring: str) -> str:

@@ -59,6 +59,8 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts.append(
             f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
         )
+    if verdict.bounds:
+        parts += ["  dV/dt may be above minus the dissipation by", columns(_bounds(verdict), "    ")]
     if verdict.refutation is not None:
         parts.append(f"  fewest signals that refute it: {', '.join(verdict.refutation.signals) or 'none'}")
         parts.append("  the exact point is in --json")
@@ -73,6 +75,18 @@ def page(graph: Graph, verdict: Verdict) -> str:
     if verdict.claim is not None:
         parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
+
+
+def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
+    """Each term of the residual with its bound."""
+    rows = []
+    for bound in verdict.bounds:
+        kappa = "kappa * " if bound.weight == "kappa" else ""
+        unknown = "a constant of the motion" if bound.constant else "no known bound"
+        number = unknown if bound.value is None else f"<= {kappa}{bound.value:.4g}"
+        value = f"{number} {'times ' if bound.value is None and bound.times else ''}{bound.times}".strip()
+        rows.append((f"{bound.block}: {bound.of}", value))
+    return rows
 
 
 def _mark(holds: bool) -> str:

@@ -71,6 +71,7 @@ def _number(spec: Spec) -> dict[str, Any]:
         "diagonal": either if spec.shape else dict(NUMBER),
         "vector": row,
         "table": {"type": "array", "items": row, "minItems": 1},
+        "ball": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
         "box": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
     }
     return {"description": said, **shapes[spec.form]}

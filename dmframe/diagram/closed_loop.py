@@ -11,7 +11,8 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.diagram.model import BlockModel, symbols_in
-from dmframe.diagram.resolve import Leaf, Projection, Resolver, loop_fault
+from dmframe.diagram.projection import Projection
+from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
 from dmframe.diagram.wiring import End
 from dmframe.port import Side
 

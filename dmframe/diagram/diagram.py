@@ -146,6 +146,7 @@ def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]
     found = list[Parameter]()
     for name, model in models.items():
         units = {key: spec.unit for key, spec in specs(type(model.block)).items()}
+        units |= {f"{key}_0": unit for key, unit in units.items()}
         found += [
             Parameter(f"{name}.{key}", leaf, model.values[key], units[key]) for key, leaf in model.parameters.items()
         ]

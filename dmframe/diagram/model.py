@@ -22,7 +22,11 @@ from dmframe.port import Port, State
 @final
 @dataclass(frozen=True)
 class BlockModel:
-    """A block's equations, evaluated once on symbols."""
+    """A block's equations, evaluated once on symbols.
+
+    `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
+    is one of the `parameters` too.
+    """
 
     name: str
     block: AbstractBlock
@@ -32,10 +36,11 @@ class BlockModel:
     values: Mapping[str, np.ndarray]
     robot: Any
     equations: Equations
+    starts: Mapping[str, SX]
 
     def signals(self) -> tuple[Signals, Signals, Signals]:
         """u, x, p as the block's methods take them."""
-        return signals_of(self.name, self.inputs, self.states, self.parameters, self.robot)
+        return signals_of(self.name, self.inputs, self.states, {**self.parameters, **self.starts}, self.robot)
 
     def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
         """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
@@ -95,15 +100,19 @@ def model_block(
     """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
     parameters = {key: symbol(f"{name}.{key}", value.shape) for key, value in values.items() if key not in states}
+    starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
     with told_by(name, "equations()"):
-        stated = block.equations(*signals_of(name, inputs, states, parameters, mine))
+        stated = block.equations(*signals_of(name, inputs, states, {**parameters, **starts}, mine))
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
     outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
     rates = _checked(name, "rate", block.states, stated.rates, sizes)
-    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates))
+    used = symbols_in([*outputs.values(), *rates.values()])
+    parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
+    values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
+    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts)
 
 
 def _checked(

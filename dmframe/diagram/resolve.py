@@ -16,8 +16,9 @@ import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.diagram.model import BlockModel, hashes, symbol, symbols_in
+from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
-from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError
+from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.port import Access, Side
 
 
@@ -30,28 +31,6 @@ class Leaf:
     side: Side
     symbol: SX
     expression: SX
-
-
-@final
-@dataclass(frozen=True)
-class Projection:
-    """A projected state: its rate is `nominal` plus a correction that is zero inside the box.
-
-    `name` and `box` are labels: of the state, and of the parameter that holds its box.
-    """
-
-    name: str
-    box: str
-    state: SX
-    nominal: SX
-    correction: SX
-    lower: SX
-    upper: SX
-
-    @property
-    def block(self) -> str:
-        """Whose state it is."""
-        return self.name.partition(".")[0]
 
 
 @final
@@ -191,13 +170,18 @@ class Resolver:
 
     def _projected(self, model: BlockModel, state: str, rate: SX) -> SX:
         declared = next(item for item in model.block.states if item.name == state)
-        if declared.box not in model.parameters:
+        chosen = [key for key in (declared.box, declared.ball) if key in model.parameters]
+        if not chosen:
             return rate
-        name, leaf, box = f"{model.name}.{state}", model.states[state], model.parameters[declared.box]
+        if len(chosen) > 1:
+            text = f"{model.name}: expected one of {declared.box} and {declared.ball}, found both"
+            self.faults.append(ValueFault(text, path=("blocks", model.name, declared.ball)))
+        name, leaf = f"{model.name}.{state}", model.states[state]
         correction = symbol(f"{name}.correction", leaf.shape)
-        lower, upper = ca.horzsplit(box)
+        first, second = ca.horzsplit(model.parameters[chosen[0]])
+        kept = Box(first, second) if chosen[0] == declared.box else Ball(first, second, model.parameters[declared.gain])
         self.projections[model.name, state] = Projection(
-            name, f"{model.name}.{declared.box}", leaf, rate, correction, lower, upper
+            name, f"{model.name}.{chosen[0]}", leaf, rate, correction, kept
         )
         return rate + correction
 

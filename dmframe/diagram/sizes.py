@@ -9,7 +9,7 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError
-from dmframe.parameter import array, specs
+from dmframe.parameter import PAIRS, array, specs
 from dmframe.port import Port, State
 
 
@@ -65,7 +65,7 @@ def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[
         value, letters = getattr(block, parameter), spec.shape.split()
         if value is None or not letters:
             continue
-        ends = value if spec.form == "box" else (value,)
+        ends = value if spec.form in PAIRS else (value,)
         for end in ends:
             shape = np.shape(end)
             if shape and len(shape) == len(letters) and letters[-1] != "*" and not letters[-1].isdigit():

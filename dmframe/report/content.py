@@ -185,7 +185,8 @@ def _law(diagram: Diagram, name: str) -> BlockLaw:
         if key in model.values:
             spec = specs(type(block))[key]
             ends = model.values[key]
-            text = f"[{shown(ends[..., 0])}] to [{shown(ends[..., 1])}]" if spec.form == "box" else shown(ends.ravel())
+            between = {"box": "to", "ball": "plus or minus"}.get(spec.form)
+            text = f"[{shown(ends[..., 0])}] {between} [{shown(ends[..., 1])}]" if between else shown(ends.ravel())
             values.append(Value(key, text, units[key], marked_prose(law.parameters.get(key, ""))))
         elif key not in units:
             option = getattr(block, key)

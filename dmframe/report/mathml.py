@@ -68,7 +68,7 @@ def _cut(latex: str, brackets: Mapping[str, int]) -> list[str]:
             depth -= 1
         depth += brackets.get(token, 0)
         outside = depth == 0 and not bars
-        if outside and token in _SIGNS and current.strip() and not current.strip().endswith((*_SIGNS, "(")):
+        if outside and token in _SIGNS and current.strip() and not current.strip().endswith((*_SIGNS, "(", "^")):
             pieces.append(current.strip())
             current = ""
         elif outside and token in (r"\quad", r"\qquad"):

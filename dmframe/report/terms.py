@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Lemma, Square
+from dmframe.certificate import SX, Bounded, Clipped, Dissipated, Lemma, NormSquare
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.report.expression import expression_latex
-from dmframe.report.laws import Row
+from dmframe.report.laws import Row, law_of
 from dmframe.report.notation import latex, name_latex
 
 FEW = 4
 """Elements of a diagonal up to which each is written out."""
+
+_STATED: Final = re.compile(r"([A-Za-z](?:_[A-Za-z0-9]+)?)[.,;:]")
 
 
 @final
@@ -36,6 +39,8 @@ class TermRow:
         The weight in the graph's parameters, LaTeX.
     value
         The weight at the graph's numbers.
+    by
+        The norm that multiplies a square, LaTeX; empty for most.
     """
 
     block: str
@@ -45,6 +50,7 @@ class TermRow:
     factor: str
     weight: str
     value: str
+    by: str = ""
 
 
 @final
@@ -67,6 +73,7 @@ class Terms:
     rate: tuple[Row, ...]
     storage: tuple[TermRow, ...]
     dissipation: tuple[TermRow, ...]
+    excess: tuple[TermRow, ...]
     projections: tuple[tuple[str, str], ...]
     consumption: str
     legend: tuple[Legend, ...]
@@ -77,24 +84,29 @@ def terms_of(claim: Claim) -> Terms:
     names = Names(claim)
     storage = _numbered(claim, names, "storage", "W")
     dissipation = _numbered(claim, names, "dissipation", "D")
+    excess = _numbered(claim, names, "excess", "E")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
     consumed = [part.certificate.consumes for part in claim.parts if part.cascade]
     consumption = rf"{names.weight(total(consumed))}\, |\sigma|^2" if consumed else ""
-    lost = [(row, _lost(row)) for row in dissipation]
+    lost = [(row, _formula(row)) for row in dissipation]
+    left = [(row, _formula(row)) for row in excess]
     gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
     return Terms(
         V=(Row("V", "= " + _sum([(row, rf"\tfrac12 |{row.of}|^2_{{{row.symbol}}}") for row in storage], "")),),
-        rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *gained])),),
+        rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *[_sum(left, "+")] * bool(left), *gained])),),
         storage=storage,
         dissipation=dissipation,
+        excess=excess,
         projections=projections,
         consumption=consumption,
         legend=names.legend(),
     )
 
 
-def _lost(row: TermRow) -> str:
-    return row.symbol if row.kind == "lemma" else rf"|{row.of}|^2_{{{row.symbol}}}"
+def _formula(row: TermRow) -> str:
+    if row.kind in ("lemma", "clipped"):
+        return row.symbol
+    return rf"{row.by}|{row.of}|^2_{{{row.symbol}}}"
 
 
 def _kappa(claim: Claim) -> str:
@@ -111,24 +123,28 @@ def _sum(rows: Sequence[tuple[TermRow, str]], sign: str) -> str:
 
 
 def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermRow, ...]:
-    rows, counts = list[TermRow](), {letter: 0, r"\ell": 0}
+    rows, counts = list[TermRow](), {letter: 0, r"\ell": 0, r"\varepsilon": 0}
     for part in claim.parts:
         for term in getattr(part.certificate, role):
-            mine = r"\ell" if isinstance(term, Lemma) else letter
+            mine = r"\ell" if isinstance(term, Lemma) else r"\varepsilon" if isinstance(term, Clipped) else letter
             counts[mine] += 1
             rows.append(_row(claim, names, part, term, f"{mine}_{{{counts[mine]}}}"))
     return tuple(rows)
 
 
-def _row(claim: Claim, names: Names, part: Part, term: Square | Lemma, symbol: str) -> TermRow:
+def _row(claim: Claim, names: Names, part: Part, term: Dissipated | Bounded, symbol: str) -> TermRow:
     factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
     if isinstance(term, Lemma):
         weight, value = names.weight(term.weight), names.value(term.weight)
         return TermRow(part.block, "lemma", symbol, term.of, factor, weight, value)
+    if isinstance(term, Clipped):
+        width = names.weight(term.width)
+        return TermRow(part.block, "clipped", symbol, latex(term.of), factor, width, names.value(term.width))
     written = names.mass(part.block, term.weight)
     if not written:
         written = names.weight(term.weight) if term.weight.is_column() else r"\text{a full matrix}"
-    return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight))
+    by = rf"|{latex(term.by_of)}|\, " if isinstance(term, NormSquare) else ""
+    return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight), by)
 
 
 @final
@@ -211,10 +227,14 @@ def _elements(symbol: SX) -> list[Any]:
 
 
 def _notation(claim: Claim, label: str, symbol: SX) -> str:
-    """What the block calls a parameter in its equations: by the output that is that parameter, B for `viscous`."""
+    """What the block calls a parameter in its equations: as its page says first, ``B_0.`` or ``c, the share of``, or by
+    the output that is that parameter."""
     block, _, key = label.partition(".")
     model = claim.diagram.models.get(block)
     if model is not None and key in model.parameters:
+        stated = _STATED.match(law_of(type(model.block)).parameters.get(key, ""))
+        if stated:
+            return name_latex(stated[1])
         for port, expression in model.equations.outputs.items():
             if expression.shape == symbol.shape and ca.is_equal(expression, symbol):
                 return name_latex(port)

@@ -37,15 +37,33 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
         f"state never grows, so every signal that $V$ holds stays bounded{follows}, under the conditions checked and "
         "the assumptions listed below."
     )
+    if verdict.bounds:
+        sentence = _sentence_with_residual(verdict)
+    residual = ", plus the bounded terms listed below" if verdict.bounds else ""
     means = (
         "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
-        "equals exactly minus a sum of terms none of which can be negative.",
+        f"equals exactly minus a sum of terms none of which can be negative{residual}.",
         _decided(verdict),
         "It holds for all values of the gains and of the robot's inertia and friction that meet the conditions, not "
         "only for those of this graph; the conditions themselves were decided at the numbers of this graph.",
         f"The test can say no: {_controls(verdict)}",
     )
     return Meaning(HEADLINES["proved"], sentence, means, _limits(clock))
+
+
+def _sentence_with_residual(verdict: Verdict) -> str:
+    """What a bounded residual leaves: V may grow, and nothing is said to go to zero."""
+    ultimate = any(item.says == "is ultimately bounded" for item in verdict.statements)
+    follows = (
+        "every signal that $V$ holds ends up in a bounded set"
+        if ultimate
+        else "what $\\dot V$ spends is bounded in the mean square, but $V$ alone bounds no other signal"
+    )
+    return (
+        "in continuous time this control loop is stable up to a bounded residual, as a mathematical theorem: an "
+        "energy-like function $V$ of its state falls wherever what it spends is more than what a robust adaptation "
+        f"leaves over, so {follows}, under the conditions checked and the assumptions listed below."
+    )
 
 
 def _decided(verdict: Verdict) -> str:

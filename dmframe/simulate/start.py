@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
@@ -29,8 +30,8 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box must
-    start inside it.
+    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box or
+    a ball must start inside it.
     """
     loop = diagram.loop
     variables = (*loop.controller, *loop.plant)
@@ -45,27 +46,32 @@ def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values)
     _check_finite(variables, values)
-    _into_boxes(loop, values)
+    _into_sets(loop, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
 
 
-def _into_boxes(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
-    """Refuse a start outside its box; one that misses it by rounding is put onto its end."""
-    boxes, faults = {leaf.label: leaf.value for leaf in loop.parameters}, list[DmframeError]()
+def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
+    """A start on the rim of its box or ball, missed by rounding, is put on it; one outside is a fault."""
+    faults = list[DmframeError]()
     for projection in loop.projections:
-        start, box = np.ravel(values[projection.name]), np.reshape(boxes[projection.box], (-1, 2))
-        lower, upper = box[:, 0], box[:, 1]
-        values[projection.name] = np.clip(start, lower, upper)
+        start = np.ravel(values[projection.name])
+        values[projection.name] = evaluate(loop, projection.set.held(projection.state), {projection.name: start})
         missed = np.abs(start - values[projection.name]) > ROUNDING * (1 + np.abs(start))
         if missed.any():
-            k = int(np.argmax(missed))
-            label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
-            block, parameter = projection.box.split(".")
-            text = (
-                f"{label}: expected a start inside {parameter}, {lower[k]:.6g} to {upper[k]:.6g}, found {start[k]:.6g}"
-            )
-            faults.append(StartError(f"{text}; move the start or the box", path=("blocks", block, parameter)))
+            faults.append(_outside(loop, projection, start, int(np.argmax(missed))))
     raise_all(faults)
+
+
+def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int) -> StartError:
+    block, parameter = projection.parameter.split(".")
+    label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
+    room = evaluate(loop, projection.set.room(projection.state), {projection.name: start})
+    if projection.kind == "ball":
+        found = f"{projection.name}: expected a start inside {parameter}, found {np.sqrt(1 - room[0]):.4g} radii away"
+    else:
+        lower, upper = start - room[: start.size], start + room[start.size :]
+        found = f"{label}: expected a start inside {parameter}, {lower[k]:.6g} to {upper[k]:.6g}, found {start[k]:.6g}"
+    return StartError(f"{found}; move the start or the {projection.kind}", path=("blocks", block, parameter))
 
 
 def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:
@@ -229,5 +235,6 @@ def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]
     known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
     inputs = [loop.time, loop.p, *(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
-    values_now = function(0, loop.p_values, *(values[v.label] for v in known))
+    shaped = (np.reshape(values[v.label], v.symbol.shape, order="F") for v in known)  # a matrix is kept as a column
+    values_now = function(0, loop.p_values, *shaped)
     return np.asarray(values_now.full().ravel())

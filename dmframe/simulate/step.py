@@ -4,7 +4,7 @@ Within a tick from t_k = k T to t_{k+1}, in this order, with a sampled clock:
 
 1. the trajectories and what the plant measures are read at t_k;
 2. the controller's outputs follow from them and from its states at t_k;
-3. its states advance by one explicit Euler step of length T, and are then projected onto their boxes;
+3. its states advance by one explicit Euler step of length T, and are then projected onto their sets;
 4. the plant runs to t_{k+1} with the commands held (zero-order hold).
 
 With a continuous clock controller and plant are integrated together, and a tick only says how often to log.
@@ -143,16 +143,12 @@ def _signals(loop: ClosedLoop) -> SX:
 
 
 def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> list[SX]:
-    """Put in each projection's correction: it stops a rate that leads out of the box at the box's end.
+    """Put in each projection's correction: it stops a rate that leads out of the set at the set's end.
 
     Not `joined`, a correction keeps the crossings as leaves, as the rates of one side alone need it.
     """
     for projection in reversed(loop.projections):
-        nominal, state = projection.nominal, projection.state
-        out = ca.logic_or(
-            ca.logic_and(state <= projection.lower, nominal < 0), ca.logic_and(state >= projection.upper, nominal > 0)
-        )
-        correction = ca.if_else(out, -nominal, 0)
+        correction = projection.law
         if joined:
             correction = loop.joined([correction])[0]
         expressions = list(ca.substitute(expressions, [projection.correction], [correction]))
@@ -169,11 +165,10 @@ def _plant_rate(loop: ClosedLoop) -> Any:
 
 
 def _clip(loop: ClosedLoop) -> Any:
-    """(state, p) -> the state projected onto its boxes."""
+    """(state, p) -> the state projected onto its boxes and balls."""
     state, inside = loop.state, loop.state
     for projection in loop.projections:
-        held = ca.fmin(ca.fmax(projection.state, projection.lower), projection.upper)
-        inside = ca.substitute(inside, projection.state, held)
+        inside = ca.substitute(inside, projection.state, projection.set.held(projection.state))
     return ca.Function("clip", [state, loop.p], [inside])
 
 

@@ -233,16 +233,16 @@ def test_observed_tracking_is_eqs_20_and_30() -> None:
     close(found["e_k"], [0.1 + 0.05, -0.3 - 0.05])
 
 
-def test_observed_tracking_of_a_redundant_robot_takes_the_least_velocity() -> None:
+def test_observed_tracking_of_a_redundant_robot_takes_the_least_velocity_that_differs_from_z() -> None:
     J = np.array([[1.0, 2.0, 0.5], [0.5, -1.0, 1.0]])
-    dx_d = np.array([0.3, -0.2])
+    dx_d, z = np.array([0.3, -0.2]), np.array([0.4, -0.1, 0.2])
     block = find_block("observed_tracking")(gamma=1.5)
-    q = {name: ca.SX.sym(name, *size) for name, size in {"J_hat": (2, 3), "dx_d": (2,), "dq": (3,)}.items()}
+    q = {name: ca.SX.sym(name, *size) for name, size in {"J_hat": (2, 3), "dx_d": (2,), "dq": (3,), "z": (3,)}.items()}
     held = {name: ca.SX(X) for name in ("x", "x_o", "x_d")}
     u = Signals("task", "inputs", {**q, **held})
     stated = block.equations(u, Signals("task", "states", {}), Signals("task", "parameters", {"gamma": ca.SX(1.5)}))
-    dq_ref = ca.Function("dq_ref", list(q.values()), [stated.outputs["dq_ref"]])(J, dx_d, np.zeros(3))
-    close(dq_ref.full().ravel(), np.linalg.pinv(J) @ dx_d)
+    dq_ref = ca.Function("dq_ref", list(q.values()), [stated.outputs["dq_ref"]])(J, dx_d, np.zeros(3), z)
+    close(dq_ref.full().ravel(), np.linalg.pinv(J) @ dx_d + z - np.linalg.pinv(J) @ (J @ z))
 
 
 def turned(angle: float) -> np.ndarray:

@@ -118,10 +118,10 @@ def test_the_closed_loops_poles_are_the_characteristic_polynomials_roots() -> No
 
 def test_the_trajectory_acts_through_the_servo_as_by_hand() -> None:
     linear = linearise(flywheel())
-    assert linear.trajectories == ("path.q_d[0]", "path.dq_d[0]")
+    assert linear.trajectories == ("path.q_d[0]",)  # it stands still: dq_d is zero
     row = linear.B[linear.states.index("arm.dq[0]")]
-    assert np.allclose(row, [K_P * ALPHA / J, K_P / J])  # of dq_c = dq_d - alpha (q - q_d)
-    assert np.allclose(linear.B[linear.states.index("servo.i[0]")], [-ALPHA, -1])
+    assert np.allclose(row, [K_P * ALPHA / J])  # of dq_c = -alpha (q - q_d)
+    assert np.allclose(linear.B[linear.states.index("servo.i[0]")], [-ALPHA])
     assert np.allclose(linear.B[linear.states.index("arm.q[0]")], 0)
 
 

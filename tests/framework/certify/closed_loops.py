@@ -180,7 +180,7 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
 
 def _unbounded(diagram: Diagram) -> np.ndarray:
     """The parameters with boxes so wide that no tick, however fast the rates, leaves them."""
-    boxes = {projection.box for projection in diagram.loop.projections}
+    boxes = {projection.parameter for projection in diagram.loop.projections}
     values = []
     for parameter in diagram.loop.parameters:
         value = np.array(parameter.value, dtype=float)
@@ -194,7 +194,7 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
     """Random states, those with a box well inside it, and times."""
     rng, loop = np.random.default_rng(seed), diagram.loop
     boxes = {p.label: p.value for p in loop.parameters}
-    held = {projection.name: boxes[projection.box] for projection in loop.projections}
+    held = {projection.name: boxes[projection.parameter] for projection in loop.projections}
     for _ in range(count):
         parts = []
         for variable in (*loop.controller, *loop.plant):

@@ -53,7 +53,8 @@ def test_of_more_than_200_faults_in_the_equations_of_all_blocks_none_is_proved_u
     results = tried(mutants)
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert len(results) >= 200
-    assert Counter(result.outcome for result in results)["refuted"] > 0.8 * len(results)
+    acting = [r for r in results if r.outcome != "no diagram" and r.reason != "the rates are unchanged"]
+    assert Counter(result.outcome for result in acting)["refuted"] > 0.9 * len(acting)
     assert {result.mutant.owner for result in results if result.outcome == "refuted"} == set(provable)
 
 

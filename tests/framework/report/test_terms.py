@@ -41,7 +41,7 @@ def test_weights_are_those_of_the_theory_and_their_numbers_those_of_the_graph(pr
     assert found["inverse", r"w - 1/K_{\star}"] == (r"\frac{K K_{P}}{\Lambda}", "6000, 3000", "kappa")
     assert found["arm", r"\sigma"] == ("M(q)", "varies with the pose", "kappa")
     lost = {row.of: (row.kind, row.weight, row.value) for row in terms.dissipation if row.block in ("inverse", "arm")}
-    assert lost[r"\sigma"] == ("square", "K K_{P} + B", "61, 30.5")
+    assert lost[r"\sigma"] == ("square", "K K_{P} + B_{0} - B_{m}", "61, 30.5")
     assert lost["monotone friction"] == ("lemma", "D", "0")
 
 
@@ -66,7 +66,7 @@ def test_the_inertia_of_a_single_joint_is_called_m_too(continuous):
 
 def test_the_legend_names_each_symbol_of_the_weights(proved):
     legend = {item.symbol: (item.label, item.value, item.unit) for item in terms_of(proved.verdict.claim).legend}
-    assert legend["B"] == ("arm.viscous", "1, 0.5", "N m s/rad")
+    assert legend["B_{0}"] == ("arm.viscous", "1, 0.5", "N m s/rad")
     assert legend[r"\Lambda_{I}"] == ("inverse.Lambda_I", "1", "1/(rad^2 s)")
 
 

@@ -1,0 +1,181 @@
+"""The prediction error of a filtered model, without accelerations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Square
+from dmframe.errors import ValueFault
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Port, State
+
+
+@final
+class FilteredRegressor(AbstractBlock):
+    r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
+
+    Both sides of the dynamics, divided by the servo's stiffness, pass the filter :math:`F = \lambda / (s + \lambda)`.
+    The acceleration goes by parts: with :math:`P a_d = M \dot q`, and :math:`C^\top \dot q = \partial(\tfrac12
+    \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
+    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`:
+
+    .. math::
+
+        Y_f &= F[Y_d(q, \dot q, \dot q, \ddot q)] = \lambda P + Y_z, \quad
+        \dot Y_z = \lambda (R - Y_f)                                                        \tag{1} \\
+        \dot v_f &= \lambda (\dot q_c - \dot q - v_f), \quad
+        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{2} \\
+        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{3} \\
+        \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{4}
+
+    products element by element. No torque is measured, and nothing is divided by an estimate: with
+    :math:`K_\star = K K_P` and :math:`b = K_I (i - q + q_c) / K_P`, the constant offset of the servo's integrator,
+
+    .. math::
+
+        K_\star \epsilon = Y_f \tilde a_d + K_\star (\tilde w\, Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h,
+        \quad \dot h = -\lambda h                                                          \tag{5}
+
+    h is what the filters forget of their start; it is zero here, where they start at rest. With a_d_hat, w and w_I
+    adapted by e_f and the regressors of (5):
+
+    .. math::
+
+        S &= \tfrac12 |h|^2_{W/(\lambda K_\star)} + \tfrac12 |\tilde b|^2_{K_\star/\Gamma_b}  \tag{6} \\
+        \dot S &= -\tfrac12 |\epsilon|^2_{W K_\star} - \tfrac12 |\epsilon - h/K_\star|^2_{W K_\star}
+                  - \tfrac12 |h|^2_{W/K_\star}
+                  + e_f^\top (K_\star \epsilon - K_\star \tilde b - h)                       \tag{7}
+
+    Parameters
+    ----------
+    bandwidth : scalar, 1/s, > 0
+        lambda. Larger forgets faster and passes more noise.
+    weight : diagonal (n,), > 0
+        W: how much the prediction error counts beside the other errors of a composite adaptation.
+    friction : list of viscous, coulomb
+        As of the `regressor` with which it shares a_d.
+    bias : true or false
+        As of that regressor: a_d takes up the offset of the servo's integrator.
+    Gamma_b : diagonal (n,), 1/s, > 0
+        Without the bias, the gain with which the offset is estimated here.
+
+    Notes
+    -----
+    Not for: a PID servo, whose command has one more ratio.
+
+    References
+    ----------
+    [SlotineLi1991]_ section 9.2 for the filter by parts; [WangTAC2020]_ eqs. (49)-(58) for what it stands in for.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("q_c", "n", "rad"),
+        Port("dq_c", "n", "rad/s"),
+        Port("a_d_hat", "p", ""),
+        Port("w", "n", "rad/(N m s)"),
+        Port("w_I", "n", "1/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_f", "n p", "N m"),
+        Port("e_f", "n", "rad/s"),
+        Port("tau_f", "n", "N m"),
+        Port("q_f", "n", "rad"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("Y_z", "n p", "N m"),
+        State("v_f", "n", "rad/s"),
+        State("q_f", "n", "rad"),
+        State("b_hat", "n", "rad/s"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("a_d", "p", ""),
+        Port("K", "n", "N m/V"),
+        Port("K_P", "n", "V s/rad"),
+        Port("K_I", "n", "V/rad"),
+        Port("i", "n", "rad"),
+    )
+
+    bandwidth: Scalar = Positive("", "1/s")
+    weight: Diagonal = Positive("n", default=1.0)
+    friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    bias: bool = False
+    Gamma_b: Diagonal | None = Positive("n", "1/s", default=None)
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """p: as of the regressor."""
+        return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (4)."""
+        if self.bias == (self.Gamma_b is not None):
+            raise ValueFault(
+                "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
+                f"integrator; found {'both' if self.bias else 'neither'}"
+            )
+        Y_f, error = self._momentum(u, p) * p.bandwidth + x.Y_z, self._error(u, x, p)
+        e_f = p.weight * error
+        return Equations(
+            outputs={"Y_f": Y_f, "e_f": e_f, "tau_f": Y_f @ u.a_d_hat, "q_f": x.q_f},
+            rates={
+                "Y_z": p.bandwidth * (self._rest(u, p) - Y_f),
+                "v_f": p.bandwidth * (u.dq_c - u.dq - x.v_f),
+                "q_f": p.bandwidth * (u.q - u.q_c - x.q_f),
+                "b_hat": ca.SX.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
+            },
+        )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The filters hold nothing yet."""
+        return {"Y_z": -p.bandwidth * self._momentum(u, p)}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(6) and (7)."""
+        K_star, error = truth.K * truth.K_P, self._error(u, x, p)
+        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
+        offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
+        h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
+        explained, learned = K_star * error, tuple[Square, ...]()
+        if not self.bias:
+            b_err = x.b_hat - offset / K_star
+            h, explained = h + offset, explained - K_star * b_err
+            learned = (Square("b_hat - b", b_err, K_star / p.Gamma_b),)
+        return Certificate(
+            storage=(Square("h", h, p.weight / (p.bandwidth * K_star)), *learned),
+            dissipation=(
+                Square("epsilon", error, p.weight * K_star / 2),
+                Square("epsilon - h/K_star", error - h / K_star, p.weight * K_star / 2),
+                Square("h", h, p.weight / (2 * K_star)),
+            ),
+            supply=ca.dot(p.weight * error, explained - h),
+        )
+
+    def _error(self, u: Signals, x: Signals, p: Signals) -> SX:
+        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
+        error = u.w * (Y_f @ u.a_d_hat) + u.w_I * x.q_f - x.v_f
+        return error if self.bias else error + x.b_hat
+
+    def _momentum(self, u: Signals, p: Signals) -> SX:
+        """P of P a_d = M dq."""
+        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        inertial = robot.regressor(u.q, zero, zero, u.dq) - robot.regressor(u.q, zero, zero, zero)
+        return ca.densify(ca.horzcat(inertial, ca.SX(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
+
+    def _rest(self, u: Signals, p: Signals) -> SX:
+        """R of R a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
+        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        energy = self._momentum(u, p)[:, : 10 * robot.n].T @ u.dq / 2
+        columns = [robot.regressor(u.q, zero, zero, zero) - ca.jacobian(energy, u.q).T]
+        if "viscous" in self.friction:
+            columns.append(ca.diag(u.dq))
+        if "coulomb" in self.friction:
+            columns.append(ca.diag(robot.coulomb(u.dq)))
+        if self.bias:
+            columns.append(ca.SX.eye(robot.n))
+        return ca.densify(ca.horzcat(*columns))

@@ -1,0 +1,87 @@
+"""How large the terms are that dV/dt may have above what is dissipated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import final
+
+from dmframe.certificate import SX, Bounded, Clipped, NormSquare
+from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.conditions import Numbers, upper
+from dmframe.certify.symbols import Symbols
+from dmframe.errors import ValueFault
+from dmframe.exact import zero_test
+
+
+@final
+@dataclass(frozen=True)
+class Bound:
+    """The most that one term of the excess can be.
+
+    Parameters
+    ----------
+    of
+        The term, as its block names it.
+    value
+        The bound at the graph's numbers, or over its intervals; None where parameters alone do not give it.
+    constant
+        It depends on how the motion begins, and does not change along it.
+    times
+        What the bound has to be multiplied by: nothing, or a signal, ``"|sigma|"``.
+    weight
+        Of the block's storage in V: ``"1"`` or ``"kappa"``.
+    """
+
+    block: str
+    of: str
+    value: float | None
+    times: str
+    weight: str
+    constant: bool = False
+
+    @property
+    def known(self) -> bool:
+        """Is there a bound?"""
+        return self.value is not None or self.constant
+
+
+def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
+    """Each term of the excess with its bound."""
+    return list(_bounds(claim, numbers, symbols))
+
+
+def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]:
+    for part in claim.parts:
+        for term in part.certificate.excess:
+            expression = term.square.value if isinstance(term, NormSquare) else term.value
+            expression = term.width if isinstance(term, Clipped) else expression
+            value, constant = None, False
+            try:
+                value = float(max(upper(number) for number in numbers.of(expression)))
+            except (ValueFault, ZeroDivisionError):
+                constant = _stands_still(claim, expression, symbols)
+            yield Bound(part.block, term.of, value, _times(term), _weight(claim, part), constant)
+
+
+def _stands_still(claim: Claim, expression: SX, symbols: Symbols) -> bool:
+    """Does it keep its value along every motion, identically?"""
+    rate = symbols.function("rate", [Field(claim.diagram).derivative(expression)])
+    return bool(zero_test(rate, values=symbols.fixed).zero)
+
+
+def _times(term: Bounded) -> str:
+    if isinstance(term, NormSquare):
+        return f"|{term.by_of}|"
+    return f"|{term.of}|_1" if isinstance(term, Clipped) else ""
+
+
+def _weight(claim: Claim, part: Part) -> str:
+    return "kappa" if claim.cascaded and not part.cascade else "1"
+
+
+def total_bound(bounds: list[Bound], kappa: float) -> float | None:
+    """The most that the whole excess can be; None where a signal multiplies a term, or a bound is not known."""
+    if any(bound.times or bound.value is None for bound in bounds):
+        return None
+    return sum((bound.value or 0.0) * (kappa if bound.weight == "kappa" else 1.0) for bound in bounds)

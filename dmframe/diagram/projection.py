@@ -1,0 +1,118 @@
+r"""Convex sets onto which estimates are projected: boxes and balls.
+
+A projected state's rate is its `nominal` rate plus a `correction`: a free symbol in a proof, and what `law` says in a
+run. The projection lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` the correction adds
+:math:`(\theta - \theta_{true})^\top W c \le 0` if the set is convex and holds the true value, and if c is normal to
+the set in the metric W. Where a run takes finite steps, `held` puts the state back into the set after each.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+
+
+@final
+@dataclass(frozen=True)
+class Box:
+    """Lower and upper ends, element by element: normal to it is each coordinate, in any diagonal metric."""
+
+    lower: SX
+    upper: SX
+
+    def law(self, state: SX, nominal: SX) -> SX:
+        """Stops a rate that leads out of the box at the box's end."""
+        out = ca.logic_or(
+            ca.logic_and(state <= self.lower, nominal < 0), ca.logic_and(state >= self.upper, nominal > 0)
+        )
+        return ca.if_else(out, -nominal, 0)
+
+    def held(self, state: SX) -> SX:
+        """The nearest point of the box."""
+        return ca.fmin(ca.fmax(state, self.lower), self.upper)
+
+    def room(self, truth: SX) -> SX:
+        """Not negative where a point lies in the box."""
+        return ca.vertcat(truth - self.lower, self.upper - truth)
+
+    def askew(self, weight: SX) -> SX:
+        """Zero where the correction is normal to the box in the metric of a diagonal weight: always."""
+        return ca.SX.zeros(1)
+
+
+@final
+@dataclass(frozen=True)
+class Ball:
+    r"""The ellipsoid :math:`f = \sum_i (\theta_i - c_i)^2 / r_i^2 - 1 \le 0`, a ball where all half axes are equal.
+
+    `gain` is the adaptation's diagonal :math:`\Gamma`; the normal in the metric :math:`\Gamma^{-1}` is
+    :math:`\Gamma \nabla f`.
+    """
+
+    center: SX
+    radius: SX
+    gain: SX
+
+    def law(self, state: SX, nominal: SX) -> SX:
+        r"""On the boundary, takes away what leads out of the nominal rate v.
+
+        .. math:: c = -\Gamma \nabla f\, \frac{\max(0, \nabla f^\top v)}{\nabla f^\top \Gamma \nabla f}
+        """
+        gradient = (state - self.center) / (self.radius * self.radius)
+        outward = ca.dot(gradient, nominal)
+        out = ca.logic_and(self._reach(state) >= 1, outward > 0)
+        steepness = ca.dot(gradient, self.gain * gradient)
+        return ca.if_else(out, -self.gain * gradient * (outward / steepness), ca.SX.zeros(state.shape[0]))
+
+    def held(self, state: SX) -> SX:
+        """The point of the set on the way to its centre; the nearest one, of a ball."""
+        away = state - self.center
+        return self.center + away / ca.sqrt(ca.fmax(self._reach(state), 1))
+
+    def room(self, truth: SX) -> SX:
+        """Not negative where a point lies in the set."""
+        return 1 - self._reach(truth)
+
+    def askew(self, weight: SX) -> SX:
+        """Zero where the weight is a multiple of 1/gain, whose metric the correction is normal in."""
+        ratio = weight * self.gain
+        return ratio - ratio[0]
+
+    def _reach(self, point: SX) -> SX:
+        away = (point - self.center) / self.radius
+        return ca.dot(away, away)
+
+
+@final
+@dataclass(frozen=True)
+class Projection:
+    """A projected state: its rate is `nominal` plus a correction that is zero inside the set.
+
+    `name` and `parameter` are labels: of the state, and of the parameter that holds its set.
+    """
+
+    name: str
+    parameter: str
+    state: SX
+    nominal: SX
+    correction: SX
+    set: Box | Ball
+
+    @property
+    def block(self) -> str:
+        """Whose state it is."""
+        return self.name.partition(".")[0]
+
+    @property
+    def kind(self) -> str:
+        """``box`` or ``ball``."""
+        return type(self.set).__name__.lower()
+
+    @property
+    def law(self) -> SX:
+        """What the correction is in a run."""
+        return self.set.law(self.state, self.nominal)
