@@ -103,12 +103,12 @@ ROWS = (
     Row(
         "(49)-(53)",
         "a user's torque through the servo: PI and PID; our source names (50) and the range",
-        ("pi_torque_inverse", "pid_torque_inverse"),
+        ("pi_torque_inverse", "pid_torque_inverse", "filtered_regressor"),
     ),
     Row(
         "(54)-(58)",
         "indirect adaptation from the prediction error; our source gives the range",
-        ("indirect_adaptation", "certainty_equivalence"),
+        ("indirect_adaptation", "certainty_equivalence", "filtered_adaptation", "filtered_regressor"),
     ),
     Row(
         "(59)",
@@ -151,7 +151,7 @@ ROWS = (
     Row(
         "Remark 2",
         "projection of w, w_P, w_I, a_d_hat, a_k_hat",
-        files=("dmframe/port.py::State", "dmframe/diagram/resolve.py::Projection", "dmframe/simulate/step.py::project"),
+        files=("dmframe/port.py::State", "dmframe/diagram/projection.py::Projection", "dmframe/simulate/step.py::project"),
         tests=("tests/framework/simulate/test_simulate.py",),
         graphs=("theorem_1", "theorem_4"),
     ),
