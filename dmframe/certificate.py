@@ -228,9 +228,6 @@ class Certificate:
         S is *half* the sum of these squares.
     dissipation
         What is lost, each term non-negative.
-    excess
-        What dS/dt may have above that: terms that are not dissipated but bounded, such as a leak leaves behind. A claim
-        with one is proved up to a bounded residual.
     supply
         What flows in from the other blocks.
     consumes
@@ -242,16 +239,19 @@ class Certificate:
         The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
     truth
         True values that other blocks' estimates have: ``{"a_d": ...}``.
+    excess
+        What dS/dt may have above minus the dissipation: terms that are not dissipated but bounded, such as a leak
+        leaves behind. A claim with one is proved up to a bounded residual.
     """
 
     storage: tuple[Square, ...] = ()
     dissipation: tuple[Dissipated, ...] = ()
-    excess: tuple[Bounded, ...] = ()
     supply: SX = 0
     consumes: SX | None = None
     sigma: tuple[SX, ...] = ()
     task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
+    excess: tuple[Bounded, ...] = ()
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""

@@ -15,12 +15,18 @@ from typing import final
 def nearest(name: str, choices: Iterable[str]) -> str:
     """A hint that ends an error message: the nearest right choice, or all of them where none is near."""
     known = sorted(choices)
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(name, [other for other in known if _alike(name, other)], n=1, cutoff=0.6)
     if close:
         return f"did you mean {close[0]}?"
     if not known:
         return "there is none to choose from"
     return "choose from " + ", ".join(known)
+
+
+def _alike(name: str, other: str) -> bool:
+    """Not by their last word alone: J_hat is not nearly a_d_hat."""
+    (head, _, tail), (start, _, end) = name.rpartition("_"), other.rpartition("_")
+    return not head or tail != end or difflib.SequenceMatcher(None, head, start).ratio() >= 0.6
 
 
 class DmframeError(Exception):

@@ -228,7 +228,8 @@ def _elements(symbol: SX) -> list[Any]:
 
 def _notation(claim: Claim, label: str, symbol: SX) -> str:
     """What the block calls a parameter in its equations: as its page says first, ``B_0.`` or ``c, the share of``, or by
-    the output that is that parameter."""
+    the output that is that parameter.
+    """
     block, _, key = label.partition(".")
     model = claim.diagram.models.get(block)
     if model is not None and key in model.parameters:

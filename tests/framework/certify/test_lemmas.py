@@ -158,7 +158,7 @@ FORMS = {
     "expected each term of the storage to be a Square": lambda c, u: Certificate(
         (Lemma("x", ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
     ),
-    "expected each term of the dissipation to be a Square or a Lemma": lambda c, u: Certificate(
+    "expected each term of the dissipation to be a Square, a NormSquare or a Lemma": lambda c, u: Certificate(
         c.storage, (ca.dot(u.sigma, u.sigma),), c.supply
     ),
     "s: expected columns of one length": lambda c, u: Certificate(
