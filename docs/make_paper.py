@@ -151,7 +151,11 @@ ROWS = (
     Row(
         "Remark 2",
         "projection of w, w_P, w_I, a_d_hat, a_k_hat",
-        files=("dmframe/port.py::State", "dmframe/diagram/projection.py::Projection", "dmframe/simulate/step.py::project"),
+        files=(
+            "dmframe/port.py::State",
+            "dmframe/diagram/projection.py::Projection",
+            "dmframe/simulate/step.py::project",
+        ),
         tests=("tests/framework/simulate/test_simulate.py",),
         graphs=("theorem_1", "theorem_4"),
     ),

@@ -33,6 +33,7 @@ def run_graphs(
     *,
     until: str | None,
     out: Path | None,
+    baseline: bool,
     plots: bool,
     as_json: bool,
 ) -> int:
@@ -41,6 +42,8 @@ def run_graphs(
     At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
     """
     graphs = [_loaded(name, overrides, alone=len(names) == 1) for name in names]
+    if baseline:
+        graphs = [each for graph in graphs for each in (graph, graph.baseline())]
     if until is not None:
         duration = _seconds(until)
         graphs = [graph.with_duration(duration) for graph in graphs]
@@ -53,7 +56,7 @@ def run_graphs(
     with _unbroken():
         summaries = write_run(folder, results, plots=plots)
     if as_json:
-        typer.echo(json.dumps(summaries[0] if len(names) == 1 else summaries, indent=2))
+        typer.echo(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
     else:
         _table(results, summaries, folder)
     if interrupted:

@@ -123,6 +123,10 @@ class GraphFile(_Section):
     solver: SolverSection = SolverSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
     wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
+    baseline: dict[str, dict[str, Any] | None] = Field(
+        {},
+        description="blocks of the controller to compare with, in the place of those of that name; null leaves one out",
+    )
     uncertain: dict[str, Any] = Field(
         {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
     )
@@ -162,6 +166,28 @@ class Graph:
             return Diagram.build(self.blocks, self.file.wires, self.robot)
         except DmframeError as error:
             raise placed(error, self.document, self.overrides) from None
+
+    def baseline(self) -> Graph:
+        """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
+
+        Raises
+        ------
+        MissingError
+            The file has no such key.
+        """
+        if not self.file.baseline:
+            raise MissingError(f"{self.name}: expected a key baseline, which says what to compare with; found none")
+        changed = {**self.data["blocks"], **self.data["baseline"]}
+        blocks = {name: spec for name, spec in changed.items() if spec is not None}
+        gone = changed.keys() - blocks.keys()
+        wires = {
+            end: source
+            for end, source in self.file.wires.items()
+            if not {end.partition(".")[0], source.partition(".")[0]} & gone
+        }
+        data = {**self.data, "blocks": blocks, "wires": wires, "baseline": {}}
+        path = Path(self.document.name)
+        return make_graph(replace(self.document, data=data), path.with_stem(f"{path.stem}_baseline"))
 
     def with_duration(self, duration: float) -> Graph:
         """The same graph, run for another time [s]."""
@@ -236,7 +262,8 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
     except ValidationError as error:
         faults += [_fault(detail, data) for detail in error.errors(include_url=False)]
         file = None
-    blocks = _blocks(data.get("blocks"), path.parent, faults)
+    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults)
+    _check_baseline(data.get("baseline"), blocks, path.parent, faults)
     robot = _robot(_section(RobotSection, _robot_name(data.get("robot"))), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [_at_name(fault) for fault in faults]
@@ -252,29 +279,42 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def _blocks(section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
+def _check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError]) -> None:
+    """Its blocks can be made, and what it leaves out is there."""
+    entries = section if isinstance(section, dict) else {}
+    if entries:
+        _blocks("baseline", {name: spec for name, spec in entries.items() if spec is not None} or None, base, faults)
+    faults += [
+        UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
+        for name, spec in entries.items()
+        if spec is None and name not in blocks
+    ]
+
+
+def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
+    """The blocks of a section, ``blocks`` or ``baseline``."""
     made = dict[str, AbstractBlock]()
     for name, spec in section.items() if isinstance(section, dict) else ():
-        where, path = f"blocks.{name}", ("blocks", name)
+        where, path = f"{key}.{name}", (key, name)
         if not NAME.fullmatch(name) or name == "robot":
             faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
         elif isinstance(spec, dict) and "type" not in spec:
             faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
         elif isinstance(spec, dict):
             try:
-                made[name] = _block(name, spec, base)
+                made[name] = _block(path, spec, base)
             except DmframeError as error:
                 for fault in error.faults if isinstance(error, Faults) else (error,):
                     faults.append(fault)
     if isinstance(section, dict) and not section:
-        faults.append(MissingError("blocks: expected at least one block, found none", path=("blocks",)))
+        faults.append(MissingError(f"{key}: expected at least one block, found none", path=(key,)))
     return made
 
 
-def _block(name: str, spec: Mapping[str, Any], base: Path) -> AbstractBlock:
-    path: tuple[str | int, ...] = ("blocks", name)
+def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
+    where = ".".join(path)
     try:
-        kind = find_block(str(spec["type"]), base, f"blocks.{name}.type")
+        kind = find_block(str(spec["type"]), base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise
@@ -284,7 +324,7 @@ def _block(name: str, spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     except DmframeError as error:
         for fault in error.faults if isinstance(error, Faults) else (error,):
             fault.path = (*path, *fault.path)
-            fault.text = f"blocks.{name}" + fault.text.removeprefix(type_name(kind))
+            fault.text = where + fault.text.removeprefix(type_name(kind))
         raise
 
 

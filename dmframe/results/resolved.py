@@ -9,6 +9,9 @@ from typing import Any
 from dmframe.config.graph import Graph
 from dmframe.robot.library import RobotSource, find_robot
 
+_AFTER = ("wires", "baseline", "uncertain")
+"""Keys that stand after the blocks, where a file has them."""
+
 
 def resolved(graph: Graph) -> dict[str, Any]:
     """The graph as plain data: overrides applied, defaults filled in, quantities as numbers in their own units.
@@ -34,8 +37,9 @@ def resolved(graph: Graph) -> dict[str, Any]:
         kind = f"{names[_beside(graph, path)]}:{class_name}" if colon else kind
         values = {key: value for key, value in block.model_dump().items() if value is not None}
         data["blocks"][name] = {"type": kind, **_plain(values)}
-    if file.wires:
-        data["wires"] = dict(file.wires)
+    for key in _AFTER:
+        if getattr(file, key):
+            data[key] = _plain(dict(getattr(file, key)))
     return data
 
 
@@ -53,10 +57,9 @@ def resolved_text(graph: Graph) -> str:
         return made
 
     data = resolved(graph)
-    document = mapping({key: value for key, value in data.items() if key not in ("blocks", "wires")}, flow=False)
+    document = mapping({key: value for key, value in data.items() if key not in ("blocks", *_AFTER)}, flow=False)
     document["blocks"] = CommentedMap((name, mapping(values)) for name, values in data["blocks"].items())
-    if "wires" in data:
-        document["wires"] = mapping(data["wires"], flow=False)
+    document |= {key: mapping(data[key], flow=False) for key in _AFTER if key in data}
     writer, text = YAML(), io.StringIO()
     writer.width = 10_000
     writer.default_flow_style = None  # lists of numbers on one line
