@@ -149,6 +149,10 @@ def unit_text(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³")
 
 
+NAME_LINE = 0.16
+"""Height of a legend's line [inch]; figures have room for two."""
+
+
 def names_above(figure: Any, axes: Any, width: float, extra: Sequence[Any] = ()) -> None:
     """A legend above all panels, where it covers nothing; as many columns as the width carries."""
     handles, labels = axes.get_legend_handles_labels()
@@ -157,4 +161,5 @@ def names_above(figure: Any, axes: Any, width: float, extra: Sequence[Any] = ())
         return
     room = 0.45 + 0.062 * max(map(len, labels))  # handle and letters [inch]
     columns = max(1, min(len(labels), int(width / room)))
+    figure.set_figheight(figure.get_figheight() + NAME_LINE * max(0, -(-len(labels) // columns) - 2))
     figure.legend(handles, labels, loc="outside upper center", ncols=columns)

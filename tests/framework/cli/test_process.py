@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,14 @@ import xarray
 START = (sys.executable, "-c", "from dmframe.cli import main; main()")
 LONG = ("run", "arm2_joint", "--until", "2000 s", "--no-plots", "--out", "mine")
 FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
+
+
+@pytest.fixture(autouse=True)
+def listening() -> Iterator[None]:
+    """Processes that a shell starts in the background, and their children, are deaf to Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 def started(words: Sequence[str], cwd: Path, **options: Any) -> subprocess.Popen[str]:
