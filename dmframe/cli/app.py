@@ -94,6 +94,7 @@ def run(
     ] = None,
     overrides: Overrides = [],  # noqa: B006
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; new or empty.")] = None,
+    engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     as_json: AsJson = False,
@@ -101,7 +102,16 @@ def run(
     """Simulate graphs and write signals, figures and a summary; several graphs are overlaid in one figure."""
     from dmframe.cli.run import run_graphs
 
-    return run_graphs(graph, overrides, until=until, out=out, baseline=baseline, plots=not no_plots, as_json=as_json)
+    return run_graphs(
+        graph,
+        overrides,
+        until=until,
+        out=out,
+        engine=engine,
+        baseline=baseline,
+        plots=not no_plots,
+        as_json=as_json,
+    )
 
 
 @app.command()

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import typer
 from rich.console import Console
@@ -19,9 +19,11 @@ from rich.table import Table
 from dmframe.cli import STOPPED
 from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
-from dmframe.errors import DmframeError, Faults, ValueFault
+from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
 from dmframe.results import Result, reserve, write_run
+from dmframe.results.summary import summary
 from dmframe.simulate import Run, simulate
+from dmframe.simulate.engine import Choice
 from dmframe.units import plain, to_unit
 
 DIVERGED = 1
@@ -33,6 +35,7 @@ def run_graphs(
     *,
     until: str | None,
     out: Path | None,
+    engine: str,
     baseline: bool,
     plots: bool,
     as_json: bool,
@@ -41,6 +44,7 @@ def run_graphs(
 
     At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
     """
+    choice = _engine(engine)
     graphs = [_loaded(name, overrides, alone=len(names) == 1) for name in names]
     if baseline:
         graphs = [each for graph in graphs for each in (graph, graph.baseline())]
@@ -49,16 +53,18 @@ def run_graphs(
         graphs = [graph.with_duration(duration) for graph in graphs]
     diagrams = [graph.diagram() for graph in graphs]  # faults of every graph are told before the first runs
     folder = reserve(out or _default_folder(graphs))
-    results, interrupted = _simulate_all(graphs, diagrams, as_json)
+    results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
     if not results:
         return STOPPED
+    if not as_json:
+        _table(results)  # the numbers at once; figures take longer than the run
     _say(f"writing {folder}", as_json)
     with _unbroken():
         summaries = write_run(folder, results, plots=plots)
     if as_json:
         typer.echo(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
     else:
-        _table(results, summaries, folder)
+        typer.echo(f"results: {folder}")
     if interrupted:
         return STOPPED
     return DIVERGED if any(result.run.divergence for result in results) else 0
@@ -74,12 +80,14 @@ def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
         raise
 
 
-def _simulate_all(graphs: Sequence[Graph], diagrams: Sequence[Any], as_json: bool) -> tuple[list[Result], bool]:
+def _simulate_all(
+    graphs: Sequence[Graph], diagrams: Sequence[Any], engine: Choice, as_json: bool
+) -> tuple[list[Result], bool]:
     results = list[Result]()
     try:
         with _progress(as_json) as bar:
             for graph, diagram in zip(graphs, diagrams, strict=True):
-                results.append(Result(graph, _run(graph, diagram, bar)))
+                results.append(Result(graph, _run(graph, diagram, engine, bar)))
                 if results[-1].run.interrupted:
                     return results, True
     except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet
@@ -107,6 +115,13 @@ def _seconds(until: str) -> float:
     return duration
 
 
+def _engine(name: str) -> Choice:
+    for choice in get_args(Choice):
+        if name == choice:
+            return cast(Choice, choice)
+    raise UnknownNameError(f"--engine {name}", "engine", name, get_args(Choice))
+
+
 def _number(text: str) -> str | float:
     try:
         return float(text)
@@ -131,7 +146,7 @@ def _progress(as_json: bool) -> Progress:
     )
 
 
-def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
+def _run(graph: Graph, diagram: Any, engine: Choice, bar: Progress) -> Run:
     task = bar.add_task(graph.name, total=graph.file.duration, speed="")
 
     def done(time: float) -> None:
@@ -140,7 +155,16 @@ def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
 
     file = graph.file
     try:
-        return simulate(diagram, file.duration, clock=file.clock, solver=graph.solver, start=graph.start, progress=done)
+        return simulate(
+            diagram,
+            file.duration,
+            clock=file.clock,
+            solver=graph.solver,
+            start=graph.start,
+            progress=done,
+            engine=engine,
+            log=graph.log,
+        )
     except DmframeError as error:
         raise placed(error, graph.document, graph.overrides) from None
 
@@ -150,11 +174,11 @@ def _say(text: str, as_json: bool) -> None:
         typer.echo(text, err=True)
 
 
-def _table(results: Sequence[Result], summaries: Sequence[dict[str, Any]], folder: Path) -> None:
+def _table(results: Sequence[Result]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("graph", "clock", "error", "first eighth", "last eighth", "speed", "engine"):
         table.add_column(heading, justify="left" if heading in ("graph", "error", "engine") else "right")
-    for told in summaries:
+    for told in (summary(result.graph.name, result.run) for result in results):
         error = told["error"]
         clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
         first, last = (_rms(error, index) for index in (0, -1))
@@ -170,7 +194,7 @@ def _table(results: Sequence[Result], summaries: Sequence[dict[str, Any]], folde
             console.print(f"{result.graph.name}: diverged: {result.run.divergence}", soft_wrap=True)
         if result.run.interrupted:
             console.print(f"{result.graph.name}: stopped at {plain(result.run.time[-1], 's')}; what was done is kept")
-    console.print(f"results: {folder}", soft_wrap=True)
+    sys.stdout.flush()
 
 
 def _rms(error: dict[str, Any] | None, index: int) -> str:
