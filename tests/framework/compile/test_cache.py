@@ -138,6 +138,21 @@ def test_ziglang_is_taken_where_nothing_else_is_found(monkeypatch: pytest.Monkey
     assert find_compiler() == Compiler((sys.executable, "-m", "ziglang", "cc"), "ziglang 0.13")
 
 
+@pytest.mark.parametrize("name", ["gcc", "clang", "ziglang"])
+def test_each_compiler_gives_the_interpreters_numbers(
+    name: str, cache: Path, pendulum: Runner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(compilers, "NAMES", () if name == "ziglang" else (name,))
+    found = find_compiler()
+    if found is None or (name == "ziglang") != ("ziglang" in found.identity):
+        pytest.skip(f"{name} is not installed")
+    compiled, interpreted = pendulum("compiled"), pendulum("interpreted")
+    assert (compiled.engine, compiled.notices) == ("compiled", ())
+    assert len(list(cache.glob("*.so"))) == 1
+    np.testing.assert_allclose(compiled["arm.q"], interpreted["arm.q"], rtol=1e-10)
+
+
 def script(path: Path, text: str) -> Compiler:
     path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
     path.chmod(0o755)
