@@ -64,7 +64,9 @@ class Loop(Peer):
         servo = builder.AddSystem(PidController(kp=loop.K_P, ki=loop.K_I, kd=loop.K_D))
         x = [Variable(f"x_{j}") for j in range(2 * n)]
         losses = [-loop.B[j] * x[n + j] - loop.D[j] * tanh(x[n + j] / loop.v_0) for j in range(n)]
-        friction = builder.AddSystem(SymbolicVectorSystem(input=x, output=losses))
+        # Drake refuses one without states in continuous time, so it gets one that stands still.
+        still = Variable("still")
+        friction = builder.AddSystem(SymbolicVectorSystem(state=[still], input=x, dynamics=[0], output=losses))
         torque = builder.AddSystem(Adder(2, n))
         state = plant.get_state_output_port()
         builder.Connect(state, controller.get_input_port(0))
