@@ -13,8 +13,7 @@ from tests.benchmarks.loop import Array, Loop
 class Peer(ABC):
     """The closed loop in one tool.
 
-    Making an instance builds the model; `run` simulates from the start each time it is called. The first run is a
-    warm-up that is not timed: what a tool compiles, it compiles there.
+    Making an instance builds the model; `run` simulates from the start each time it is called.
 
     Attributes
     ----------
@@ -42,6 +41,10 @@ class Peer(ABC):
     @abstractmethod
     def run(self, seconds: float) -> Array:
         """The joint angles at every sampling instant, (ticks + 1, n) [rad]."""
+
+    def warm(self, seconds: float) -> None:
+        """What is not timed: the compilation that a run of that length needs."""
+        self.run(min(seconds, 1.0))
 
     @classmethod
     def missing(cls) -> str:
