@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+from tests.benchmarks.arrays import Robot as Arrays
 from tests.benchmarks.controller import STATES
 from tests.benchmarks.loop import Loop
 from tests.benchmarks.scalars import Robot, dot, plus, times
 
 
-def functions(loop: Loop) -> tuple[Any, Any, Any, Any]:
+def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
     """The sampled law (t, z, x, gains) -> (dq_c, z after T), the rate (x, dq_c) -> dx, and both states' starts.
 
+    The robot's equations are in arrays, or in scalars, which XLA fuses into few kernels.
     z holds the controller's states in the order of `STATES`, x the servo's and the robot's: (q_c, i, q, dq).
     """
     import jax
@@ -19,7 +21,8 @@ def functions(loop: Loop) -> tuple[Any, Any, Any, Any]:
     import numpy as np
 
     jax.config.update("jax_enable_x64", True)
-    n, T, robot = loop.n, loop.T, Robot(loop, jnp.sin, jnp.cos)
+    n, T = loop.n, loop.T
+    robot: Any = Arrays(loop, jnp) if arrays else Robot(loop, jnp.sin, jnp.cos)
     sizes = [loop.start[name].size for name in STATES]
     ends = np.cumsum(sizes)[:-1].tolist()
     lower = np.concatenate([np.full(sum(sizes[:3]), -np.inf), *(loop.boxes[name][0] for name in STATES[3:])])

@@ -11,6 +11,7 @@ PEERS = (
     "ours_interpreted",
     "cpp_pinocchio",
     "jax_by_hand",
+    "jax_arrays",
     "jaxonomy_blocks",
     "mujoco_callback",
     "drake_diagram",

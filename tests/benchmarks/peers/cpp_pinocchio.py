@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import importlib.util
+import os
+import platform
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 from typing import ClassVar
 
@@ -57,14 +59,21 @@ def numbers(robot: list[dict[str, Array]], loop: Array) -> Array:
     return np.ascontiguousarray(np.concatenate([*rows, loop]))
 
 
-def library(n: int, folder: Path) -> ctypes.CDLL:
-    """loop.cpp, compiled for n joints."""
+def library(n: int) -> ctypes.CDLL:
+    """loop.cpp, compiled for n joints; kept for the next run, since it takes more than a minute."""
     command = compiler()
     if command is None:
         raise RuntimeError("no C++ compiler")
-    file = folder / f"loop_{n}.so"
     include = [part for path in headers() for part in ("-isystem", str(path))]
-    subprocess.run([command, *FLAGS, *LISTS, f"-DJOINTS={n}", *include, str(SOURCE), "-o", str(file)], check=True)
+    line = [command, *FLAGS, *LISTS, f"-DJOINTS={n}", *include, str(SOURCE)]
+    digest = hashlib.sha256("\0".join([*line, platform.processor(), SOURCE.read_text("utf-8")]).encode()).hexdigest()
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dmframe-benchmarks"
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    file = folder / f"{digest[:32]}.so"
+    if not file.exists():
+        new = folder / f"{digest[:32]}.{os.getpid()}"
+        subprocess.run([*line, "-o", str(new)], check=True)
+        new.replace(file)
     return ctypes.CDLL(str(file))
 
 
@@ -79,7 +88,7 @@ class Loop(Peer):
     title: ClassVar[str] = "C++ on Pinocchio"
     package: ClassVar[str] = "pin"
     module: ClassVar[str] = "pinocchio"
-    note: ClassVar[str] = "about a minute of compilation is left out; headers of Pinocchio, Boost and Eigen, g++ -O3"
+    note: ClassVar[str] = "more than a minute of compilation is left out; headers of Pinocchio, Boost and Eigen, g++ -O3"
 
     @classmethod
     def missing(cls) -> str:
@@ -89,8 +98,7 @@ class Loop(Peer):
 
     def build(self) -> None:
         loop = self.loop
-        self.folder = tempfile.TemporaryDirectory()
-        self.library = library(loop.n, Path(self.folder.name))
+        self.library = library(loop.n)
         gain = loop.gains
         self.numbers = numbers(
             loop.links,
