@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any, final
@@ -15,15 +15,14 @@ import numpy as np
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import EngineError, ValueFault
+from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
+from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
 
-CHUNK = 256
-"""Ticks computed in one call; between calls progress is told and Ctrl-C is heard."""
-
-MOST_NUMBERS = 500_000_000
-"""States times ticks that a run keeps; 4 GB."""
+BREATH = 0.05
+"""Progress is told, and Ctrl-C is heard, about this often [s]."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
@@ -90,6 +89,8 @@ def simulate(
     solver: Solver | None = None,
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
+    engine: Choice = "auto",
+    log: Log | None = None,
 ) -> Run:
     """Run a closed loop.
 
@@ -103,6 +104,11 @@ def simulate(
         How the plant is integrated.
     start
         Start values by state name, ``{"q": [...]}``, or ``{"near": [...]}``; see `start_state`.
+    engine
+        ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it. They give the
+        same numbers to rounding. `Run.engine` says which one ran.
+    log
+        What is kept, and how often.
 
     Raises
     ------
@@ -110,48 +116,78 @@ def simulate(
         A start pose that cannot be reached; an integrator that fails at once or a run too long to keep; a time that is
         not above zero.
     """
-    solver = solver or Solver()
+    prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
+    chosen = prepared.engine(engine)
+    return prepared.run(diagram, chosen, start or {}, progress)
+
+
+@final
+@dataclass(frozen=True)
+class Prepared:
+    """All of a run that does not depend on numbers: one serves many sets of parameters and starts."""
+
+    clock: float | None
+    solver: Solver
+    step: Step
+    ticks: int
+    matrices: Sequence[Signal]
+    keeping: Keeping
+
+    def engine(self, choice: Choice, runs: int = 1) -> Engine:
+        """What is to run it, `runs` times."""
+        kept = self.keeping
+        return choose(choice, self.step, self.solver, kept.every, kept.kept, self.ticks * runs)
+
+    def run(self, diagram: Diagram, engine: Engine, start: Mapping[str, Any], progress: Progress | None) -> Run:
+        """Run with the numbers of `diagram`."""
+        step, keeping, loop = self.step, self.keeping, diagram.loop
+        state, p = start_state(diagram, start), loop.p_values
+        notices = (*keeping.notices, *engine.notices, *_stiffness(diagram, step, self.solver, state, p))
+        begin = time.perf_counter()
+        rows, end, done = _march(engine, step, keeping, state, p, self.ticks, progress)
+        times = np.arange(len(rows)) * (keeping.every * step.period)
+        kept = {item.label: rows[:, part] for item, part in keeping.columns}
+        ranked = ranks(self.matrices, kept, times)
+        wall = time.perf_counter() - begin
+        divergence = None
+        variables = (*loop.controller, *loop.plant)
+        if end is End.DIVERGED:
+            row = int(np.flatnonzero(~np.isfinite(state))[0])
+            divergence = _divergence(variables, row, (done + 1) * step.period)
+        elif end is End.FAILED:
+            moment = done * step.period
+            row = _fastest(step, state, moment, p)
+            divergence = _divergence(variables, row, moment, "moves too fast for the integrator")
+        matrices = {matrix.label for matrix in self.matrices}
+        return Run(
+            diagram=diagram,
+            clock=self.clock,
+            duration=self.ticks * step.period,
+            solver=self.solver,
+            time=times,
+            states={i.label: kept[i.label] for i, _ in keeping.columns if isinstance(i, Variable)},
+            outputs={
+                i.label: kept[i.label] for i, _ in keeping.columns if isinstance(i, Signal) and i.label not in matrices
+            },
+            divergence=divergence,
+            interrupted=end is End.STOPPED,
+            wall_time=wall,
+            engine=engine.name,
+            notices=(*notices, *(rank.notice for rank in ranked if rank.notice)),
+            ranks=ranked,
+        )
+
+
+def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: Solver, log: Log) -> Prepared:
+    """Check what is asked, and build the functions of a tick."""
     for name, value in (("duration", duration), ("clock", clock)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
-    loop = diagram.loop
-    matrices = watched(diagram)
-    recorded = [*_recorded(diagram), *matrices]
-    _check_length(duration / (solver.output if clock is None else clock), loop.state.numel())
-    step = build_step(loop, clock, solver, stack(signal.expression for signal in recorded))
-    state, p = start_state(diagram, start or {}), loop.p_values
-    notices = _stiffness(diagram, step, solver, state, p)
+    matrices, plain = watched(diagram), _recorded(diagram)
+    recorded = [*plain, *matrices]
+    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in recorded))
     ticks = max(1, round(duration / step.period))
-    begin = time.perf_counter()
-    history, end = _march(step, state, p, ticks, progress)
-    count = _finite(history)
-    times = np.arange(count) * step.period
-    outputs = _outputs(step, history[:, :count], times, p, recorded)
-    ranked = ranks(matrices, {signal.label: outputs.pop(signal.label) for signal in matrices}, times)
-    wall = time.perf_counter() - begin
-    variables = (*loop.controller, *loop.plant)
-    divergence = None
-    if count < history.shape[1]:
-        row = int(np.flatnonzero(~np.isfinite(history[:, count]))[0])
-        divergence = _divergence(variables, row, count * step.period)
-    elif end is End.FAILED:
-        row = _fastest(step, history[:, -1], times[-1], p)
-        divergence = _divergence(variables, row, float(times[-1]), "moves too fast for the integrator")
-    return Run(
-        diagram=diagram,
-        clock=clock,
-        duration=ticks * step.period,
-        solver=solver,
-        time=times,
-        states=_split(variables, history[:, :count]),
-        outputs=outputs,
-        divergence=divergence,
-        interrupted=end is End.STOPPED,
-        wall_time=wall,
-        engine="interpreted",
-        notices=(*notices, *(rank.notice for rank in ranked if rank.notice)),
-        ranks=ranked,
-    )
+    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
 
 
 def _recorded(diagram: Diagram) -> list[Signal]:
@@ -171,61 +207,47 @@ class End(Enum):
     """How the march through the ticks ended."""
 
     DONE = "done"
+    DIVERGED = "left the finite numbers"
     STOPPED = "stopped by Ctrl-C"
     FAILED = "the integrator failed"
 
 
-def _check_length(ticks: float, states: int) -> None:
-    if ticks * max(states, 1) > MOST_NUMBERS:
-        raise EngineError(
-            f"duration: a run of {ticks:.3g} ticks with {states} states is too long to keep, "
-            f"expected at most {MOST_NUMBERS // max(states, 1)} ticks; run a shorter time or take a slower clock",
-            path=("duration",),
-        )
-
-
 def _march(
-    step: Step, state: np.ndarray, p: np.ndarray, ticks: int, progress: Progress | None
-) -> tuple[np.ndarray, End]:
-    """States at every tick, (size, ticks + 1), cut short where they stop being finite or at Ctrl-C."""
-    history = np.empty((state.size, ticks + 1), order="F")
-    history[:, 0] = state
-    done, chunks = 0, dict[int, Any]()
+    engine: Engine,
+    step: Step,
+    keeping: Keeping,
+    state: np.ndarray,
+    p: np.ndarray,
+    ticks: int,
+    progress: Progress | None,
+) -> tuple[np.ndarray, End, int]:
+    """What is kept, a row an instant, how it ended, and how many ticks are done; `state` is moved along."""
+    every = keeping.every
+    rows = np.empty((keeping.rows(ticks), keeping.kept.size))
+    done, size, end = 0, CHUNK, End.DONE
+    before = (0, state.copy())  # a chunk's number and state together: Ctrl-C may come between any two lines
     try:
         while done < ticks:
-            size = min(CHUNK, ticks - done)
-            if size not in chunks:
-                chunks[size] = step.tick.mapaccum(f"ticks_{size}", size)
-            many = chunks[size](history[:, done], np.arange(done, done + size)[None, :], p)
-            history[:, done + 1 : done + size + 1] = many.full()
-            done += size
+            begin, wanted = time.perf_counter(), min(size, ticks - done)
+            reached = engine.advance(state, p, done, wanted, rows[-(-done // every) :])
+            if reached < wanted:
+                return rows[: keeping.rows(done + reached)], End.DIVERGED, done + reached
+            before = (done + wanted, state.copy())
+            done = before[0]
             if progress is not None:
                 progress(done * step.period)
-            if not np.all(np.isfinite(history[:, done])):
-                break
+            if engine.elastic:
+                size = max(1, round(size * min(8.0, BREATH / max(time.perf_counter() - begin, 1e-9))))
     except KeyboardInterrupt:
-        return history[:, : done + 1], End.STOPPED
-    except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
-        done = _march_singly(step, history, done, p)
+        (done, state), end = before, End.STOPPED
+    except Stuck as stuck:
+        done += stuck.done
         if done == 0:
-            raise EngineError(f"solver: the integrator failed in the first tick: {_last_line(error)}") from None
-        return history[:, : done + 1], End.FAILED
-    return history[:, : done + 1], End.DONE
-
-
-def _march_singly(step: Step, history: np.ndarray, done: int, p: np.ndarray) -> int:
-    """Go again through the ticks of a chunk that failed, up to the one that cannot be computed."""
-    while done + 1 < history.shape[1]:
-        try:
-            history[:, done + 1] = step.tick(history[:, done], done, p).full().ravel()
-        except RuntimeError:
-            break
-        done += 1
-    return done
-
-
-def _last_line(error: RuntimeError) -> str:
-    return str(error).strip().splitlines()[-1]
+            raise EngineError(f"solver: the integrator failed in the first tick: {stuck}") from None
+        end = End.FAILED
+    if done % every == 0:
+        engine.advance(state, p, done, 0, rows[done // every :])
+    return rows[: keeping.rows(done)], end, done
 
 
 def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
@@ -236,42 +258,12 @@ def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
     return first + int(np.argmax(np.nan_to_num(speed, nan=np.inf)))
 
 
-def _finite(history: np.ndarray) -> int:
-    """How many leading columns are finite."""
-    bad = np.flatnonzero(~np.all(np.isfinite(history), axis=0))
-    return int(bad[0]) if bad.size else history.shape[1]
-
-
 def _divergence(variables: tuple[Variable, ...], row: int, time: float, how: str = Divergence.how) -> Divergence:
     for variable in variables:
         if row < variable.symbol.numel():
             return Divergence(variable.block, variable.name, row, time, how)
         row -= variable.symbol.numel()
     raise EngineError("a state outside the diagram diverged")
-
-
-def _split(items: tuple[Variable, ...] | list[Signal], rows: np.ndarray) -> dict[str, np.ndarray]:
-    parts, first = dict[str, np.ndarray](), 0
-    for item in items:
-        size = (item.symbol if isinstance(item, Variable) else item.expression).numel()
-        parts[item.label] = rows[first : first + size].T
-        first += size
-    return parts
-
-
-def _outputs(
-    step: Step, history: np.ndarray, times: np.ndarray, p: np.ndarray, recorded: list[Signal]
-) -> dict[str, np.ndarray]:
-    """Outputs at every tick, from the recorded states and the same equations."""
-    rows = np.empty((step.outputs.size1_out(0), times.size), order="F")
-    mapped = dict[int, Any]()
-    for first in range(0, times.size, CHUNK):
-        part = slice(first, min(first + CHUNK, times.size))
-        size = part.stop - part.start
-        if size not in mapped:
-            mapped[size] = step.outputs.map(size)
-        rows[:, part] = mapped[size](history[:, part], times[None, part], np.tile(p[:, None], size)).full()
-    return _split(recorded, rows)
 
 
 def _stiffness(diagram: Diagram, step: Step, solver: Solver, state: np.ndarray, p: np.ndarray) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from typing import Any, Literal, final, get_args
 import casadi as ca
 
 from dmframe.certificate import SX
+from dmframe.compile.parts import Parts
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.errors import EngineError, ValueFault
@@ -73,6 +74,8 @@ class Step:
 
     Parameters
     ----------
+    parts
+        What the tick is made of.
     tick
         (state, k, p) -> state at (k + 1) T; the state holds the controller's part first.
     outputs
@@ -85,6 +88,7 @@ class Step:
         Integrator steps in a tick.
     """
 
+    parts: Parts
     tick: Any
     outputs: Any
     rate: Any
@@ -96,21 +100,37 @@ def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: 
     """The tick of a closed loop on a clock, or in continuous time where `clock` is None."""
     period = clock if clock is not None else solver.output
     substeps = _substeps(period, solver)
-    trajectory = _trajectory(loop)
-    outputs = _function("outputs", loop, [loop.state], [recorded])
-    measured = _plant_rate(loop)
-    if clock is None:
-        tick = _continuous_tick(loop, trajectory, solver, period, substeps)
-    else:
-        tick = _sampled_tick(loop, trajectory, solver, period, substeps)
+    parts = build_parts(loop, clock, recorded)
+    measured = _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
     state, t, p = _symbols(loop)
-    w = trajectory(t, p)
+    w = parts.trajectory(t, p)
     return Step(
-        tick=tick,
-        outputs=ca.Function("recorded", [state, t, p], [outputs(state, w, p)]),
+        parts=parts,
+        tick=_tick(parts, solver, period, substeps),
+        outputs=ca.Function("recorded", [state, t, p], [parts.outputs(state, w, p)]),
         rate=ca.Function("rate", [state, t, p], [measured(state, w, p)]),
         period=period,
         substeps=substeps,
+    )
+
+
+def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
+    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is commanded."""
+    every, sampled = (*loop.controller, *loop.plant), clock is not None
+    integrated = stack(v.symbol for v in (loop.plant if sampled else every))
+    held, command = columns([leaf for leaf in loop.crossings if sampled and leaf.side is Side.CONTROLLER])
+    advanced = stack(variable.rate for variable in loop.controller if sampled)
+    if sampled:
+        rate = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
+    else:
+        rate = project(loop, loop.joined([stack(variable.rate for variable in every)]))
+    _, meanings = columns(loop.trajectories)
+    return Parts(
+        trajectory=ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)]),
+        control=_function("control", loop, [loop.state], [advanced, command]),
+        rate=ca.Function("plant", [integrated, held, _signals(loop), loop.p], ca.cse(rate)),
+        outputs=_function("outputs", loop, [loop.state], [recorded]),
+        clip=_clip(loop),
     )
 
 
@@ -159,15 +179,6 @@ def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> 
     return expressions
 
 
-def _trajectory(loop: ClosedLoop) -> Any:
-    _, meanings = columns(loop.trajectories)
-    return ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)])
-
-
-def _plant_rate(loop: ClosedLoop) -> Any:
-    return _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
-
-
 def _clip(loop: ClosedLoop) -> Any:
     """(state, p) -> the state projected onto its boxes."""
     state, inside = loop.state, loop.state
@@ -177,51 +188,25 @@ def _clip(loop: ClosedLoop) -> Any:
     return ca.Function("clip", [state, loop.p], [inside])
 
 
-def _sampled_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: float, substeps: int) -> Any:
-    z, x = stack(v.symbol for v in loop.controller), stack(v.symbol for v in loop.plant)
-    commands = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
-    held, command = columns(commands)
-    rates = stack(variable.rate for variable in loop.controller)
-    control = _function("control", loop, [loop.state], [rates, command])
-    rate = _held_rate(loop, x, held)
-    state, k = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("k")
-    p = ca.MX.sym("p", loop.p.numel())
+def _tick(parts: Parts, solver: Solver, period: float, substeps: int) -> Any:
+    """(state, k, p) -> the state one tick later, for the interpreter."""
+    state, k = ca.MX.sym("state", parts.control.numel_in(0)), ca.MX.sym("k")
+    p = ca.MX.sym("p", parts.control.numel_in(2))
     t = k * period
-    dz, u = control(state, trajectory(t, p), p)
-    advanced = state[: z.numel()] + period * dz
-    plant = state[z.numel() :]
-    plant = _integrate(rate, plant, t, u, p, trajectory, solver, period, substeps)
-    return ca.Function("tick", [state, k, p], [_clip(loop)(ca.vertcat(advanced, plant), p)])
+    dz, u = parts.control(state, parts.trajectory(t, p), p)
+    z, x = ca.vertsplit(state, [0, dz.numel(), state.numel()])
+    x = _integrate(parts, x, t, u, p, solver, period, substeps)
+    return ca.Function("tick", [state, k, p], [parts.clip(ca.vertcat(z + period * dz, x), p)])
 
 
-def _continuous_tick(loop: ClosedLoop, trajectory: Any, solver: Solver, period: float, substeps: int) -> Any:
-    rates = [stack(variable.rate for variable in (*loop.controller, *loop.plant))]
-    field = _function("field", loop, [loop.state], rates)
-    state, k = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("k")
-    p, none = ca.MX.sym("p", loop.p.numel()), ca.MX.sym("none", 0)
-    w = ca.MX.sym("w", field.size1_in(1))
-    rate = ca.Function("rate", [state, none, w, p], [field(state, w, p)])
-    after = _integrate(rate, state, k * period, ca.MX(0, 1), p, trajectory, solver, period, substeps)
-    return ca.Function("tick", [state, k, p], [_clip(loop)(after, p)])
-
-
-def _held_rate(loop: ClosedLoop, x: SX, held: SX) -> Any:
-    """(x, u, w, p) -> the plant's rate under held commands."""
-    rates = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
-    return ca.Function("plant", [x, held, _signals(loop), loop.p], ca.cse(rates))
-
-
-def _integrate(
-    rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float, substeps: int
-) -> Any:
+def _integrate(parts: Parts, x: Any, t: Any, u: Any, p: Any, solver: Solver, period: float, substeps: int) -> Any:
     if solver.method == "cvodes":
-        return _cvodes(rate, x, t, u, p, trajectory, solver, period)
-    h = period / substeps
-    moved = rate.jac_sparsity(0, 2).nnz() > 0  # do trajectories act on what is integrated?
-    still = ca.MX.zeros(rate.size1_in(2))
+        return _cvodes(parts, x, t, u, p, solver, period)
+    h, moved = period / substeps, parts.moved
+    still = ca.MX.zeros(parts.rate.size1_in(2))
 
     def at(x: Any, t: Any) -> Any:
-        return rate(x, u, trajectory(t, p) if moved else still, p)
+        return parts.rate(x, u, parts.trajectory(t, p) if moved else still, p)
 
     for j in range(substeps):
         now = t + j * h
@@ -233,13 +218,14 @@ def _integrate(
     return x
 
 
-def _cvodes(rate: Any, x: Any, t: Any, u: Any, p: Any, trajectory: Any, solver: Solver, period: float) -> Any:
+def _cvodes(parts: Parts, x: Any, t: Any, u: Any, p: Any, solver: Solver, period: float) -> Any:
     if not ca.has_integrator("cvodes"):
         raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose method: rk4")
+    rate = parts.rate
     state, since = ca.MX.sym("x", rate.size1_in(0)), ca.MX.sym("since")
     held = ca.MX.sym("held", rate.size1_in(1) + 1 + p.numel())
     commands, start, numbers = ca.vertsplit(held, [0, rate.size1_in(1), rate.size1_in(1) + 1, held.numel()])
-    ode = rate(state, commands, trajectory(start + since, numbers), numbers)
+    ode = rate(state, commands, parts.trajectory(start + since, numbers), numbers)
     problem = {"x": state, "t": since, "p": held, "ode": ode}
     options = {"reltol": solver.tolerance, "abstol": solver.tolerance * 1e-3, "max_num_steps": 10_000}
     integrator = ca.integrator("integrator", "cvodes", problem, 0, period, options)

@@ -1,0 +1,87 @@
+"""A compiled loop in this process."""
+
+from __future__ import annotations
+
+import ctypes
+import tempfile
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any, final
+
+from dmframe.compile.cache import CompileFailed, built, cache_folder, find, key_of, make
+from dmframe.compile.compiler import Compiler, find_compiler
+
+NONE = (
+    "no C compiler was found ($CC, cc, gcc, clang, or the package ziglang): the run is interpreted, with the same "
+    "numbers to rounding, some thirty times slower"
+)
+
+
+@final
+@dataclass(frozen=True)
+class Loaded:
+    """A library, or why there is none; `notice` may also tell of a cache that cannot be used."""
+
+    library: ctypes.CDLL | None
+    notice: str | None = None
+
+
+def load(source: str) -> Loaded:
+    """The library of a C source: from the cache, or compiled now."""
+    compiler = find_compiler()
+    return Loaded(None, NONE) if compiler is None else _loaded(source, compiler, cache_folder())
+
+
+def first_time(notice: str) -> bool:
+    """Has this process not told that yet?"""
+    told = _told()
+    fresh = notice not in told
+    told.add(notice)
+    return fresh
+
+
+@cache
+def _told() -> set[str]:
+    return set()
+
+
+@lru_cache(maxsize=32)
+def _loaded(source: str, compiler: Compiler, folder: Path) -> Loaded:
+    key = key_of(source, compiler)
+    entry = find(folder, key)
+    if entry is not None and (library := _opened(entry)) is not None:
+        return Loaded(library)
+    try:
+        return Loaded(_opened(make(folder, key, source, compiler)))
+    except (OSError, CompileFailed) as error:
+        return _without_cache(source, compiler, folder, error)
+
+
+def _opened(entry: Path) -> ctypes.CDLL | None:
+    """The library; None where it has just been evicted, or does not fit this system."""
+    try:
+        return ctypes.CDLL(str(entry))
+    except OSError:
+        entry.unlink(missing_ok=True)
+        return None
+
+
+def _without_cache(source: str, compiler: Compiler, folder: Path, why: Exception) -> Loaded:
+    """Compile for this process alone: the system keeps what is loaded, even when its file is gone."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="dmframe-") as place:
+            library = ctypes.CDLL(str(built(Path(place), source, compiler)))
+    except (OSError, CompileFailed) as error:
+        return Loaded(
+            None, f"the compiled engine is not available: {error}; the run is interpreted, some thirty times slower"
+        )
+    reason = getattr(why, "strerror", None) or str(why)
+    return Loaded(
+        library, f"the cache {folder} cannot be used ({str(reason).lower()}): compiled for this process alone"
+    )
+
+
+def address(array: Any) -> ctypes.c_void_p:
+    """Where an array's numbers lie."""
+    return ctypes.c_void_p(array.ctypes.data)

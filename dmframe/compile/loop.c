@@ -1,0 +1,65 @@
+/* A run in plain C: the sampled controller over the plant, or everything in continuous time (then DM_Z is 0).
+   Above this stand the sizes DM_Z ... and the closed loop's own functions dm_constants, dm_trajectory, dm_sample, dm_rate,
+   dm_clip. Arrays have one element more than they need, as C knows no empty ones. Nothing here allocates memory. */
+
+typedef struct {
+  double z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
+} dm_work;
+
+/* dx at time t, commands held. */
+static void dm_slope(double t, const double *x, const double *p, dm_work *k, double *dx) {
+  if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
+  dm_rate(x, k->u, k->w, p, k->c, dx);
+}
+
+/* x from t to t + T by classical Runge-Kutta. */
+static void dm_integrate(double *x, double t, double h, int64_t substeps, const double *p, dm_work *k) {
+  double k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
+  for (int64_t j = 0; j < substeps; j++) {
+    const double now = t + (double)j * h;
+    dm_slope(now, x, p, k, k1);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
+    dm_slope(now + h / 2, at, p, k, k2);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k2[i];
+    dm_slope(now + h / 2, at, p, k, k3);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
+    dm_slope(now + h, at, p, k, k4);
+    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+  }
+}
+
+static void dm_log(const double *state, const dm_work *k, const int64_t *kept, int64_t columns, double *row) {
+  for (int64_t j = 0; j < columns; j++)
+    row[j] = kept[j] < DM_Z + DM_X ? state[kept[j]] : k->y[kept[j] - (DM_Z + DM_X)];
+}
+
+/* Ticks first to first + ticks - 1. Of every `every`th one, at its start, the `kept` numbers of (state, outputs) go to a
+   row of `log`. Returns how many ticks ended with a finite state; the state is left where the last one led. With no
+   ticks at all, the row of `first` is written. */
+DM_EXPORT int64_t dm_run(double *state, const double *p, double period, int64_t substeps, int64_t first, int64_t ticks,
+                         int64_t every, const int64_t *kept, int64_t columns, double *log) {
+  dm_work k;
+  dm_constants(p, k.c);
+  if (ticks == 0) {
+    const double t = (double)first * period;
+    dm_trajectory(&t, p, k.c, k.w);
+    dm_sample(state, k.w, p, k.c, k.z, k.u, k.y);
+    dm_log(state, &k, kept, columns, log);
+  }
+  for (int64_t n = 0; n < ticks; n++) {
+    const double t = (double)(first + n) * period;
+    dm_trajectory(&t, p, k.c, k.w);
+    dm_sample(state, k.w, p, k.c, k.z, k.u, k.y);
+    if ((first + n) % every == 0) {
+      dm_log(state, &k, kept, columns, log);
+      log += columns;
+    }
+    for (int i = 0; i < DM_Z; i++) state[i] += period * k.z[i];
+    dm_integrate(state + DM_Z, t, period / (double)substeps, substeps, p, &k);
+    dm_clip(state, p, k.c, state);
+    int finite = 1;
+    for (int i = 0; i < DM_Z + DM_X; i++) finite &= fabs(state[i]) <= DBL_MAX;
+    if (!finite) return n;
+  }
+  return ticks;
+}
