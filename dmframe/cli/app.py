@@ -94,13 +94,14 @@ def run(
     ] = None,
     overrides: Overrides = [],  # noqa: B006
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; new or empty.")] = None,
+    engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """Simulate graphs and write signals, figures and a summary; several graphs are overlaid in one figure."""
     from dmframe.cli.run import run_graphs
 
-    return run_graphs(graph, overrides, until=until, out=out, plots=not no_plots, as_json=as_json)
+    return run_graphs(graph, overrides, until=until, out=out, engine=engine, plots=not no_plots, as_json=as_json)
 
 
 @app.command()

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import typer
 from rich.console import Console
@@ -19,9 +19,10 @@ from rich.table import Table
 from dmframe.cli import STOPPED
 from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
-from dmframe.errors import DmframeError, Faults, ValueFault
+from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
 from dmframe.results import Result, reserve, write_run
 from dmframe.simulate import Run, simulate
+from dmframe.simulate.engine import Choice
 from dmframe.units import plain, to_unit
 
 DIVERGED = 1
@@ -33,6 +34,7 @@ def run_graphs(
     *,
     until: str | None,
     out: Path | None,
+    engine: str,
     plots: bool,
     as_json: bool,
 ) -> int:
@@ -40,13 +42,14 @@ def run_graphs(
 
     At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
     """
+    choice = _engine(engine)
     graphs = [_loaded(name, overrides, alone=len(names) == 1) for name in names]
     if until is not None:
         duration = _seconds(until)
         graphs = [graph.with_duration(duration) for graph in graphs]
     diagrams = [graph.diagram() for graph in graphs]  # faults of every graph are told before the first runs
     folder = reserve(out or _default_folder(graphs))
-    results, interrupted = _simulate_all(graphs, diagrams, as_json)
+    results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
     if not results:
         return STOPPED
     _say(f"writing {folder}", as_json)
@@ -71,12 +74,14 @@ def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
         raise
 
 
-def _simulate_all(graphs: Sequence[Graph], diagrams: Sequence[Any], as_json: bool) -> tuple[list[Result], bool]:
+def _simulate_all(
+    graphs: Sequence[Graph], diagrams: Sequence[Any], engine: Choice, as_json: bool
+) -> tuple[list[Result], bool]:
     results = list[Result]()
     try:
         with _progress(as_json) as bar:
             for graph, diagram in zip(graphs, diagrams, strict=True):
-                results.append(Result(graph, _run(graph, diagram, bar)))
+                results.append(Result(graph, _run(graph, diagram, engine, bar)))
                 if results[-1].run.interrupted:
                     return results, True
     except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet
@@ -104,6 +109,13 @@ def _seconds(until: str) -> float:
     return duration
 
 
+def _engine(name: str) -> Choice:
+    for choice in get_args(Choice):
+        if name == choice:
+            return cast(Choice, choice)
+    raise UnknownNameError(f"--engine {name}", "engine", name, get_args(Choice))
+
+
 def _number(text: str) -> str | float:
     try:
         return float(text)
@@ -128,7 +140,7 @@ def _progress(as_json: bool) -> Progress:
     )
 
 
-def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
+def _run(graph: Graph, diagram: Any, engine: Choice, bar: Progress) -> Run:
     task = bar.add_task(graph.name, total=graph.file.duration, speed="")
 
     def done(time: float) -> None:
@@ -137,7 +149,16 @@ def _run(graph: Graph, diagram: Any, bar: Progress) -> Run:
 
     file = graph.file
     try:
-        return simulate(diagram, file.duration, clock=file.clock, solver=graph.solver, start=graph.start, progress=done)
+        return simulate(
+            diagram,
+            file.duration,
+            clock=file.clock,
+            solver=graph.solver,
+            start=graph.start,
+            progress=done,
+            engine=engine,
+            log=graph.log,
+        )
     except DmframeError as error:
         raise placed(error, graph.document, graph.overrides) from None
 

@@ -2,6 +2,6 @@
 
 from dmframe.compile.library import Loaded, first_time, load
 from dmframe.compile.parts import Parts
-from dmframe.compile.source import loop_source
+from dmframe.compile.source import control_source, loop_source
 
-__all__ = ["Loaded", "Parts", "first_time", "load", "loop_source"]
+__all__ = ["Loaded", "Parts", "control_source", "first_time", "load", "loop_source"]

@@ -1,9 +1,9 @@
 """Compiled libraries, kept by the content of what they were compiled from.
 
 An entry is one file, ``<key>-<digest>.so``: the key says from what it was made (source, flags, compiler, processor),
-the digest what it holds. It is made in a folder of its own beside its place, and renamed when it is whole; so nothing that
-happens to a process at any moment can leave a broken entry, and several may make the same at once. One whose content is
-not what its name says, or which belongs to somebody else, is thrown away and made again.
+the digest what it holds. It is made in a folder of its own beside its place, and renamed when it is whole; so nothing
+that happens to a process at any moment can leave a broken entry, and several may make the same at once. One whose
+content is not what its name says, or which belongs to somebody else, is thrown away and made again.
 """
 
 from __future__ import annotations

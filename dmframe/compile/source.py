@@ -64,13 +64,25 @@ def loop_source(parts: Parts) -> str:
     """
     functions, constants = _prepared(parts)
     sizes = {**parts.sizes, "C": constants.numel_out(0), "MOVED": int(parts.moved)}
+    return _assembled(sizes, [constants, *functions], "loop.c")
+
+
+def control_source(control: Any) -> tuple[str, int]:
+    """The C of one step of a controller, (z, measured, t, T, p) -> (z', u), and how many constants follow from p."""
+    inputs = [ca.SX.sym(f"i{k}", control.numel_in(k)) for k in range(5)]
+    (step,), constants = split({"control": (inputs[:4], control(*inputs))}, inputs[4])
+    sizes = {"Z": control.numel_out(0)}
+    return _assembled(sizes, [constants, step], "control.c"), constants.numel_out(0)
+
+
+def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str) -> str:
     return "\n".join(
         [
             shipped("arithmetic.h"),
             *(f"#define DM_{name} {size}" for name, size in sizes.items()),
             '#define DM_EXPORT __attribute__((visibility("default")))',
-            *(written(f) for f in (constants, *functions)),
-            shipped("loop.c"),
+            *(written(f) for f in functions),
+            shipped(frame),
         ]
     )
 

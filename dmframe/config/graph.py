@@ -16,7 +16,7 @@ from dmframe.config.document import Document, read_file
 from dmframe.config.overrides import overridden, target
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
-from dmframe.simulate import Solver
+from dmframe.simulate import Log, Solver
 from dmframe.simulate.step import Method
 from dmframe.units import to_unit
 
@@ -107,6 +107,16 @@ class SolverSection(_Section):
 
 
 @final
+class LogSection(_Section):
+    """What a run keeps."""
+
+    every: Seconds | None = Field(
+        None, description="time between instants that are kept; without it every tick, fewer of a very long run"
+    )
+    signals: tuple[str, ...] | None = Field(None, description="block.signal of those that are kept; without it, all")
+
+
+@final
 class GraphFile(_Section):
     """The keys of a graph file."""
 
@@ -121,6 +131,7 @@ class GraphFile(_Section):
     duration: Seconds = Field(description="simulated time")
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()
+    log: LogSection = LogSection()
     blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
     wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
     uncertain: dict[str, Any] = Field(
@@ -155,6 +166,11 @@ class Graph:
         """The solver that the file asks for."""
         section = self.file.solver
         return Solver(section.method, section.step, section.output, section.tolerance)
+
+    @property
+    def log(self) -> Log:
+        """What the file asks to be kept."""
+        return Log(self.file.log.every, self.file.log.signals)
 
     def diagram(self) -> Diagram:
         """Wire and flatten it; faults carry their place in the file."""
@@ -379,5 +395,6 @@ def _keys(path: tuple[str | int, ...]) -> list[str]:
         (): GraphFile,
         ("robot",): RobotSection,
         ("solver",): SolverSection,
+        ("log",): LogSection,
     }
     return list(sections[path].model_fields) if path in sections else []

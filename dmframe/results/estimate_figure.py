@@ -22,7 +22,9 @@ def estimate_figure(name: str, run: Run) -> Any:
 
     Of many elements those that move most are named, the others stay grey, and those that never move are left out.
     """
-    shown = [variable for variable in run.diagram.loop.controller if is_estimate(variable)]
+    shown = [
+        variable for variable in run.diagram.loop.controller if is_estimate(variable) and variable.label in run.states
+    ]
     if not shown:
         return None
     with styled():

@@ -26,6 +26,9 @@ def resolved(graph: Graph) -> dict[str, Any]:
     if graph.start:
         data["start"] = _plain(graph.start)
     data["solver"] = _plain(file.solver.model_dump())
+    log = _plain(file.log.model_dump(exclude_none=True))
+    if log:
+        data["log"] = log
     names = _file_names(graph)
     data["blocks"] = {}
     for name, block in graph.blocks.items():

@@ -78,12 +78,50 @@ def ranks(matrices: Sequence[Signal], columns: Mapping[str, np.ndarray], times: 
         if not good.any():
             continue
         rows, width = signal.expression.shape
-        singular = np.linalg.svd(values[good].reshape(-1, width, rows).transpose(0, 2, 1), compute_uv=False)
-        # a wide matrix of rank below its rows has a zero among its first `rows` singular values; a tall one always
-        least = singular[:, -1] if rows <= width else np.zeros(len(singular))
-        share = np.divide(least, singular[:, 0], out=np.zeros(len(singular)), where=singular[:, 0] > 0)
+        share, least = _shares(values[good].reshape(-1, width, rows).transpose(0, 2, 1))
         k, near = int(np.argmin(share)), np.flatnonzero(share < NEAR)
         moments = times[good]
         since = float(moments[near[0]]) if near.size else None
-        found.append(Rank(signal.label, signal.unit, float(least[k]), float(moments[k]), float(share[k]), since))
+        found.append(Rank(signal.label, signal.unit, least, float(moments[k]), float(share[k]), since))
     return tuple(found)
+
+
+def _shares(matrices: np.ndarray) -> tuple[np.ndarray, float]:
+    """Smallest over largest singular value of each matrix, and the smallest singular value where that is least.
+
+    Only near the least one, and near the limit, is a decomposition needed; elsewhere an estimate will do.
+    """
+    rows, width = matrices.shape[1:]
+    if rows > width:  # it never has full row rank
+        return np.zeros(len(matrices)), 0.0
+    guess = _guess(matrices)
+    unsure = ~((guess > np.nanmin(guess, initial=np.inf) + _DOUBT) & (np.abs(guess - NEAR**2) > _DOUBT))
+    exact = np.linalg.svd(matrices[unsure], compute_uv=False)
+    share = np.sqrt(np.maximum(guess, 0))
+    share[unsure] = np.divide(exact[:, -1], exact[:, 0], out=np.zeros(len(exact)), where=exact[:, 0] > 0)
+    places = np.flatnonzero(unsure)
+    return share, float(exact[np.searchsorted(places, np.argmin(share)), -1])
+
+
+_DOUBT = 1e-6
+"""An estimate of a squared share is wrong by less."""
+
+
+def _guess(matrices: np.ndarray) -> np.ndarray:
+    """Squared shares from the closed form of a symmetric matrix's eigenvalues, up to 3 rows; nan for others."""
+    rows = matrices.shape[1]
+    size = np.max(np.abs(matrices), axis=(1, 2), initial=0.0)
+    scaled = matrices / np.where(size > 0, size, 1.0)[:, None, None]
+    gram = scaled @ scaled.transpose(0, 2, 1)
+    if rows == 1:
+        return np.ones(len(gram)) * np.where(size > 0, 1.0, np.nan)
+    if rows > 3:
+        return np.full(len(gram), np.nan)
+    middle = np.trace(gram, axis1=1, axis2=2) / rows
+    rest = gram - middle[:, None, None] * np.eye(rows)
+    spread = np.sqrt(np.einsum("kij,kij->k", rest, rest) / (rows * (rows - 1)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        angle = np.arccos(np.clip(np.linalg.det(rest / spread[:, None, None]) / 2, -1, 1)) / 3 if rows == 3 else 0.0
+        least = middle + 2 * spread * np.cos(angle + 2 * np.pi / 3) if rows == 3 else middle - spread
+        most = middle + 2 * spread * np.cos(angle) if rows == 3 else middle + spread
+        return np.asarray(np.where(spread > 1e-6, least / most, np.nan))

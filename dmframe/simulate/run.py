@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from enum import Enum
+from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
@@ -18,11 +20,14 @@ from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
-from dmframe.simulate.start import start_state
+from dmframe.simulate.start import Made, start_state
 from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
 
 BREATH = 0.05
 """Progress is told, and Ctrl-C is heard, about this often [s]."""
+
+MOST_TICKS = 10_000_000_000
+"""Some hours of computing for a small loop."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
@@ -132,48 +137,72 @@ class Prepared:
     ticks: int
     matrices: Sequence[Signal]
     keeping: Keeping
+    starts: Made = field(default_factory=dict)
+
+    @cached_property
+    def jacobian(self) -> Any:
+        """Of the plant's rate."""
+        return self.step.rate.jacobian()
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
         """What is to run it, `runs` times."""
         kept = self.keeping
         return choose(choice, self.step, self.solver, kept.every, kept.kept, self.ticks * runs)
 
-    def run(self, diagram: Diagram, engine: Engine, start: Mapping[str, Any], progress: Progress | None) -> Run:
-        """Run with the numbers of `diagram`."""
-        step, keeping, loop = self.step, self.keeping, diagram.loop
-        state, p = start_state(diagram, start), loop.p_values
-        notices = (*keeping.notices, *engine.notices, *_stiffness(diagram, step, self.solver, state, p))
+    def run(
+        self,
+        diagram: Diagram,
+        engine: Engine,
+        start: Mapping[str, Any],
+        progress: Progress | None = None,
+        guard: AbstractContextManager[Any] | None = None,
+    ) -> Run:
+        """Run with the numbers of `diagram`; `guard` is entered where CasADi's expressions are used."""
+        guard = guard or nullcontext()
+        with guard:
+            state, p = start_state(diagram, start, self.starts), diagram.loop.p_values
+            stiff = _stiffness(diagram, self.step, self.jacobian, self.solver, state, p)
         begin = time.perf_counter()
-        rows, end, done = _march(engine, step, keeping, state, p, self.ticks, progress)
-        times = np.arange(len(rows)) * (keeping.every * step.period)
-        kept = {item.label: rows[:, part] for item, part in keeping.columns}
-        ranked = ranks(self.matrices, kept, times)
+        rows, end, done = _march(engine, self.step, self.keeping, state, p, self.ticks, progress)
         wall = time.perf_counter() - begin
-        divergence = None
-        variables = (*loop.controller, *loop.plant)
-        if end is End.DIVERGED:
-            row = int(np.flatnonzero(~np.isfinite(state))[0])
-            divergence = _divergence(variables, row, (done + 1) * step.period)
-        elif end is End.FAILED:
-            moment = done * step.period
-            row = _fastest(step, state, moment, p)
-            divergence = _divergence(variables, row, moment, "moves too fast for the integrator")
-        matrices = {matrix.label for matrix in self.matrices}
+        with guard:
+            return self._told(
+                diagram, engine, rows, _divergence(diagram, self.step, end, done, state, p), end, wall, stiff
+            )
+
+    def _told(
+        self,
+        diagram: Diagram,
+        engine: Engine,
+        rows: np.ndarray,
+        divergence: Divergence | None,
+        end: End,
+        wall: float,
+        stiff: tuple[str, ...],
+    ) -> Run:
+        times = np.arange(len(rows)) * (self.keeping.every * self.step.period)
+        items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
+        ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
+        for matrix in self.matrices:
+            del items[matrix.label]
         return Run(
             diagram=diagram,
             clock=self.clock,
-            duration=self.ticks * step.period,
+            duration=self.ticks * self.step.period,
             solver=self.solver,
             time=times,
-            states={i.label: kept[i.label] for i, _ in keeping.columns if isinstance(i, Variable)},
-            outputs={
-                i.label: kept[i.label] for i, _ in keeping.columns if isinstance(i, Signal) and i.label not in matrices
-            },
+            states={label: values for label, (item, values) in items.items() if isinstance(item, Variable)},
+            outputs={label: values for label, (item, values) in items.items() if isinstance(item, Signal)},
             divergence=divergence,
             interrupted=end is End.STOPPED,
             wall_time=wall,
             engine=engine.name,
-            notices=(*notices, *(rank.notice for rank in ranked if rank.notice)),
+            notices=(
+                *self.keeping.notices,
+                *engine.notices,
+                *stiff,
+                *(rank.notice for rank in ranked if rank.notice),
+            ),
             ranks=ranked,
         )
 
@@ -186,6 +215,12 @@ def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: S
     matrices, plain = watched(diagram), _recorded(diagram)
     recorded = [*plain, *matrices]
     step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in recorded))
+    if duration / step.period > MOST_TICKS:
+        raise EngineError(
+            f"duration: a run of {duration / step.period:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
+            "run a shorter time or take a slower clock",
+            path=("duration",),
+        )
     ticks = max(1, round(duration / step.period))
     return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
 
@@ -258,20 +293,31 @@ def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
     return first + int(np.argmax(np.nan_to_num(speed, nan=np.inf)))
 
 
-def _divergence(variables: tuple[Variable, ...], row: int, time: float, how: str = Divergence.how) -> Divergence:
-    for variable in variables:
+def _divergence(
+    diagram: Diagram, step: Step, end: End, done: int, state: np.ndarray, p: np.ndarray
+) -> Divergence | None:
+    if end is End.DIVERGED:
+        row, moment, how = int(np.flatnonzero(~np.isfinite(state))[0]), (done + 1) * step.period, Divergence.how
+    elif end is End.FAILED:
+        moment = done * step.period
+        row, how = _fastest(step, state, moment, p), "moves too fast for the integrator"
+    else:
+        return None
+    for variable in (*diagram.loop.controller, *diagram.loop.plant):
         if row < variable.symbol.numel():
-            return Divergence(variable.block, variable.name, row, time, how)
+            return Divergence(variable.block, variable.name, row, moment, how)
         row -= variable.symbol.numel()
     raise EngineError("a state outside the diagram diverged")
 
 
-def _stiffness(diagram: Diagram, step: Step, solver: Solver, state: np.ndarray, p: np.ndarray) -> tuple[str, ...]:
+def _stiffness(
+    diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray, p: np.ndarray
+) -> tuple[str, ...]:
     """Is the plant too stiff, at the start, for a fixed-step method? At rest the friction law is steepest."""
     if solver.method != "rk4" or not diagram.loop.plant:
         return ()
     size = stack(v.symbol for v in diagram.loop.plant).numel()
-    jacobian = step.rate.jacobian()(state, 0, p, 0)[0].full()[:, -size:]
+    jacobian = slope(state, 0, p, 0)[0].full()[:, -size:]
     h = step.period / step.substeps
     fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian)))) if np.all(np.isfinite(jacobian)) else np.inf
     if fastest > 0.9 * RK4_STABLE:

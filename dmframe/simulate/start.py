@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -24,26 +25,30 @@ ROUNDING = 1e-9
 """A start is in its box if it misses it by less, relative to one plus its size."""
 
 
-def start_state(diagram: Diagram, given: Mapping[str, Any]) -> np.ndarray:
+Made = dict[tuple[str, ...], Any]
+"""Expressions and functions that serve every set of numbers of one diagram."""
+
+
+def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = None) -> np.ndarray:
     """Every state at t = 0, the controller's first, as one column.
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
     trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box must
-    start inside it.
+    start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled.
     """
-    loop = diagram.loop
+    loop, made = diagram.loop, {} if made is None else made
     variables = (*loop.controller, *loop.plant)
     values = _given(diagram, variables, given)
     for variable in variables:
         model = diagram.models[variable.block]
         if variable.label not in values and variable.name in model.values:
             values[variable.label] = model.values[variable.name]
-    _onto_path(diagram, values, given.get(NEAR))
+    _onto_path(diagram, values, given.get(NEAR), made)
     for variable in loop.plant:
-        if not _has_start(diagram, variable):
+        if not _has_start(diagram, variable, made):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
-    _as_blocks_say(diagram, values)
+    _as_blocks_say(diagram, values, made)
     _check_finite(variables, values)
     _into_boxes(loop, values)
     return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
@@ -134,17 +139,20 @@ def goals(loop: ClosedLoop) -> list[tuple[str, str, Any, Any]]:
     ]
 
 
-def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any) -> None:
+def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:
     loop = diagram.loop
-    open_states = [v for v in loop.plant if v.label not in values and not _has_start(diagram, v)]
-    for desired, label, wanted, actual in goals(loop):
+    open_states = [v for v in loop.plant if v.label not in values and not _has_start(diagram, v, made)]
+    for desired, label, wanted, actual in goals(loop) if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(actual), ca.vec(v.symbol))]
         if len(used) != 1:
             continue
         (unknown,) = used
-        goal = evaluate(loop, loop_trajectories(loop, wanted), {})
-        residual = ca.Function("residual", [unknown.symbol, loop.p], [actual])
-        values[unknown.label] = _solve(diagram, residual, goal, near, f"{desired}(0)", label)
+        goal_now = _once(made, ("goal", desired), partial(_goal, loop, wanted))
+        goal = goal_now(0, loop.p_values).full().ravel()
+        key = ("residual", label, unknown.label)
+        residual = _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [actual]))
+        jacobian = _once(made, ("jacobian", *key), residual.jacobian)
+        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, f"{desired}(0)", label)
         open_states.remove(unknown)
 
 
@@ -154,11 +162,12 @@ def loop_trajectories(loop: ClosedLoop, expression: Any) -> Any:
     return ca.substitute(expression, leaves, stack(leaf.expression for leaf in loop.trajectories))
 
 
-def _solve(diagram: Diagram, residual: Any, goal: np.ndarray, near: Any, desired: str, label: str) -> np.ndarray:
+def _solve(
+    diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str
+) -> np.ndarray:
     from scipy.optimize import least_squares
 
     p, size = diagram.loop.p_values, residual.size1_in(0)
-    jacobian = residual.jacobian()
     lower, upper = _limits(diagram, size)
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)
@@ -203,31 +212,50 @@ def _limits(diagram: Diagram, size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
 
 
-def _has_start(diagram: Diagram, variable: Variable) -> bool:
-    seen = view(diagram, variable.block)
-    return variable.name in diagram.blocks[variable.block].start(seen.u, seen.p, seen.truth)
+def _once(made: Made, key: tuple[str, ...], make: Callable[[], Any]) -> Any:
+    if key not in made:
+        made[key] = make()
+    return made[key]
 
 
-def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray]) -> None:
+def _said(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
+    """What a block says of its start, as expressions."""
+
+    def ask() -> Mapping[str, Any]:
+        seen = view(diagram, block)
+        return diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+
+    found: Mapping[str, Any] = _once(made, ("said", block), ask)
+    return found
+
+
+def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
+    return variable.name in _said(diagram, variable.block, made)
+
+
+def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) -> None:
     """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
     loop = diagram.loop
     for variable in (*loop.controller, *loop.plant):
         if variable.label in values:
             continue
-        seen = view(diagram, variable.block)
-        said = diagram.blocks[variable.block].start(seen.u, seen.p, seen.truth)
-        expression = said.get(variable.name)
+        expression = _said(diagram, variable.block, made).get(variable.name)
         if expression is None:
             values[variable.label] = np.zeros(variable.symbol.shape)
             continue
-        (joined,) = loop.joined([loop_trajectories(loop, expression)])
-        values[variable.label] = evaluate(loop, joined, values)
+        known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
+        key = ("start", variable.label, *(v.label for v in known))
+        function = _once(made, key, partial(_stated, loop, expression, known))
+        now = function(0, loop.p_values, *(values[v.label] for v in known))
+        values[variable.label] = np.asarray(now.full().ravel())
 
 
-def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """An expression of states and parameters at t = 0."""
-    known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
-    inputs = [loop.time, loop.p, *(v.symbol for v in known)]
-    function = ca.Function("at_start", inputs, [ca.vec(expression)])
-    values_now = function(0, loop.p_values, *(values[v.label] for v in known))
-    return np.asarray(values_now.full().ravel())
+def _goal(loop: ClosedLoop, wanted: Any) -> Any:
+    """(t, p) -> a trajectory."""
+    return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop_trajectories(loop, wanted))])
+
+
+def _stated(loop: ClosedLoop, expression: Any, known: Sequence[Variable]) -> Any:
+    """(t, p, known states...) -> what a block says."""
+    (joined,) = loop.joined([loop_trajectories(loop, expression)])
+    return ca.Function("at_start", [loop.time, loop.p, *(v.symbol for v in known)], [ca.vec(joined)])

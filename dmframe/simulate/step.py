@@ -130,7 +130,7 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
         control=_function("control", loop, [loop.state], [advanced, command]),
         rate=ca.Function("plant", [integrated, held, _signals(loop), loop.p], ca.cse(rate)),
         outputs=_function("outputs", loop, [loop.state], [recorded]),
-        clip=_clip(loop),
+        clip=ca.Function("clip", [loop.state, loop.p], [boxed(loop, loop.state)]),
     )
 
 
@@ -179,13 +179,13 @@ def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> 
     return expressions
 
 
-def _clip(loop: ClosedLoop) -> Any:
-    """(state, p) -> the state projected onto its boxes."""
-    state, inside = loop.state, loop.state
+def boxed(loop: ClosedLoop, state: SX) -> SX:
+    """A column of states projected onto their boxes."""
+    inside = state
     for projection in loop.projections:
         held = ca.fmin(ca.fmax(projection.state, projection.lower), projection.upper)
         inside = ca.substitute(inside, projection.state, held)
-    return ca.Function("clip", [state, loop.p], [inside])
+    return inside
 
 
 def _tick(parts: Parts, solver: Solver, period: float, substeps: int) -> Any:

@@ -1,0 +1,64 @@
+"""A diagram with other numbers: the same expressions, so that nothing need be built or compiled again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from dmframe.diagram.diagram import Diagram
+from dmframe.diagram.sizes import parameter_arrays
+from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, raise_all
+from dmframe.parameter import specs
+
+
+def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
+    """The diagram with parameters changed, ``{"servo.K_D": [700, 700, 350]}``; each is checked as in a graph file.
+
+    Raises
+    ------
+    UnknownNameError
+        There is no such parameter, or it shapes the equations and so needs a diagram of its own.
+    ValueFault, ShapeError, UnitError
+        A value that the parameter cannot take.
+    """
+    by_block = dict[str, dict[str, Any]]()
+    known = _numbers(diagram)
+    for label, value in values.items():
+        if label not in known:
+            raise UnknownNameError(f"values.{label}", "parameter that is a number", label, known)
+        if value is None:
+            raise ValueFault(f"values.{label}: expected a number, found none; leaving it out takes another diagram")
+        block, _, name = label.partition(".")
+        by_block.setdefault(block, {})[name] = value
+    blocks, models, faults = dict(diagram.blocks), dict(diagram.models), list[DmframeError]()
+    for name, changed in by_block.items():
+        kind = type(blocks[name])
+        try:
+            kept = {key: value for key, value in blocks[name].model_dump().items() if value is not None}
+            blocks[name] = kind(**{**kept, **changed})
+        except DmframeError as error:
+            faults += error.faults if isinstance(error, Faults) else (error,)
+            continue
+        arrays, wrong = parameter_arrays(name, blocks[name], diagram.sizes)
+        faults += wrong
+        models[name] = replace(models[name], block=blocks[name], values=arrays)
+    raise_all(faults)
+    parameters = tuple(
+        replace(parameter, value=models[block].values[name])
+        if (block := parameter.label.partition(".")[0]) in by_block
+        and (name := parameter.label.partition(".")[2]) in models[block].values
+        else parameter
+        for parameter in diagram.loop.parameters
+    )
+    return replace(diagram, blocks=blocks, models=models, loop=replace(diagram.loop, parameters=parameters))
+
+
+def _numbers(diagram: Diagram) -> list[str]:
+    """Labels of what can be changed: parameters that are numbers, and that the diagram has."""
+    return [
+        f"{name}.{key}"
+        for name, model in diagram.models.items()
+        for key in specs(type(model.block))
+        if key in model.values
+    ]

@@ -1,0 +1,139 @@
+"""One step of a diagram's controller, for a loop in real time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, final, get_args
+
+import casadi as ca
+import numpy as np
+
+from dmframe.compile import control_source, load
+from dmframe.compile.library import address
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.resolve import Leaf
+from dmframe.errors import EngineError, ValueFault
+from dmframe.port import Side
+from dmframe.simulate.engine import Choice
+from dmframe.simulate.start import loop_trajectories, start_state
+from dmframe.simulate.step import boxed, project
+
+
+@final
+class Controller:
+    """The controller's side of a diagram, sampled: what it measures goes in, what it commands comes out.
+
+    The plant's blocks of the diagram are not computed; they only say where states start. A step is the one that
+    `simulate` takes: commands from what is measured now, then one explicit Euler step of the states, projected onto
+    their boxes. It allocates nothing: write to the arrays of `measured`, call `step`, read those of `commanded`.
+
+    Parameters
+    ----------
+    clock
+        The sampling period [s].
+    start
+        As of `simulate`.
+    engine
+        ``auto`` compiles where there is a compiler; `engine` says afterwards which it is.
+
+    Raises
+    ------
+    EngineError
+        The diagram commands nothing; ``compiled`` was asked for and cannot be had.
+    """
+
+    def __init__(
+        self, diagram: Diagram, clock: float, *, start: Mapping[str, Any] | None = None, engine: Choice = "auto"
+    ) -> None:
+        if not (math.isfinite(clock) and clock > 0):
+            raise ValueFault(f"clock: expected a positive number of seconds, found {clock}", path=("clock",))
+        if engine not in get_args(Choice):
+            raise ValueFault(f"engine: expected {', '.join(get_args(Choice))}, found {engine!r}", path=("engine",))
+        loop = diagram.loop
+        ins = [leaf for leaf in loop.crossings if leaf.side is Side.PLANT]
+        outs = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
+        if not outs:
+            raise EngineError("controller: expected a diagram that commands something, found no wire to a plant")
+        function = control_function(diagram, ins, outs)
+        size = function.numel_out(0)
+        self._z, self._t, self._period = np.zeros(size), np.zeros(1), np.array([clock])
+        self._p = np.ascontiguousarray(loop.p_values)
+        inside, outside = np.zeros(function.numel_in(1)), np.zeros(function.numel_out(1))
+        self._start = start_state(diagram, start or {})[:size].copy()
+        self.measured: Mapping[str, np.ndarray] = MappingProxyType(_parts(ins, inside))
+        self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
+        self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
+        self._held = (inside, outside)  # what the call reads and writes by address
+        call = None if engine == "interpreted" else self._machine_code(function)
+        if call is None and engine == "compiled":
+            raise EngineError("engine: expected a C compiler for the compiled engine, found none that works")
+        self.engine = "interpreted" if call is None else "compiled"
+        self._call = call or self._virtual_machine(function)
+        self.reset()
+
+    def step(self, t: float) -> None:
+        """Commands at time t [s], and the states one period later."""
+        self._t[0] = t
+        self._call()
+
+    def reset(self) -> None:
+        """Put the states where they started."""
+        self._z[:] = self._start
+
+    def _machine_code(self, function: Any) -> Callable[[], object] | None:
+        try:
+            source, constants = control_source(function)
+        except EngineError:
+            return None
+        library = load(source).library
+        if library is None:
+            return None
+        c, tick = np.zeros(max(1, constants)), library.dm_tick
+        library.dm_prepare(address(self._p), address(c))
+        tick.restype = None
+        arrays = (self._z, self._held[0], self._t, self._period, self._p, c, self._held[1])
+        addresses = tuple(address(array) for array in arrays)
+
+        def call(kept: tuple[np.ndarray, ...] = arrays) -> None:
+            tick(*addresses)
+
+        return call
+
+    def _virtual_machine(self, function: Any) -> Callable[[], object]:
+        after = np.zeros(self._z.size)
+        buffer, trigger = function.buffer()
+        for k, array in enumerate((self._z, self._held[0], self._t, self._period, self._p)):
+            buffer.set_arg(k, array.data)
+        buffer.set_res(0, after.data)
+        buffer.set_res(1, self._held[1].data)
+
+        def call(kept: Any = (buffer, function)) -> None:
+            trigger()
+            np.copyto(self._z, after)
+
+        return call
+
+
+def control_function(diagram: Diagram, ins: list[Leaf], outs: list[Leaf]) -> Any:
+    """(z, measured, t, T, p) -> (z one period later, commands)."""
+    loop, resolver = diagram.loop, diagram.resolver
+    z, period = stack(variable.symbol for variable in loop.controller), ca.SX.sym("T")
+    rates = stack(variable.rate for variable in loop.controller)
+    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in outs)
+    rates, commands = project(loop, [rates, commands], joined=False)
+    (after,) = ca.substitute([boxed(loop, z)], [z], [z + period * rates])
+    inputs = [z, stack(leaf.symbol for leaf in ins), loop.time, period, loop.p]
+    expressions = [loop_trajectories(loop, expression) for expression in (after, commands)]
+    return ca.Function("control", inputs, ca.cse(expressions))
+
+
+def _parts(items: Any, array: np.ndarray) -> dict[str, np.ndarray]:
+    parts, first = dict[str, np.ndarray](), 0
+    for item in items:
+        label, size = getattr(item, "label", None) or item.name, item.symbol.numel()
+        parts[label] = array[first : first + size]
+        first += size
+    return parts

@@ -1,0 +1,109 @@
+"""Many runs of one diagram with different numbers, on all cores of one process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
+from typing import Any, TypeVar, overload
+
+from dmframe.diagram import Diagram
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError, ValueFault
+from dmframe.simulate.engine import Choice
+from dmframe.simulate.keep import Log
+from dmframe.simulate.run import Run, prepare
+from dmframe.simulate.step import Solver
+
+START = "start"
+"""The key of a variant that holds start values."""
+
+T = TypeVar("T")
+
+
+@overload
+def simulate_many(
+    diagram: Diagram,
+    variants: Sequence[Mapping[str, Any]],
+    duration: float,
+    *,
+    clock: float | None = ...,
+    solver: Solver | None = ...,
+    start: Mapping[str, Any] | None = ...,
+    engine: Choice = ...,
+    log: Log | None = ...,
+    threads: int | None = ...,
+) -> list[Run | DmframeError]: ...
+@overload
+def simulate_many(
+    diagram: Diagram,
+    variants: Sequence[Mapping[str, Any]],
+    duration: float,
+    *,
+    reduce: Callable[[Run], T],
+    clock: float | None = ...,
+    solver: Solver | None = ...,
+    start: Mapping[str, Any] | None = ...,
+    engine: Choice = ...,
+    log: Log | None = ...,
+    threads: int | None = ...,
+) -> list[T | DmframeError]: ...
+def simulate_many(
+    diagram: Diagram,
+    variants: Sequence[Mapping[str, Any]],
+    duration: float,
+    *,
+    reduce: Callable[[Run], Any] | None = None,
+    clock: float | None = None,
+    solver: Solver | None = None,
+    start: Mapping[str, Any] | None = None,
+    engine: Choice = "auto",
+    log: Log | None = None,
+    threads: int | None = None,
+) -> list[Any]:
+    """Run a closed loop once for each variant; the loop is built and compiled once.
+
+    Parameters
+    ----------
+    variants
+        Parameters by label, ``{"dynamics.Gamma": 10, "start": {"q": [...]}}``; the rest is the diagram's and `start`'s.
+    reduce
+        Makes of each run what is kept of it, so that thousands need no memory; without it the runs are kept whole.
+    threads
+        How many run at once; by default as many as the process may use cores. The interpreted engine uses one.
+
+    Returns
+    -------
+    list
+        In the order of the variants: the run or what `reduce` made of it; for one that could not be run, its fault.
+    """
+    if threads is not None and threads < 1:
+        raise ValueFault(f"threads: expected at least 1, found {threads}")
+    prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
+    chosen = prepared.engine(engine, len(variants))
+    symbolic = Lock()  # CasADi's expressions count their owners without regard to threads
+
+    def one(variant: Mapping[str, Any]) -> Any:
+        try:
+            numbers = {key: value for key, value in variant.items() if key != START}
+            begin = {**(start or {}), **variant.get(START, {})}
+            run = prepared.run(with_values(diagram, numbers), chosen, begin, guard=symbolic)
+            if reduce is None:
+                return run
+            with symbolic:
+                return reduce(run)
+        except DmframeError as fault:
+            return fault
+
+    if chosen.name != "compiled":
+        return [one(variant) for variant in variants]
+    pool = ThreadPoolExecutor(threads or _cores())
+    try:
+        return list(pool.map(one, variants))
+    finally:
+        pool.shutdown(cancel_futures=True)  # at Ctrl-C, those that run end, and no other begins
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
