@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar, Literal
 
 from tests.benchmarks.loop import Array
 from tests.benchmarks.peer import Peer
@@ -14,7 +14,8 @@ class Loop(Peer):
 
     title: ClassVar[str] = "dmframe, interpreted"
     package: ClassVar[str] = "dmframe"
-    engine: ClassVar[str] = "interpreted"
+    note: ClassVar[str] = "keeps every signal at every sample, where the others keep the joint angles"
+    engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
 
     def build(self) -> None:
         from dmframe.config.graph import load_graph
@@ -27,18 +28,16 @@ class Loop(Peer):
         from dmframe.simulate import simulate
 
         solver = replace(self.graph.solver, step=self.step)
-        options: dict[str, Any] = {"clock": self.graph.file.clock, "solver": solver, "start": self.graph.start}
-        found = simulate(self.diagram, seconds, **options, **self.choice())
+        found = simulate(
+            self.diagram,
+            seconds,
+            clock=self.graph.file.clock,
+            solver=solver,
+            start=self.graph.start,
+            engine=self.engine,
+        )
         if found.engine != self.engine:
             raise RuntimeError(f"expected the engine {self.engine}, found {found.engine}")
         self.wall = found.wall_time
         q: Array = found["arm.q"]
         return q
-
-    def choice(self) -> dict[str, Any]:
-        """What tells `simulate` which engine to take."""
-        import inspect
-
-        from dmframe.simulate import simulate
-
-        return {"engine": self.engine} if "engine" in inspect.signature(simulate).parameters else {}
