@@ -44,9 +44,9 @@ class Robot:
             alpha = alpha + k * ddq[j] + (cross(w, k) * dq_ref[j] + cross(v, k) * dq[j]) / 2
             w, v = w + k * dq[j], v + k * dq_ref[j]
             m, mc, six = inertia[j][0], xp.stack([*inertia[j][1:4]]), inertia[j][4:10]
-            I = xp.array([[six[0], six[1], six[3]], [six[1], six[2], six[4]], [six[3], six[4], six[5]]])
+            about = xp.array([[six[0], six[1], six[3]], [six[1], six[2], six[4]], [six[3], six[4], six[5]]])
             force = m * a + cross(alpha, mc) + (cross(w, cross(v, mc)) + cross(v, cross(w, mc))) / 2
-            moment = I @ alpha + cross(mc, a) + (cross(w, I @ v) + cross(v, I @ w)) / 2
+            moment = about @ alpha + cross(mc, a) + (cross(w, about @ v) + cross(v, about @ w)) / 2
             wrenches.append((force, moment))
         out, force, moment = [], none, none
         for j in reversed(range(self.n)):

@@ -131,8 +131,13 @@ def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
     return {"wall": time.perf_counter() - begin, "q": q}
 
 
-METHODS = {
-    "dmframe, simulate_many": ("ours", {}, "dmframe", "threads of one process; each run's whole log is made, its last pose kept"),
+METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
+    "dmframe, simulate_many": (
+        "ours",
+        {},
+        "dmframe",
+        "threads of one process; each run's whole log is made, its last pose kept",
+    ),
     "Jaxonomy, simulate_batch": (
         "by_jaxonomy",
         {},
@@ -141,7 +146,7 @@ METHODS = {
     ),
     "Jaxonomy, simulate_batch(use_vmap=True)": ("by_jaxonomy", {"together": True}, "jaxonomy", "as above, vectorised"),
     "JAX, vmap by hand": ("by_vmap", {}, "jax", "scalar code, vectorised; compilation left out, nothing recorded"),
-}  # fmt: skip
+}
 
 
 def section(

@@ -71,7 +71,6 @@ def in_c(graph: str) -> dict[str, Any]:
 def in_python(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours, called from Python as a real-time loop does."""
     from dmframe.config.graph import load_graph
-
     from dmframe.simulate import Controller
 
     loaded = load_graph(graph)

@@ -20,7 +20,10 @@ def describe() -> dict[str, str]:
         "load when it began": f"{load} (above 0.5, other programs were running too)",
         "compiler": compiler_version(),
         "versions": ", ".join(
-            [f"Python {platform.python_version()}", *(f"{name} {of(name)}" for name in ("dmframe", "casadi", "numpy", "pin"))]
+            [
+                f"Python {platform.python_version()}",
+                *(f"{name} {of(name)}" for name in ("dmframe", "casadi", "numpy", "pin")),
+            ]
         ),
     }
 

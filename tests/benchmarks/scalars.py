@@ -113,10 +113,10 @@ class Robot:
             w = plus(w, times(dq[j], k))
             v = w if same else plus(v, times(dq_ref[j], k))
             m, mc, six = inertia[j][0], list(inertia[j][1:4]), inertia[j][4:10]
-            I = [[six[0], six[1], six[3]], [six[1], six[2], six[4]], [six[3], six[4], six[5]]]
+            about = [[six[0], six[1], six[3]], [six[1], six[2], six[4]], [six[3], six[4], six[5]]]
 
-            def by(b: Vector, I: list[Vector] = I) -> Vector:
-                return [dot(line, b) for line in I]
+            def by(b: Vector, about: list[Vector] = about) -> Vector:
+                return [dot(line, b) for line in about]
 
             force = plus(times(m, a), cross(alpha, mc), sym(lambda b, c, mc=mc: cross(b, cross(c, mc)), w, v))  # type: ignore[misc]
             moment = plus(by(alpha), cross(mc, a), sym(lambda b, c, by=by: cross(b, by(c)), w, v))  # type: ignore[misc]

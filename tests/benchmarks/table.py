@@ -93,9 +93,7 @@ class Report:
         """What `as_json` wrote."""
         data: dict[str, Any] = json.loads(text)
         sections = tuple(
-            Section(
-                s["part"], s["title"], s["against"], tuple(Row(**row) for row in s["rows"]), tuple(s["remarks"])
-            )
+            Section(s["part"], s["title"], s["against"], tuple(Row(**row) for row in s["rows"]), tuple(s["remarks"]))
             for s in data["sections"]
         )
         return cls(data["command"], data["machine"], sections)
@@ -118,7 +116,9 @@ class Report:
         for section in self.sections:
             lines += ["", f"### ({section.part}) {section.title}", "", f"Ratio: {section.against}.", ""]
             lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]
-            lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row.cells()) + " |" for row in section.rows]
+            lines += [
+                "| " + " | ".join(cell.replace("|", "\\|") for cell in row.cells()) + " |" for row in section.rows
+            ]
             for remark in section.remarks:
                 lines += ["", remark]
         return "\n".join(lines) + "\n"

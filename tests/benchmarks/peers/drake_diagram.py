@@ -105,9 +105,8 @@ class Loop(Peer):
         parent = plant.world_frame()
         for j, link in enumerate(self.loop.links):
             mass, c, moment = float(link["m"][0]), link["c"], link["I"]
-            about = moment + mass * (float(c @ c) * np.eye(3) - np.outer(c, c))
-            I = about / mass
-            unit = UnitInertia(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
+            about = (moment + mass * (float(c @ c) * np.eye(3) - np.outer(c, c))) / mass
+            unit = UnitInertia(about[0, 0], about[1, 1], about[2, 2], about[0, 1], about[0, 2], about[1, 2])
             body = plant.AddRigidBody(f"link_{j}", SpatialInertia(mass, c, unit, skip_validity_check=True))
             place = RigidTransform(RotationMatrix(link["R"]), link["r"])
             frame = plant.AddFrame(FixedOffsetFrame(f"joint_{j}", parent, place))

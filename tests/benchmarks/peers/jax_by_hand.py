@@ -18,7 +18,9 @@ class Loop(Peer):
     title: ClassVar[str] = "JAX, scalar code"
     package: ClassVar[str] = "jax"
     module: ClassVar[str] = "jax"
-    note: ClassVar[str] = "rigid-body code by hand in scalars without constant zeros, as XLA fuses best: an expert's work"
+    note: ClassVar[str] = (
+        "rigid-body code by hand in scalars without constant zeros, as XLA fuses best: an expert's work"
+    )
     arrays: ClassVar[bool] = False
 
     def build(self) -> None:

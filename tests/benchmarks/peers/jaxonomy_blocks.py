@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tests.benchmarks.loop import Array, Loop as Numbers
+from tests.benchmarks.loop import Array
+from tests.benchmarks.loop import Loop as Numbers
 from tests.benchmarks.peer import Peer
 
 

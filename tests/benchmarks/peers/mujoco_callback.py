@@ -34,9 +34,9 @@ class Loop(Peer):
 
         bodies, ends = "", ""
         for j, link in enumerate(self.loop.links):
-            I, quat = link["I"], np.empty(4)
+            about, quat = link["I"], np.empty(4)
             mujoco.mju_mat2Quat(quat, link["R"].ravel())
-            six = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
+            six = (about[0, 0], about[1, 1], about[2, 2], about[0, 1], about[0, 2], about[1, 2])
             bodies += (
                 f'<body pos="{text(link["r"])}" quat="{text(quat)}">'
                 f'<inertial pos="{text(link["c"])}" mass="{link["m"][0]:.17g}" fullinertia="{text(six)}"/>'
