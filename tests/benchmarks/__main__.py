@@ -1,9 +1,9 @@
 """Ours beside what one would pick instead: ``python -m tests.benchmarks``.
 
 Parts: (a) the closed loop of ur10_fast, (b) of ur10_full, (c) the controller step, (d) cost against the number of
-joints, (e) time to first result, (f) a batch. All ratios of a table come from one run on one machine. Peers are an optional
-dependency group: ``pip install --group peers``; one that is missing is reported as missing. Status 1 with --check where
-a ratio fell behind the baseline.
+joints, (e) time to first result, (f) a batch. All ratios of a table come from one run on one machine. Peers are an
+optional dependency group: ``pip install --group peers``; one that is missing is reported as missing. Status 1 with
+--check where a ratio fell behind the baseline.
 """
 
 from __future__ import annotations

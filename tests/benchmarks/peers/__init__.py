@@ -14,6 +14,7 @@ PEERS = (
     "jax_arrays",
     "jaxonomy_blocks",
     "mujoco_callback",
+    "mujoco_euler",
     "drake_diagram",
     "numpy_pinocchio",
     "pathsim_blocks",

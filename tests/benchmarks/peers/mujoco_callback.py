@@ -16,6 +16,7 @@ class Loop(Peer):
     title: ClassVar[str] = "MuJoCo"
     package: ClassVar[str] = "mujoco"
     module: ClassVar[str] = "mujoco"
+    integrator: ClassVar[str] = "RK4"
     note: ClassVar[str] = "smooth friction is no element of it, so Python runs at each of the four stages"
 
     def build(self) -> None:
@@ -50,7 +51,7 @@ class Loop(Peer):
         h = self.loop.T / self.loop.substeps(self.step)
         return (
             f'<mujoco><compiler angle="radian" balanceinertia="false"/>'
-            f'<option timestep="{h:.17g}" integrator="RK4" gravity="{text(self.loop.model.gravity.linear)}">'
+            f'<option timestep="{h:.17g}" integrator="{self.integrator}" gravity="{text(self.loop.model.gravity.linear)}">'
             f'<flag contact="disable" constraint="disable"/></option>'
             f"<worldbody>{bodies}{ends}</worldbody><actuator>{actuators}</actuator></mujoco>"
         )
