@@ -21,6 +21,7 @@ from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
 from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
 from dmframe.results import Result, reserve, write_run
+from dmframe.results.summary import summary
 from dmframe.simulate import Run, simulate
 from dmframe.simulate.engine import Choice
 from dmframe.units import plain, to_unit
@@ -52,13 +53,15 @@ def run_graphs(
     results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
     if not results:
         return STOPPED
+    if not as_json:
+        _table(results)  # the numbers at once; figures take longer than the run
     _say(f"writing {folder}", as_json)
     with _unbroken():
         summaries = write_run(folder, results, plots=plots)
     if as_json:
         typer.echo(json.dumps(summaries[0] if len(names) == 1 else summaries, indent=2))
     else:
-        _table(results, summaries, folder)
+        typer.echo(f"results: {folder}")
     if interrupted:
         return STOPPED
     return DIVERGED if any(result.run.divergence for result in results) else 0
@@ -168,11 +171,11 @@ def _say(text: str, as_json: bool) -> None:
         typer.echo(text, err=True)
 
 
-def _table(results: Sequence[Result], summaries: Sequence[dict[str, Any]], folder: Path) -> None:
+def _table(results: Sequence[Result]) -> None:
     table = Table(box=None, pad_edge=False, header_style="bold")
     for heading in ("graph", "clock", "error", "first eighth", "last eighth", "speed", "engine"):
         table.add_column(heading, justify="left" if heading in ("graph", "error", "engine") else "right")
-    for told in summaries:
+    for told in (summary(result.graph.name, result.run) for result in results):
         error = told["error"]
         clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
         first, last = (_rms(error, index) for index in (0, -1))
@@ -188,7 +191,7 @@ def _table(results: Sequence[Result], summaries: Sequence[dict[str, Any]], folde
             console.print(f"{result.graph.name}: diverged: {result.run.divergence}", soft_wrap=True)
         if result.run.interrupted:
             console.print(f"{result.graph.name}: stopped at {plain(result.run.time[-1], 's')}; what was done is kept")
-    console.print(f"results: {folder}", soft_wrap=True)
+    sys.stdout.flush()
 
 
 def _rms(error: dict[str, Any] | None, index: int) -> str:

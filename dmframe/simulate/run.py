@@ -180,7 +180,7 @@ class Prepared:
         wall: float,
         stiff: tuple[str, ...],
     ) -> Run:
-        times = np.arange(len(rows)) * (self.keeping.every * self.step.period)
+        times = np.arange(len(rows)) * self.keeping.every * self.step.period
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
         for matrix in self.matrices:

@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from dmframe.compile import library
+from dmframe.config.graph import load_graph
+from dmframe.simulate import Run, simulate
+
+Runner = Callable[..., Run]
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty cache folder, in a process that has loaded nothing yet."""
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("DMFRAME_CACHE", str(folder))
+    forget()
+    yield folder
+    forget()
+
+
+def forget() -> None:
+    """What a new process would not know."""
+    library._loaded.cache_clear()
+    library._told.cache_clear()
+
+
+@pytest.fixture
+def pendulum() -> Runner:
+    """A short run of the smallest graph."""
+    graph = load_graph("pendulum")
+    diagram = graph.diagram()
+
+    def run(engine: str = "compiled", **options: object) -> Run:
+        given = {"clock": graph.file.clock, "solver": graph.solver, "start": graph.start} | options
+        return simulate(diagram, 0.2, engine=engine, **given)  # type: ignore[arg-type]
+
+    return run

@@ -1,0 +1,115 @@
+"""A batch is its single runs, in their order, whatever becomes of each."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmframe.config.graph import load_graph
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.results.metrics import tracking_error
+from dmframe.simulate import Run, simulate, simulate_many
+
+VARIANTS: list[dict[str, Any]] = [
+    {},
+    {"dynamics.Gamma": 30.0},
+    {"servo.K_P": [50.0, 20.0], "arm.viscous": [2.0, 1.0]},
+    {"start": {"q": [0.8, 1.1]}},
+    {"inverse.w_I": 3.0, "path.amplitude": ["10 deg", "15 deg"]},
+]
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_a_batch_gives_what_single_runs_of_changed_graphs_give(engine: Any) -> None:
+    overrides = [
+        [],
+        ["dynamics.Gamma=30"],
+        ["servo.K_P=[50, 20]", "arm.viscous=[2, 1]"],
+        ["start={q: [0.8, 1.1]}"],
+        ["inverse.w_I=3", "path.amplitude=[10 deg, 15 deg]"],
+    ]
+    graph = load_graph("arm2_joint")
+    batch = simulate_many(graph.diagram(), VARIANTS, 0.5, clock=graph.file.clock, start=graph.start, engine=engine)
+    for run, changes in zip(batch, overrides, strict=True):
+        other = load_graph("arm2_joint", changes)
+        single = simulate(other.diagram(), 0.5, clock=other.file.clock, start=other.start, engine=engine)
+        assert isinstance(run, Run)
+        assert run.engine == engine
+        for label, values in {**single.states, **single.outputs}.items():
+            np.testing.assert_array_equal(run[label], values)
+
+
+def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
+    graph = load_graph("arm2_joint")
+    diagram = graph.diagram()
+    variants = [{"dynamics.Gamma": float(gamma)} for gamma in range(1, 13)]
+
+    def last(run: Run) -> float:
+        error = tracking_error(run)
+        assert error is not None
+        assert error.rms_final is not None
+        return error.rms_final
+
+    given: dict[str, Any] = {"clock": graph.file.clock, "engine": "compiled", "reduce": last}
+    one, four = (simulate_many(diagram, variants, 1.0, threads=threads, **given) for threads in (1, 4))
+    assert one == four
+    assert len(set(one)) == len(variants)
+
+
+def test_one_that_diverges_and_one_that_cannot_start_leave_the_others_alone() -> None:
+    graph = load_graph("arm2_joint", ["inverse.w_box=null"])
+    variants = [{}, {"dynamics.Gamma": 1e9}, {"dynamics.Gamma": -1.0}, {"start": {"qq": 1.0}}, {}]
+    first, wild, wrong, lost, last = simulate_many(
+        graph.diagram(), variants, 20.0, clock=graph.file.clock, start=graph.start, engine="compiled"
+    )
+    assert isinstance(first, Run)
+    assert isinstance(last, Run)
+    assert isinstance(wild, Run)
+    assert first.divergence is None
+    assert wild.divergence is not None
+    np.testing.assert_array_equal(first["arm.q"], last["arm.q"])
+    assert isinstance(wrong, ValueFault)
+    assert isinstance(lost, UnknownNameError)
+
+
+def test_a_batch_compiles_once(cache: Path) -> None:
+    graph = load_graph("arm2_joint")
+    simulate_many(graph.diagram(), VARIANTS, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_numbers_are_changed_beside_the_diagram_not_in_it() -> None:
+    diagram = load_graph("arm2_joint").diagram()
+    before = diagram.loop.p_values.copy()
+    changed = with_values(diagram, {"dynamics.Gamma": 7.0})
+    np.testing.assert_array_equal(diagram.loop.p_values, before)
+    assert np.any(changed.loop.p_values != before)
+    assert changed.loop.controller is diagram.loop.controller
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        (
+            {"dynamics.Gama": 1.0},
+            "values.dynamics.Gama: unknown parameter that is a number; did you mean dynamics.Gamma?",
+        ),
+        ({"model.friction": ["coulomb"]}, "values.model.friction: unknown parameter that is a number"),
+        ({"inverse.w_box": None}, "values.inverse.w_box: expected a number, found none; leaving it out takes another"),
+        ({"servo.K_P": [1.0, 2.0, 3.0]}, "servo.K_P: "),
+        ({"servo.K_P": "5 kg"}, "K_P"),
+    ],
+)
+def test_numbers_that_cannot_be_are_told(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(DmframeError) as fault:
+        with_values(load_graph("arm2_joint").diagram(), values)
+    assert text in str(fault.value)
+
+
+def test_no_threads_are_too_few() -> None:
+    with pytest.raises(ValueFault, match="threads: expected at least 1, found 0"):
+        simulate_many(load_graph("arm2_joint").diagram(), [{}], 0.1, threads=0)

@@ -1,0 +1,101 @@
+"""Processes that compile at once, or are killed at any moment, leave a sound cache and no half-written result."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+MAIN = "from dmframe.cli import main; main()"
+RUN = ("run", "arm2_joint", "--no-plots", "--engine", "compiled", "--json")
+
+
+def started(hook: str, words: tuple[str, ...], cwd: Path, **environment: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", hook + MAIN, *words],
+        cwd=cwd,
+        env=os.environ | {"DMFRAME_CACHE": str(cwd / "cache")} | environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def told(process: subprocess.Popen[str]) -> dict[str, Any]:
+    try:
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (process.returncode, err) == (0, "")
+    found: dict[str, Any] = json.loads(out)
+    assert found["engine"] == "compiled"
+    assert found["notices"] == []
+    return found
+
+
+def sound(folder: Path) -> None:
+    """Another process finds the cache as it should be."""
+    told(started("", (*RUN, "--until", "0.2"), folder))
+    assert all(path.suffix == ".so" or path.name.startswith(".part-") for path in (folder / "cache").iterdir())
+
+
+def killed_when_told(process: subprocess.Popen[str], pipe: Path) -> None:
+    """SIGKILL to the process and all that it started, as soon as something writes to the pipe."""
+    try:
+        with pipe.open(encoding="utf-8") as reader:
+            assert reader.read(1) == "x"
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_two_processes_may_compile_the_same_at_once(tmp_path: Path) -> None:
+    both = [started("", (*RUN, "--until", "0.2", "--out", name), tmp_path) for name in ("one", "two")]
+    errors = [told(process)["error"] for process in both]
+    assert errors[0] == errors[1]
+    assert {path.suffix for path in (tmp_path / "cache").iterdir()} == {".so"}
+
+
+@pytest.mark.parametrize("moment", ["before", "half way", "after"])
+def test_killed_while_it_compiles_a_process_leaves_no_entry(moment: str, tmp_path: Path) -> None:
+    pipe, silent, compiler = tmp_path / "pipe", tmp_path / "silent", tmp_path / "cc"
+    os.mkfifo(pipe)
+    os.mkfifo(silent)
+    work = {
+        "before": "",
+        "half way": 'cc "$@"; for f in *.so; do head -c 1000 "$f" > half; mv half "$f"; done',
+        "after": 'cc "$@"',
+    }[moment]
+    compiler.write_text(f"#!/bin/sh\n{work}\nprintf x > {pipe}\ncat {silent}\n", encoding="utf-8")
+    compiler.chmod(0o755)
+    process = started("", (*RUN, "--until", "0.2", "--out", "mine"), tmp_path, CC=str(compiler))
+    killed_when_told(process, pipe)
+    assert [path.name[:6] for path in (tmp_path / "cache").iterdir()] == [".part-"]
+    assert not (tmp_path / "mine").exists()
+    sound(tmp_path)
+
+
+@pytest.mark.parametrize("moment", ["run", "write"])
+def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(moment: str, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    tell = f"    with open({str(pipe)!r}, 'w') as f:\n        f.write('x')\n    signal.pause()\n"
+    hook = {
+        "run": "import signal, dmframe.cli.run as run\nsimulate = run.simulate\n"
+        f"def told(time):\n{tell}"
+        "run.simulate = lambda *a, **k: simulate(*a, **(k | {'progress': told}))\n",
+        "write": f"import signal, os\nrename = os.rename\ndef told(*a):\n{tell}os.rename = told\n",
+    }[moment]
+    process = started(hook, (*RUN, "--until", "2", "--out", "mine"), tmp_path)
+    killed_when_told(process, pipe)
+    assert not (tmp_path / "mine").exists()
+    sound(tmp_path)
