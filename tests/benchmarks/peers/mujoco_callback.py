@@ -48,10 +48,10 @@ class Loop(Peer):
             f'<general joint="q_{j}" dyntype="integrator" gaintype="fixed" gainprm="{-K_I:.17g}"/>'
             for j, K_I in enumerate(self.loop.K_I)
         )
-        h = self.loop.T / self.loop.substeps(self.step)
+        h, gravity = self.loop.T / self.loop.substeps(self.step), self.loop.model.gravity.linear
         return (
             f'<mujoco><compiler angle="radian" balanceinertia="false"/>'
-            f'<option timestep="{h:.17g}" integrator="{self.integrator}" gravity="{text(self.loop.model.gravity.linear)}">'
+            f'<option timestep="{h:.17g}" integrator="{self.integrator}" gravity="{text(gravity)}">'
             f'<flag contact="disable" constraint="disable"/></option>'
             f"<worldbody>{bodies}{ends}</worldbody><actuator>{actuators}</actuator></mujoco>"
         )
