@@ -19,6 +19,7 @@ from tests.benchmarks.peers import PEERS
 from tests.benchmarks.table import Report, Section
 
 PARTS = "abcdef"
+HEAD = "## The table"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     form = found.add_mutually_exclusive_group()
     form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     form.add_argument("--json", action="store_true", help="print everything as JSON")
+    found.add_argument("--page", type=Path, metavar="FILE", help=f"write the table into a page, below its {HEAD!r}")
     found.add_argument("--from-json", type=Path, metavar="FILE", help="show or check an earlier table, measure nothing")
     found.add_argument("--check", action="store_true", help="compare with the baseline; status 1 at a regression")
     found.add_argument("--baseline", type=Path, default=baseline.FILE, help="its file")
@@ -80,11 +82,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report = Report.from_json(chosen.from_json.read_text(encoding="utf-8"))
     else:
         words = sys.argv[1:] if arguments is None else arguments
-        shown = [word for word in words if word not in ("--markdown", "--json", "--check", "--write-baseline")]
         machine = describe()
-        report = Report(" ".join(["python -m tests.benchmarks", *shown]), machine, tuple(sections(chosen)))
+        report = Report(" ".join(["python -m tests.benchmarks", *words]), machine, tuple(sections(chosen)))
     printed = report.as_json() if chosen.json else report.as_markdown() if chosen.markdown else report.as_text()
     sys.stdout.write(printed)
+    if chosen.page:
+        above = chosen.page.read_text(encoding="utf-8").split(HEAD)[0]
+        chosen.page.write_text(f"{above}{HEAD}\n\n{report.as_markdown()}", encoding="utf-8")
     if chosen.write_baseline:
         baseline.write(report, chosen.baseline)
     if not chosen.check:

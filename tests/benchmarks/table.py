@@ -112,7 +112,8 @@ class Report:
 
     def as_markdown(self) -> str:
         """For a page."""
-        lines = [f"- {key}: {value}" for key, value in self.machine.items()]
+        lines = [f"- made by: `{self.command}`"]
+        lines += [f"- {key}: {value}" for key, value in self.machine.items()]
         for section in self.sections:
             lines += ["", f"### ({section.part}) {section.title}", "", f"Ratio: {section.against}.", ""]
             lines += ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|---|"]

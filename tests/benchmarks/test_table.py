@@ -157,3 +157,19 @@ def test_an_unknown_part_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["z"])
     assert "expected parts of a b c d e f, found z" in capsys.readouterr().err
+
+
+def test_the_table_is_written_into_a_page_below_its_heading(tmp_path: Path) -> None:
+    page, table = tmp_path / "page.md", tmp_path / "table.json"
+    page.write_text("# Speed\n\nWords.\n\n## The table\n\nold\n", encoding="utf-8")
+    table.write_text(report(Row("a", "theirs", 1.0, "s", 30.0)).as_json(), encoding="utf-8")
+    assert main(["--from-json", str(table), "--page", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("# Speed\n\nWords.\n\n## The table\n\n- made by: `python -m tests.benchmarks`\n")
+    assert "| theirs |  | 1 s | 30 |" in text
+    assert "old" not in text
+
+
+def test_the_published_page_holds_every_part() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "speed.md").read_text(encoding="utf-8")
+    assert [part for part in "abcdef" if f"### ({part}) " not in page] == []
