@@ -55,9 +55,10 @@ def compiler_version() -> str:
     return found.stdout.splitlines()[0] if found.stdout else command
 
 
-def environment() -> dict[str, str]:
-    """One thread each: what a measured process gets."""
-    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    flags = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+def environment(*, single: bool = True) -> dict[str, str]:
+    """What a measured process gets: this one's import path and, where it is to have one core, one thread."""
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    one = dict.fromkeys(names, "1")
+    one["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     paths = os.pathsep.join(path for path in sys.path if path)
-    return {**os.environ, **single, "XLA_FLAGS": flags, "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}
+    return {**os.environ, **(one if single else {}), "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}

@@ -37,7 +37,7 @@ def measure(job: str, limit: float, *, cores: int = 1, **arguments: Any) -> dict
         command = [sys.executable, "-m", "tests.benchmarks.worker", job, json.dumps(arguments), str(file), str(cores)]
         try:
             found = subprocess.run(
-                command, capture_output=True, text=True, timeout=limit, env=environment(), check=False
+                command, capture_output=True, text=True, timeout=limit, env=environment(single=cores == 1), check=False
             )
         except subprocess.TimeoutExpired:
             raise Failed(f"no result within {limit:g} s") from None

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from dmframe.catalogue import graphs
 from dmframe.cli.app import app
 from dmframe.config.document import read_document, read_file
-from dmframe.config.graph import GraphFile, RobotSection, SolverSection
+from dmframe.config.graph import GraphFile, LogSection, RobotSection, SolverSection
 from dmframe.robot.library import robots
 
 ROOT = Path(__file__).parents[2]
@@ -59,7 +59,7 @@ def test_the_reference_lists_every_command_and_option() -> None:
 
 def test_the_reference_lists_every_key_of_a_graph_file() -> None:
     text = read("docs", "reference", "graph_file.md")
-    for section in (GraphFile, RobotSection, SolverSection):
+    for section in (GraphFile, RobotSection, SolverSection, LogSection):
         for key in section.model_fields:
             assert f"`{key}`" in text, key
 
