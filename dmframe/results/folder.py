@@ -151,7 +151,7 @@ def _write_signals(file: Path, result: Result, seed: int | None) -> None:
     from dmframe.results.dataset import dataset
 
     data = dataset(result.run, result.graph, seed)
-    packed = {str(name): {"zlib": True, "complevel": 4} for name in data.data_vars}
+    packed = {str(name): {"zlib": True, "complevel": 1, "shuffle": True} for name in data.data_vars}
     # in memory first: on a full disk HDF5 itself prints tracebacks and can take the process down
     file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
 

@@ -88,6 +88,7 @@ def save(figure: Any, folder: Path, name: str, about: str) -> None:
     source = f"dmframe {dmframe.__version__}"
     with styled():
         figure.savefig(folder / f"{name}.png", metadata={"Software": source, "Title": name, "Description": about})
+        figure.set_layout_engine("none")  # what was laid out stays; to do it again takes as long as to draw
         meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
         figure.savefig(folder / f"{name}.svg", metadata=meta)
 

@@ -17,6 +17,7 @@ from dmframe.compile.library import address
 from dmframe.compile.source import shipped, written
 from dmframe.config.graph import load_graph
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
+from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Run, Solver, simulate
 from dmframe.simulate.run import prepare
 
@@ -84,6 +85,15 @@ def test_what_is_kept_is_every_kth_row_of_the_whole(engine: Any) -> None:
     np.testing.assert_array_equal(some.time, whole.time[::every])
     np.testing.assert_array_equal(some["inverse.dq_c"], whole["inverse.dq_c"][::every])
     assert set(some.outputs) | set(some.states) == {"inverse.dq_c", "path.q_d", "arm.q"}
+
+
+def test_the_error_by_eighths_hardly_changes_with_what_is_kept() -> None:
+    whole, some = (tracking_error(ran("arm2_joint", "compiled", 40.0, log=Log(every))) for every in (None, 0.05))
+    assert whole is not None
+    assert some is not None
+    assert len(some.norm) == 801
+    # the first holds a transient of a few kept instants
+    np.testing.assert_allclose(some.rms_by_eighth[1:], whole.rms_by_eighth[1:], rtol=0.01)
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
