@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,7 @@ TOLERANCE = 1e-4
 """Largest distance of any joint angle at any sample from ours, of a row that counts [rad]."""
 
 SIX_JOINTS = ("ours_compiled", "ours_interpreted", "cpp_pinocchio", "jax_by_hand", "numpy_pinocchio")
-ENOUGH, MOST = 1.0, 5
-OURS = "ours_compiled"
+ENOUGH, MOST = 1.0, 15
 
 Run = Callable[[str, str, float, float, float], dict[str, Any]]
 
@@ -71,6 +71,12 @@ def section(
         except Failed as failure:
             missing[key] = f"failed: {failure}"
     reference = next((key for key in order if key.startswith("ours") and key in found), None)
+    if reference is not None and len(found) > 1:
+        # Every ratio hangs on this one, so it is measured at both ends of the run, in case one was disturbed.
+        told(f"({part}) {graph}: {look(reference).title}, again")
+        with suppress(Failed):
+            again = run(reference, graph, seconds, step, limit)
+            found[reference]["wall"] = min(float(found[reference]["wall"]), float(again["wall"]))
     rows = [row(part, look(key), seconds, missing[key], found.get(key), found.get(reference or "")) for key in order]
     name = look(reference).title if reference else "ours"
     return Section(
@@ -81,7 +87,7 @@ def section(
         (
             f"A row counts where no joint angle at any sampling instant is further than {TOLERANCE:g} rad from ours. "
             "What a tool compiles or builds before the first step is left out, of ours too: see (e). "
-            "The time is that of the best of up to five runs.",
+            f"The time is that of the best of up to {MOST} runs, and ours is measured before and after the others.",
         ),
     )
 
