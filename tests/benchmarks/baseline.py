@@ -1,6 +1,6 @@
 """A baseline of ratios, and whether a new table falls behind it.
 
-Times differ from machine to machine and from hour to hour; ratios measured in one run much less. Every ratio says how
+Times differ from machine to machine; ratios measured in one run, on a quiet one, much less. Every ratio says how
 many times better ours is, or how little a cost has grown, so that a smaller one is worse.
 """
 
@@ -14,7 +14,7 @@ from tests.benchmarks.table import Report
 
 FILE = Path(__file__).with_name("baseline.json")
 TOLERANCE = 1.5
-"""A ratio may fall to its baseline divided by this: on a busy machine, ratios of single runs scatter by a third."""
+"""A ratio may fall to its baseline divided by this; more is a regression, or a machine too busy to tell."""
 
 
 @dataclass(frozen=True)
