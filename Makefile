@@ -1,4 +1,4 @@
-# make run | make test | make benchmark | make mutants | make setup | make lint | make lock | make clean
+# make run | make test | make benchmark | make peers | make mutants | make setup | make lint | make lock | make clean
 # Needs Python 3.11 or later with venv and pip, git, make and gcc; choose the Python with PYTHON=python3.12.
 
 SHELL := /bin/bash
@@ -13,7 +13,7 @@ WORKERS ?= 2
 GRAPHS ?= ur10_fast ur10_fast_kinematic ur10_fast_tuned
 SOURCES := dmframe blocks plants tests
 
-.PHONY: run test mutants setup lint lock clean benchmark
+.PHONY: run test mutants setup lint lock clean benchmark peers
 
 run: setup
 	$(BIN)/dmframe run $(GRAPHS)
@@ -48,9 +48,16 @@ lock:
 	uv pip compile --quiet --universal --generate-hashes --python-version 3.11 --no-emit-index-url \
 	  --no-emit-find-links --custom-compile-command "make lock" --group dev pyproject.toml -o requirements.lock
 
-# How long certificates take, and SymPy for comparison: some minutes.
+# How long certificates take, with SymPy for comparison; then dmframe beside other tools, where they are installed: half
+# an hour. BENCHMARK="a --seconds 20" runs one part of the second, BENCHMARK=--check compares it with its baseline.
 benchmark: setup
 	$(BIN)/python tests/benchmarks/certify.py
+	$(BIN)/python -m tests.benchmarks $(BENCHMARK)
+
+# The other tools: some hundred megabytes.
+peers: setup
+	$(BIN)/python -m pip install -qq --disable-pip-version-check --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install -qq --disable-pip-version-check --group peers
 
 clean:
 	rm -rf $(VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

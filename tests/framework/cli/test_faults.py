@@ -78,7 +78,7 @@ FAULTS = {
     ),
     "set of a block that one of two lacks": (
         ("run", "ur10_fast", "ur10_fast_kinematic", "--set", "dynamics.Gamma=3"),
-        "dmframe: ur10_fast_kinematic: --set dynamics.Gamma=3: unknown block or key; choose from arm, baseline, blocks, clock, ",
+        "dmframe: ur10_fast_kinematic: --set dynamics.Gamma=3: unknown block or key; choose from arm, ",
     ),
     "set to a bad value": ((*RUN, "--set", "task.alpha=-1"), ": blocks.task.alpha: expected a number > 0, found -1\n"),
 }

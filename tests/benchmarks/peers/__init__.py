@@ -1,0 +1,29 @@
+"""The same closed loop in other tools, one file each; `PEERS` names them in the order of the table."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from tests.benchmarks.peer import Peer
+
+PEERS = (
+    "ours_compiled",
+    "ours_interpreted",
+    "cpp_pinocchio",
+    "jax_by_hand",
+    "jax_arrays",
+    "jaxonomy_blocks",
+    "mujoco_callback",
+    "mujoco_euler",
+    "drake_diagram",
+    "numpy_pinocchio",
+    "pathsim_blocks",
+    "bdsim_blocks",
+    "python_control",
+)
+
+
+def find(key: str) -> type[Peer]:
+    """The peer of that module; importing it imports nothing that may be missing."""
+    found: type[Peer] = import_module(f"tests.benchmarks.peers.{key}").Loop
+    return found

@@ -1,0 +1,16 @@
+"""The loop in MuJoCo by its semi-implicit Euler method: one evaluation a step, and an error of first order."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from tests.benchmarks.peers import mujoco_callback
+
+
+class Loop(mujoco_callback.Loop):
+    """As one would choose it for speed."""
+
+    title: ClassVar[str] = "MuJoCo, Euler"
+    method: ClassVar[str] = "semi-implicit Euler"
+    integrator: ClassVar[str] = "Euler"
+    note: ClassVar[str] = "Python once a step; its first-order error is its own, so it stands here for its speed alone"

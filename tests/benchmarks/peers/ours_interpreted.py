@@ -1,0 +1,43 @@
+"""Ours, with CasADi's virtual machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+from tests.benchmarks.loop import Array
+from tests.benchmarks.peer import Peer
+
+
+class Loop(Peer):
+    """The graph itself."""
+
+    title: ClassVar[str] = "dmframe, interpreted"
+    package: ClassVar[str] = "dmframe"
+    note: ClassVar[str] = "keeps every signal at every sample, where the others keep the joint angles"
+    engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
+
+    def build(self) -> None:
+        from dmframe.config.graph import load_graph
+
+        self.graph = load_graph(self.loop.graph)
+        self.diagram = self.graph.diagram()
+        self.wall: float | None = None
+
+    def run(self, seconds: float) -> Array:
+        from dmframe.simulate import simulate
+
+        solver = replace(self.graph.solver, step=self.step)
+        found = simulate(
+            self.diagram,
+            seconds,
+            clock=self.graph.file.clock,
+            solver=solver,
+            start=self.graph.start,
+            engine=self.engine,
+        )
+        if found.engine != self.engine:
+            raise RuntimeError(f"expected the engine {self.engine}, found {found.engine}")
+        self.wall = found.wall_time
+        q: Array = found["arm.q"]
+        return q
