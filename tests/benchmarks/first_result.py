@@ -25,7 +25,7 @@ def seconds(code: str, folder: Path, cache: Path, word: str = "") -> tuple[float
     with subprocess.Popen(
         [sys.executable, "-c", code],
         cwd=folder,
-        env={**environment(), "DMFRAME_CACHE": str(cache)},
+        env={**environment(), "DMFRAME_CACHE": str(cache), "PYTHONDONTWRITEBYTECODE": ""},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -54,7 +54,7 @@ def section(graph: str = "ur10_fast", told: Callable[[str], None] = lambda text:
             first, whole = zip(*(seconds(code, folder, each, graph) for each in places), strict=True)
             found[f"dmframe run {graph}, {state} cache: {FIRST}"] = min(first)
             found[f"dmframe run {graph}, {state} cache: {WHOLE}"] = min(whole)
-        for what in ("import dmframe", "import dmframe.cli", *OTHERS):
+        for what in ("import dmframe", "import dmframe.cli", "import dmframe.cli.run", *OTHERS):
             found[what] = min(seconds(what, folder, cache)[1] for _ in range(REPEATS))
     rows = tuple(
         Row("e", name, value, "s", None if name in OTHERS else found[BASE] / value, note=OTHERS.get(name, ""))
