@@ -162,14 +162,18 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
 
 
 def _inverse(diagram: Diagram, servo: str) -> str | None:
-    """The controller's block that commands the servo, if it adapts to it."""
+    """The controller's block that commands the servo, if it adapts to it and takes a sliding variable's torque.
+
+    The inverse of a user's torque, in the torque-based framework, has no port (sigma, tau_dc) to be passive at.
+    """
     source = diagram.sources[servo, COMMAND]
     if not isinstance(source, Wire):
         return None
     block: AbstractBlock = diagram.blocks[source.block]
     commands = any(port.name == source.port and port.access is Access.COMMANDED for port in block.outputs)
     adapts = any(label.startswith(f"{source.block}.") for label in true_values(diagram))
-    return source.block if commands and adapts else None
+    passive = {"tau_dc", "sigma"} <= diagram.models[source.block].inputs.keys()
+    return source.block if commands and adapts and passive else None
 
 
 def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:

@@ -63,6 +63,10 @@ def latex(text: str) -> str:
     """A formula in the code's names as LaTeX; a text that is no formula stays text."""
     pieces, place = list[str](), 0
     while place < len(text):
+        if text[place] == ",":
+            pieces.append(r",\; ")
+            place += 1
+            continue
         token = _TOKEN.match(text, place)
         if token is None or not _is_formula(token, text):
             return rf"\text{{{_escaped(text)}}}"

@@ -86,8 +86,9 @@ def terms_of(claim: Claim) -> Terms:
     dissipation = _numbered(claim, names, "dissipation", "D")
     excess = _numbered(claim, names, "excess", "E")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
-    consumed = [part.certificate.consumes for part in claim.parts if part.cascade]
-    consumption = rf"{names.weight(total(consumed))}\, |\sigma|^2" if consumed else ""
+    consumed = [part.certificate.consumes for part in claim.parts if part.certificate.consumes is not None]
+    share = names.weight(total(consumed)) if consumed else ""
+    consumption = rf"{rf'({share})' if ' + ' in share else share}\, |\sigma|^2" if share else ""
     lost = [(row, _formula(row)) for row in dissipation]
     left = [(row, _formula(row)) for row in excess]
     gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)

@@ -234,6 +234,13 @@ def test_a_pi_servo_with_its_inverse_is_a_stiffness_and_a_damping() -> None:
         assert joint.passive_port.least == pytest.approx(K_P + B)
 
 
+@pytest.mark.parametrize("name", ["torque_indirect_pi", "torque_direct_pid"])
+def test_the_inverse_of_a_users_torque_has_no_port_of_a_sliding_variable(name: str) -> None:
+    for joint in servo_transfer(packaged(name)[0]):
+        assert joint.port is None
+        assert joint.passive_servo.holds
+
+
 @pytest.mark.parametrize(("K_c", "holds"), [(1.0, True), (0.35, True), (0.25, False)])
 def test_a_pid_servo_with_its_inverse_is_passive_exactly_where_m_bar_is_positive(K_c: float, holds: bool) -> None:
     K_D, K_P, K_I, B = 20.0, 60.0, 20.0, 0.3

@@ -86,7 +86,7 @@ FRICTION = {"both": ("viscous", "coulomb"), "viscous": ("viscous",), "coulomb": 
 def loop_of(
     robot: Any, task: str, servo: str, *, friction: str = "both", boxes: bool = False, source: str = ""
 ) -> Loop:
-    """{task, joint} x {PI, PID}, as the issue of the day wants it."""
+    """{task, joint} x {PI, PID}."""
     n, m = robot.n, robot.m
     source = source or {"task": "circle" if m > 1 else "setpoint", "joint": "sinusoid"}[task]
     specs = {"path": (source, _path(source, task, n, m))}

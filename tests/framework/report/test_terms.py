@@ -4,6 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from dmframe.catalogue import graphs
+from dmframe.certify import verify
+from dmframe.config import load_graph
 from dmframe.report.expression import expression_latex
 from dmframe.report.terms import shown, terms_of
 
@@ -76,3 +79,18 @@ def test_the_legend_names_each_symbol_of_the_weights(proved):
 )
 def test_numbers_are_shown_as_a_table_bears_them(values, expected):
     assert shown(np.array(values)) == expected
+
+
+@pytest.mark.parametrize("name", graphs())
+def test_v_and_its_rate_of_every_packaged_graph_can_be_written_out(name):
+    claim = verify(load_graph(name).diagram()).claim
+    if claim is None:
+        assert name.endswith("_kinematic")  # it claims nothing
+        return
+    terms = terms_of(claim)
+    assert len(terms.storage) == sum(len(part.certificate.storage) for part in claim.parts)
+    cascades = [part for part in claim.parts if part.certificate.consumes is not None]
+    assert bool(terms.consumption) == bool(cascades)
+    text = " ".join(row.right for row in (*terms.V, *terms.rate))
+    assert "None" not in text
+    assert "_" not in text.replace("_{", "")  # no name of the code is left bare
