@@ -238,7 +238,7 @@ def test_a_pi_servo_with_its_inverse_is_a_stiffness_and_a_damping() -> None:
 def test_the_inverse_of_a_users_torque_has_no_port_of_a_sliding_variable(name: str) -> None:
     for joint in servo_transfer(packaged(name)[0]):
         assert joint.port is None
-        assert joint.passive_servo.holds
+        assert joint.inverse is None
 
 
 @pytest.mark.parametrize(("K_c", "holds"), [(1.0, True), (0.35, True), (0.25, False)])
