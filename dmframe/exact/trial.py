@@ -39,6 +39,7 @@ class Trial:
         self._circle: dict[int, tuple[int, int]] = {}
         self._signs: dict[int, int] = {}
         self._script: list[int] = []
+        self._inverses: dict[int, int] = {1: 1}  # the same denominators come back, fault after fault
         for name, values in (functions or {}).items():
             kind, _, argument = name.partition(" of ")
             if kind == CIRCLE:
@@ -71,10 +72,13 @@ class Trial:
 
     def inverse(self, value: int) -> int:
         """1 / value; raises `ZeroDivision`."""
-        try:
-            return pow(value, -1, self.prime)
-        except ValueError:
-            raise ZeroDivision(f"a denominator vanishes modulo {self.prime}") from None
+        known = self._inverses.get(value)
+        if known is None:
+            try:
+                known = self._inverses[value] = pow(value, -1, self.prime)
+            except ValueError:
+                raise ZeroDivision(f"a denominator vanishes modulo {self.prime}") from None
+        return known
 
     def cos_sin(self, angle: int) -> tuple[int, int]:
         """(cos, sin) of a reduced residue."""
