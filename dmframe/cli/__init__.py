@@ -46,7 +46,7 @@ def _told() -> int:
             _say(str(fault))
         return FAULT
     except usage_error as error:
-        error.show()  # type: ignore[attr-defined]
+        error.show()  # type: ignore[attr-defined]  # its class was found above; typer keeps it to itself
         return FAULT
     except typer.Abort:
         return STOPPED
@@ -56,7 +56,7 @@ def _told() -> int:
         raise
     except OSError:
         raise
-    except Exception as error:
+    except Exception as error:  # a defect: one line with its place, and no traceback
         _say(_unexpected(error))
         return FAULT
     return status if isinstance(status, int) else 0
@@ -69,7 +69,7 @@ def _say(text: str) -> None:
 def _unexpected(error: Exception) -> str:
     """What no class of `dmframe.errors` tells: a defect, with the line where it came up."""
     frames = traceback.extract_tb(error.__traceback__)
-    place = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"  # noqa: PTH119
+    place = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"  # noqa: PTH119 - pathlib may be what failed
     text = " ".join(str(error).split())
     return f"{place}: {type(error).__name__}: {text}; a defect of dmframe or of a block, please report it"
 

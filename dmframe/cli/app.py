@@ -92,7 +92,7 @@ def run(
     until: Annotated[
         str | None, typer.Option(metavar="S", help="Simulated time, instead of the graph's: 20 s.")
     ] = None,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],  # noqa: B006 - as above
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; new or empty.")] = None,
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
@@ -117,7 +117,7 @@ def run(
 @app.command()
 def verify(
     graph: Graphs,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],  # noqa: B006 - as above
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report: .html, .md or .json.")] = None,
     seed: Annotated[int, typer.Option(help="Of the random points and primes.")] = 0,
     as_json: AsJson = False,
@@ -131,7 +131,7 @@ def verify(
 @app.command()
 def analyse(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006
+    overrides: Overrides = [],  # noqa: B006 - as above
     horizon: Annotated[float, typer.Option(metavar="S", help="Length of the runs that look for the period.")] = 20,
     as_json: AsJson = False,
 ) -> None:
@@ -198,7 +198,7 @@ def regressor(
     python: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a NumPy module.")] = None,
     latex: Annotated[Path | None, typer.Option(metavar="FILE", help="Write M, C, g, Y_d, Y_k; up to 3 joints.")] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
-    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006
+    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006 - as above
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:

@@ -7,7 +7,8 @@ from typing import Any
 
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
-from dmframe.config.graph import NAME, GraphFile
+from dmframe.config.grammar import GraphFile
+from dmframe.config.graph import NAME
 from dmframe.parameter import Spec, spec_of
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -46,7 +47,7 @@ def json_schema() -> dict[str, Any]:
 
 def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
     plain = kind.model_json_schema()
-    properties: dict[str, Any] = {"type": {"description": inspect.getdoc(kind).split("\n")[0]}}  # type: ignore[union-attr]
+    properties: dict[str, Any] = {"type": {"description": inspect.getdoc(kind).split("\n")[0]}}  # type: ignore[union-attr]  # at least AbstractBlock's
     for name, field in kind.model_fields.items():
         spec = spec_of(field)
         properties[name] = plain["properties"][name] if spec is None else _number(spec)

@@ -99,7 +99,7 @@ def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
     import jax
     import jax.numpy as jnp
 
-    from tests.benchmarks.jax_loop import functions
+    from tests.benchmarks.jax_loop import functions, integrated
 
     loop = Loop.read(GRAPH)
     control, rate, z, x = functions(loop)
@@ -112,15 +112,7 @@ def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
         def tick(k: Any, state: Any) -> Any:
             z, x = state
             dq_c, z = control(k * loop.T, z, x, gain)
-
-            def integrate(_: Any, x: Any) -> Any:
-                k1 = rate(x, dq_c)
-                k2 = rate(x + h / 2 * k1, dq_c)
-                k3 = rate(x + h / 2 * k2, dq_c)
-                k4 = rate(x + h * k3, dq_c)
-                return x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
-
-            return z, jax.lax.fori_loop(0, substeps, integrate, x)
+            return z, integrated(rate, x, dq_c, h, substeps)
 
         return jax.lax.fori_loop(0, ticks, tick, (z, x))[1][2 * n : 3 * n]
 

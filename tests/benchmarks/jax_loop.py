@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from tests.benchmarks.arrays import Robot as Arrays
@@ -85,3 +86,17 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
     z = jnp.concatenate([jnp.asarray(loop.start[name]) for name in STATES])
     x = jnp.concatenate([jnp.asarray(loop.start[name]) for name in ("q_c", "i", "q", "dq")])
     return control, rate, z, x
+
+
+def integrated(rate: Callable[[Any, Any], Any], x: Any, dq_c: Any, h: float, substeps: int) -> Any:
+    """x after some steps of classical Runge-Kutta, the command held."""
+    import jax
+
+    def step(_: Any, x: Any) -> Any:
+        k1 = rate(x, dq_c)
+        k2 = rate(x + h / 2 * k1, dq_c)
+        k3 = rate(x + h / 2 * k2, dq_c)
+        k4 = rate(x + h * k3, dq_c)
+        return x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
+
+    return jax.lax.fori_loop(0, substeps, step, x)

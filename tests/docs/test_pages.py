@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from dmframe.catalogue import graphs
 from dmframe.cli.app import app
 from dmframe.config.document import read_document, read_file
-from dmframe.config.graph import GraphFile, LogSection, RobotSection, SolverSection
+from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection
 from dmframe.robot.library import robots
 
 ROOT = Path(__file__).parents[2]

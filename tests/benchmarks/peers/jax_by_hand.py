@@ -27,7 +27,7 @@ class Loop(Peer):
         import jax
         import jax.numpy as jnp
 
-        from tests.benchmarks.jax_loop import functions
+        from tests.benchmarks.jax_loop import functions, integrated
 
         loop, n = self.loop, self.loop.n
         control, rate, self.z, self.x = functions(loop, arrays=self.arrays)
@@ -38,15 +38,7 @@ class Loop(Peer):
         def tick(state: Any, k: Any) -> Any:
             z, x = state
             dq_c, z = control(k * loop.T, z, x, gains)
-
-            def integrate(_: Any, x: Any) -> Any:
-                k1 = rate(x, dq_c)
-                k2 = rate(x + h / 2 * k1, dq_c)
-                k3 = rate(x + h / 2 * k2, dq_c)
-                k4 = rate(x + h * k3, dq_c)
-                return x + h / 6 * (k1 + 2 * (k2 + k3) + k4)
-
-            x = jax.lax.fori_loop(0, substeps, integrate, x)
+            x = integrated(rate, x, dq_c, h, substeps)
             return (z, x), x[2 * n : 3 * n]
 
         self.chunk = jax.jit(lambda state, k: jax.lax.scan(tick, state, k + jnp.arange(CHUNK, dtype=float)))

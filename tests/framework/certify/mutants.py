@@ -338,6 +338,8 @@ def main() -> int:
     more = not options.equations
     for result in campaign(everywhere=not options.quick, certificates=more, library=more):
         counts[result.outcome] += 1
+        if counts.total() % 100 == 0:
+            print(f"{counts.total()} faults tried, {counts['survived']} survived", file=sys.stderr)  # noqa: T201
         if result.outcome == "survived" or (options.list and result.outcome != "refuted"):
             print(f"{result.outcome}: {result.mutant} [{result.loop}]: {result.reason}")  # noqa: T201
     for outcome, meaning in OUTCOMES.items():

@@ -1,0 +1,134 @@
+"""The grammar of a graph file: its keys, and the units of their numbers."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, final
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+
+from dmframe.errors import DmframeError
+from dmframe.simulate.step import Method
+from dmframe.units import to_unit
+
+
+def _reader(unit: str, *, positive: bool) -> BeforeValidator:
+    def read(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise ValueError(f"expected a number in {unit}, found {value!r}")
+        try:
+            number = to_unit(value, unit)
+        except DmframeError as error:
+            raise ValueError(error.text) from None
+        if positive and number <= 0:
+            raise ValueError(f"expected a positive number in {unit}, found {value!r}")
+        return number
+
+    return BeforeValidator(read)
+
+
+def _schema(unit: str) -> WithJsonSchema:
+    return WithJsonSchema({"type": ["number", "string"], "description": f"a number in {unit}, or a text with a unit"})
+
+
+Seconds = Annotated[float, _reader("s", positive=True), _schema("s")]
+Angle = Annotated[float, _reader("rad", positive=False), _schema("rad")]
+Length = Annotated[float, _reader("m", positive=False), _schema("m")]
+Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
+
+
+def _clock(value: Any) -> Any:
+    if value == "continuous":
+        return None
+    if value is None or (isinstance(value, str) and not value[:1].isdigit() and value[:1] not in "+-."):
+        found = "nothing" if value is None else repr(value)
+        raise ValueError(f"expected a sampling period such as 8 ms, or continuous, found {found}")
+    return value
+
+
+def _version(value: Any) -> Any:
+    if type(value) is not int or value != 1:
+        raise ValueError(f"expected 1, the version of this format, found {value!r}")
+    return value
+
+
+def _tool(value: Any) -> Any:
+    if isinstance(value, str) or value is None:
+        return value
+    if isinstance(value, list) and len(value) == 3:
+        try:
+            return tuple(to_unit(number, "m") for number in value)
+        except DmframeError as error:
+            raise ValueError(error.text) from None
+    raise ValueError(f"expected a frame's name, or 3 numbers in m, found {value!r}")
+
+
+def robot_name(value: Any) -> Any:
+    """A robot given by its name alone is that model, all else left to its defaults."""
+    return {"model": value} if isinstance(value, str) else value
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@final
+class RobotSection(_Section):
+    """Which robot, and which of its joints move."""
+
+    model: str = Field(description="name of a robot, or a path to a URDF file")
+    free: tuple[str, ...] | None = Field(
+        None, description="joints that move; without it, all those on the way to the tool"
+    )
+    hold: dict[str, Angle] = Field({}, description="joints held still, with their angles")
+    tool: Annotated[str | tuple[float, float, float] | None, BeforeValidator(_tool)] = Field(
+        None, description="frame of the tool, or its offset in the last link"
+    )
+    axes: str | None = Field(None, description="task coordinates: xyz, xy, ...")
+    friction_velocity: Speed = Field(0.005, description="v_0 of Coulomb friction, tanh(dq / v_0)")
+
+
+@final
+class SolverSection(_Section):
+    """How the continuous part is integrated."""
+
+    method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
+    step: Seconds = Field(0.001, description="longest step of rk4")
+    output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
+    tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
+
+
+@final
+class LogSection(_Section):
+    """What a run keeps."""
+
+    every: Seconds | None = Field(
+        None, description="time between instants that are kept; without it every tick, fewer of a very long run"
+    )
+    signals: tuple[str, ...] | None = Field(None, description="block.signal of those that are kept; without it, all")
+
+
+@final
+class GraphFile(_Section):
+    """The keys of a graph file."""
+
+    dmframe: Annotated[Literal[1], BeforeValidator(_version)] = Field(description="version of this format")
+    title: str = Field("", description="one line that a reader understands")
+    robot: Annotated[RobotSection | None, BeforeValidator(robot_name)] = Field(
+        None, description="the robot's name, or its name with what moves and where the tool is"
+    )
+    clock: Annotated[Seconds | None, BeforeValidator(_clock), _schema("s, or continuous")] = Field(
+        description="sampling period of the controller, or continuous"
+    )
+    duration: Seconds = Field(description="simulated time")
+    start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
+    solver: SolverSection = SolverSection()
+    log: LogSection = LogSection()
+    blocks: dict[str, dict[str, Any]] = Field(description="blocks by name: {type: ..., parameter: value}")
+    wires: dict[str, str] = Field({}, description="input: output, where names do not say it")
+    baseline: dict[str, dict[str, Any] | None] = Field(
+        {},
+        description="blocks of the controller to compare with, in the place of those of that name; null leaves one out",
+    )
+    uncertain: dict[str, Any] = Field(
+        {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
+    )
