@@ -28,9 +28,37 @@ so a leak dissipates two squares and leaves one that is constant, :math:`\tfrac\
 if the start was right. A dead zone leaves a term of either sign, at most :math:`\sum_i v_i |b_i|`. The literature's
 sigma is :math:`\Gamma^{-1} \lambda`: as a rate, lambda has one unit for all estimates.
 
+Where a prediction error :math:`e = W \tilde\theta` can be computed, of this estimate's error alone, a block may fit it
+too (`Fit`):
+
+.. math::
+
+    \dot{\hat\theta} = -P\, (\Phi(D_v(s)) + W^\top R\, e), \quad P = (\Gamma^{-1} + G)^{-1}, \quad
+    \dot G = -\mu G + W^\top R\, W, \quad G(0) = 0
+
+==================== ============= ===================================================================================
+law                  parameter     what it does
+==================== ============= ===================================================================================
+composite            R             adapts by the prediction error too; without forgetting P = Gamma
+bounded-gain         forgetting mu least squares over the last 1/mu seconds: each direction of theta converges at that
+forgetting                         rate or faster while W excites it, and has the gain Gamma where nothing is known
+==================== ============= ===================================================================================
+
+P is at most :math:`\Gamma`, the bound of the gain. With :math:`W_P = c P^{-1}` as the weight of V, c a constant,
+
+.. math::
+
+    \tfrac{d}{dt} \tfrac12 |\tilde\theta|^2_{W_P} = -c\, \tilde\theta^\top \Phi(D_v(s))
+        - \tfrac c2 |e|^2_R - \tfrac{c \mu}2 |\tilde\theta|^2_G
+
+and without forgetting :math:`-c |e|^2_R`. Of a single estimate this is
+:math:`\dot P^{-1} = -\lambda P^{-1} + W^\top R W` with :math:`\lambda = \mu (1 - P/\Gamma)` [SlotineLi1991]_. Of more,
+theirs scales all directions of P by the norm of P; this one bounds each by itself, and is rational.
+
 References
 ----------
-[IoannouSun1996]_ chapter 8; [NarendraAnnaswamy1987]_ for the e modification.
+[IoannouSun1996]_ chapter 8; [NarendraAnnaswamy1987]_ for the e modification; [SlotineLi1991]_ section 8.7 for
+composite adaptation and bounded-gain forgetting.
 """
 
 from __future__ import annotations
@@ -39,7 +67,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-from dmframe.certificate import SX, Bounded, Clipped, Dissipated, NormSquare, Square, dead_zone, norm
+import casadi as ca
+
+from dmframe.certificate import (
+    SX,
+    Bounded,
+    Clipped,
+    Dissipated,
+    Gathered,
+    NormSquare,
+    Square,
+    Stored,
+    dead_zone,
+    gathered,
+    norm,
+)
+from dmframe.linalg import solve_spd
 from dmframe.parameter import Positive
 
 
@@ -155,6 +198,71 @@ class Adaptation:
         return Terms(excess=(Clipped(effect_of, error, self.width, effect),))
 
 
+@final
+@dataclass(frozen=True)
+class Fit:
+    """A prediction error that an estimate fits beside the error that drives it.
+
+    Parameters
+    ----------
+    error, error_of
+        e, a column, and how a reader writes it.
+    regressor
+        W of e = W (estimate - truth).
+    by
+        r, the diagonal of R: a column.
+    forgetting
+        mu; None for composite adaptation without forgetting.
+    state
+        The state that gathers G, a square matrix; read where there is forgetting.
+    """
+
+    error: SX
+    error_of: str
+    regressor: SX
+    by: SX
+    forgetting: SX | None = None
+    state: SX | None = None
+
+    @property
+    def gradient(self) -> SX:
+        """W' R e."""
+        return self.regressor.T @ (self.by * self.error)
+
+    def gained(self, gain: SX, gradient: SX) -> SX:
+        """P times a gradient, with Gamma the diagonal `gain`."""
+        if self.forgetting is None:
+            return gain * gradient
+        return solve_spd(ca.diag(1 / gain) + self._memory, gradient)
+
+    def rates(self, state: str) -> dict[str, SX]:
+        """The rate of G, if there is forgetting, by the state's name."""
+        if self.forgetting is None:
+            return {}
+        return {state: gathered(self._memory, self.regressor, self.by, self.forgetting)}
+
+    def storage(self, estimate: Estimate, c: SX) -> tuple[Stored, ...]:
+        """What V holds more than the estimate's own square, whose weight is c over Gamma."""
+        return () if self.forgetting is None else (self._gathered(estimate, c),)
+
+    def dissipation(self, estimate: Estimate, c: SX) -> tuple[Dissipated, ...]:
+        """What the fit spends, c being a constant."""
+        if self.forgetting is None:
+            return (Square(self.error_of, self.error, c * self.by),)
+        spent = Square(self.error_of, self.error, c * self.by / 2)
+        return (spent, self._gathered(estimate, c * self.forgetting / 2))
+
+    @property
+    def _memory(self) -> SX:
+        """G: symmetric, whatever the state's symbols are."""
+        assert self.state is not None
+        return (self.state + self.state.T) / 2
+
+    def _gathered(self, estimate: Estimate, weight: SX) -> Gathered:
+        vector = estimate.value - estimate.truth
+        return Gathered(estimate.error, vector, weight, self._memory, self.regressor, self.by, self.forgetting)
+
+
 def adaptation(p: Any) -> Adaptation:
     """The law that the parameters `leak`, `error_leak` and `dead_zone` of a block choose."""
     return Adaptation(
@@ -181,4 +289,4 @@ def _by(term: Dissipated | Bounded, error: SX, error_of: str) -> NormSquare:
     return NormSquare(term.of, term.vector, term.weight, error, error_of)
 
 
-__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Leak", "Terms", "adaptation"]
+__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation"]

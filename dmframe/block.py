@@ -91,7 +91,7 @@ class AbstractBlock(BaseModel):
     @classmethod
     def _read_quantity(cls, value: Any, info: Any) -> Any:
         spec = spec_of(cls.model_fields[info.field_name])
-        if spec is None:
+        if spec is None or (value is None and cls.model_fields[info.field_name].default is None):
             return value
         try:
             return read(value, spec)

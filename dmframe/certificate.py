@@ -180,6 +180,67 @@ class NormSquare:
 
 @final
 @dataclass(frozen=True)
+class Gathered:
+    r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
+
+    .. math:: \dot G = -\lambda G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
+        G(t) = \int_0^t e^{-\lambda (t - s)} W^\top \mathrm{diag}(r) W\, ds \ge 0
+
+    so it is never negative, though its weight is a state: that the state moves like this is a part of the exact test.
+
+    Parameters
+    ----------
+    of
+        How a reader writes a.
+    vector
+        a, a column.
+    weight
+        c, a scalar of parameters.
+    memory
+        G, symmetric: a state, or made of one.
+    regressor
+        W.
+    by
+        r, a column of parameters.
+    forgetting
+        :math:`\lambda`, a scalar of parameters.
+    """
+
+    of: str
+    vector: SX
+    weight: SX
+    memory: SX
+    regressor: SX
+    by: SX
+    forgetting: SX
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight, self.memory, self.regressor, self.by, self.forgetting
+
+    @property
+    def value(self) -> SX:
+        """The form as one scalar expression."""
+        return self.weight * ca.dot(self.vector, self.memory @ self.vector)
+
+    @property
+    def rate(self) -> SX:
+        """What dG/dt has to be."""
+        return gathered(self.memory, self.regressor, self.by, self.forgetting)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
+        """The same form of other expressions."""
+        return Gathered(self.of, *pieces)
+
+
+def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
+    """-lambda G + W' diag(r) W."""
+    return regressor.T @ ca.diag(by) @ regressor - forgetting * memory
+
+
+@final
+@dataclass(frozen=True)
 class Clipped:
     r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
 
@@ -211,8 +272,10 @@ class Clipped:
         return Clipped(self.of, *pieces)
 
 
-Dissipated = Square | NormSquare | Lemma
+Dissipated = Square | NormSquare | Lemma | Gathered
 """A term that is never negative, by how it is built."""
+Stored = Square | Gathered
+"""A term of which V is made; a square alone is also positive."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""
 
@@ -225,7 +288,7 @@ class Certificate:
     Parameters
     ----------
     storage
-        S is *half* the sum of these squares.
+        S is *half* the sum of these terms.
     dissipation
         What is lost, each term non-negative.
     supply
@@ -244,7 +307,7 @@ class Certificate:
         leaves behind. A claim with one is proved up to a bounded residual.
     """
 
-    storage: tuple[Square, ...] = ()
+    storage: tuple[Stored, ...] = ()
     dissipation: tuple[Dissipated, ...] = ()
     supply: SX = 0
     consumes: SX | None = None

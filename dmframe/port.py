@@ -89,6 +89,8 @@ class State:
         Name of the parameter that holds the ball onto which the state is projected, where there is one.
     gain
         Of a state with a ball, the name of the parameter that is its adaptation gain, in whose metric it is projected.
+    optional
+        The block may leave it out, by not stating its rate.
     """
 
     name: str
@@ -97,6 +99,7 @@ class State:
     box: str = ""
     ball: str = ""
     gain: str = ""
+    optional: bool = False
 
 
 ANY = "*"

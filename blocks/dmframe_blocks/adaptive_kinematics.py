@@ -7,9 +7,10 @@ from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Fit, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
+from dmframe.errors import MissingError, ValueFault
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Port, State
 
@@ -32,6 +33,20 @@ class AdaptiveKinematics(AbstractBlock):
         S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}}                  \tag{3} \\
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)                 \tag{4}
 
+    The position itself is linear in the translations: :math:`\hat x = f(q, \hat a_k)` has the error
+    :math:`e_x = \hat x - x = W_k(q)\, \tilde a_k`, without any derivative. With R it is fitted too, and with
+    forgetting by least squares over the last :math:`1/\mu` seconds:
+
+    .. math::
+
+        \dot{\hat a}_k &= P (Y_k^\top e_k - W_k^\top R\, e_x), \quad P = (\Gamma_k^{-1} + G_k)^{-1}   \tag{5} \\
+        \dot G_k &= -\mu G_k + W_k^\top R\, W_k                                                     \tag{6} \\
+        S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}} + \tfrac12 \alpha |\tilde a_k|^2_{G_k}      \tag{7} \\
+        \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)
+                  - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha \mu |\tilde a_k|^2_{G_k}            \tag{8}
+
+    With R alone :math:`P = \Gamma_k`, and (8) spends :math:`\alpha |e_x|^2_R`.
+
     Parameters
     ----------
     Gamma_k : diagonal (h,), > 0
@@ -47,14 +62,21 @@ class AdaptiveKinematics(AbstractBlock):
     leak, error_leak, dead_zone : 1/s; 1/(m s); (m,), m; > 0
         Robust laws, each absent unless given: a pull back to the start; one in proportion to e_k; no adaptation
         while e_k is below this width. See `dmframe.adaptation`.
+    R : diagonal (m,), 1/s, > 0
+        Composite adaptation, absent unless given: weight of the position's prediction error. Larger learns faster;
+        sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
+    forgetting : scalar, 1/s, > 0
+        mu, absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
+        bound of the gain P.
 
     Notes
     -----
-    Not for: a robot whose tool is not seen, since x must be measured rather than computed.
+    Not for: a robot whose tool is not seen, since x must be measured rather than computed. With R, x must be measured
+    in the frame of the robot's base; the others need only its changes.
 
     References
     ----------
-    [WangTAC2020]_ eqs. (4), (13), (22).
+    [WangTAC2020]_ eqs. (4), (13), (22); [SlotineLi1991]_ section 8.7 for the fit.
     """
 
     uses_robot: ClassVar[bool] = True
@@ -62,14 +84,16 @@ class AdaptiveKinematics(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq", "n", "rad/s"),
         Port("e_k", "m", "m"),
+        Port("x", "m", "m"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("J_hat", "m n", "m/rad", full_rank=True),)
     states: ClassVar[tuple[State, ...]] = (
         State("a_k_hat", "h", "m", box="a_k_hat_box", ball="a_k_hat_ball", gain="Gamma_k"),
+        State("G_k", "h h", "", optional=True),
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
 
-    Gamma_k: Diagonal = Positive("h", "rad^2/(m^2 s)")
+    Gamma_k: Diagonal = Positive("h")
     adapt: Literal["all", "links", "tool"] = "all"
     start_error: Diagonal = Real("h", "m", default=0.0)
     a_k_hat_box: Box = Interval("h", "m")
@@ -77,20 +101,24 @@ class AdaptiveKinematics(AbstractBlock):
     leak: Scalar | None = Leak()
     error_leak: Scalar | None = ErrorLeak("1/(m s)")
     dead_zone: Diagonal | None = DeadZone("m", "m")
+    R: Diagonal | None = Positive("m", "1/s", default=None)
+    forgetting: Scalar | None = Positive("", "1/s", default=None)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """h: three a translation."""
         return {"h": {"all": robot.k, "links": robot.k - 3, "tool": 3}[self.adapt]}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
-        a_k = self._with(p.robot, x.a_k_hat)
-        Y_k = ca.jacobian(p.robot.jacobian(u.q, a_k) @ u.dq, x.a_k_hat)
-        law = adaptation(p)
-        gradient = p.Gamma_k * (Y_k.T @ law.drive(u.e_k))
+        """(1) and (2), or (1), (5) and (6)."""
+        J_hat, law, fit = p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat)), adaptation(p), self._fit(u, x, p)
+        gradient = ca.jacobian(J_hat @ u.dq, x.a_k_hat).T @ law.drive(u.e_k)
+        gradient = p.Gamma_k * gradient if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
         return Equations(
-            outputs={"J_hat": p.robot.jacobian(u.q, a_k)},
-            rates={"a_k_hat": law.rate(gradient, x.a_k_hat, self._start(p), u.e_k)},
+            outputs={"J_hat": J_hat},
+            rates={
+                "a_k_hat": law.rate(gradient, x.a_k_hat, self._start(p), u.e_k),
+                **(fit.rates("G_k") if fit else {}),
+            },
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -98,8 +126,8 @@ class AdaptiveKinematics(AbstractBlock):
         return {"a_k_hat": self._start(p)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(3) and (4)."""
-        law, alpha = adaptation(p), truth.task_weight
+        """(3) and (4), or (7) and (8)."""
+        law, alpha, fit = adaptation(p), truth.task_weight, self._fit(u, x, p)
         a_k = Estimate(
             "a_k_hat - a_k",
             "a_k_hat - a_k_hat(0)",
@@ -111,12 +139,29 @@ class AdaptiveKinematics(AbstractBlock):
         dx_err = self.equations(u, x, p).outputs["J_hat"] @ u.dq - truth.dx
         robust = law.terms([a_k], u.e_k, "e_k") + law.idle(u.e_k, -alpha * dx_err, "(J_hat - J) dq")
         return Certificate(
-            storage=(a_k.storage,),
-            dissipation=robust.dissipation,
+            storage=(a_k.storage, *(fit.storage(a_k, alpha) if fit else ())),
+            dissipation=(*(fit.dissipation(a_k, alpha) if fit else ()), *robust.dissipation),
             excess=robust.excess,
             supply=alpha * ca.dot(u.e_k, dx_err),
             task=True,
         )
+
+    def _fit(self, u: Signals, x: Signals, p: Signals) -> Fit | None:
+        """The position's prediction error, which is linear in the estimate."""
+        if self.R is None:
+            if self.forgetting is not None:
+                raise MissingError("adaptive_kinematics: forgetting needs R, the weight of what is to be forgotten")
+            return None
+        set_aside = [name for name in ("leak", "error_leak", "a_k_hat_box", "a_k_hat_ball") if getattr(self, name)]
+        if self.forgetting is not None and set_aside:
+            raise ValueFault(
+                f"adaptive_kinematics: expected no {set_aside[0]} beside forgetting: it acts in the metric of "
+                "Gamma_k, and V's is then that of P"
+            )
+        x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
+        W_k = ca.jacobian(x_hat, x.a_k_hat)
+        forgetting, G_k = (None, None) if self.forgetting is None else (p.forgetting, x.G_k)
+        return Fit(x_hat - u.x, "x_hat - x", W_k, p.R, forgetting, G_k)
 
     def _start(self, p: Signals) -> SX:
         """The true translations, wrong by `start_error`."""

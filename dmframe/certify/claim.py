@@ -18,7 +18,18 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import MONOTONE, SX, Certificate, Clipped, Dissipated, Lemma, NormSquare, Square
+from dmframe.certificate import (
+    MONOTONE,
+    SX,
+    Certificate,
+    Clipped,
+    Dissipated,
+    Gathered,
+    Lemma,
+    NormSquare,
+    Square,
+    Stored,
+)
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
@@ -48,7 +59,7 @@ class Part:
     @property
     def storage(self) -> SX:
         """S."""
-        return total([square.value for square in self.certificate.storage]) / 2
+        return total([term.value for term in self.certificate.storage]) / 2
 
     @property
     def dissipation(self) -> SX:
@@ -178,7 +189,7 @@ class Field:
         """A block's part, with the time derivative of its storage."""
         _check_form(name, certificate)
         joined = certificate.mapped(self.loop.joined)
-        storage = total([square.value for square in joined.storage]) / 2
+        storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
         return Part(name, joined, task, self.derivative(storage), lemma)
@@ -261,10 +272,10 @@ def _check_form(name: str, certificate: Certificate) -> None:
 
 def _ill_formed(certificate: Certificate) -> Iterator[str]:
     terms = certificate.dissipation
-    if not all(isinstance(term, Square) for term in certificate.storage):
-        yield "expected each term of the storage to be a Square; nothing else is known to be positive"
-    if not all(isinstance(term, Square | NormSquare | Lemma) for term in terms):
-        yield "expected each term of the dissipation to be a Square, a NormSquare or a Lemma"
+    if not all(isinstance(term, Stored) for term in certificate.storage):
+        yield "expected each term of the storage to be a Square or Gathered; nothing else is known to be positive"
+    if not all(isinstance(term, Dissipated) for term in terms):
+        yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if not all(isinstance(term, Square | NormSquare | Clipped) for term in certificate.excess):
         yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
     for term in (*certificate.storage, *terms, *certificate.excess):
@@ -287,7 +298,12 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 
 def _fits(term: object, pieces: Sequence[SX]) -> bool:
-    """Columns of one length or scalars; a square may have a matrix of weights, a norm a vector of any length."""
+    """Columns of one length or scalars; some terms have a matrix of weights, or a vector of another length."""
+    if isinstance(term, Gathered):
+        vector, weight, memory, regressor, by, forgetting = pieces
+        rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
+        fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
+        return bool(scalars and fits)
     if isinstance(term, NormSquare):
         return pieces[2].is_column() and _columns(pieces[:2])
     if isinstance(term, Square):

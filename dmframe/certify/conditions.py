@@ -10,7 +10,18 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Assumption, CommonLyapunov, Condition, Dissipated, Inequality, Lemma, Square
+from dmframe.certificate import (
+    SX,
+    Assumption,
+    CommonLyapunov,
+    Condition,
+    Dissipated,
+    Gathered,
+    Inequality,
+    Lemma,
+    Square,
+    Stored,
+)
 from dmframe.certify.claim import Claim, NotApplicableError, Part, total
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled, pivots
 from dmframe.certify.stability import common_margin
@@ -67,6 +78,7 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
         else:
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
+    assumed += dict.fromkeys(_memories(claim))
     inside, unknown = _sets(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(_matrices(claim, numbers))
@@ -153,14 +165,14 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     return _decided(f"{name}: {text}", text, condition.source, least, condition.strict)
 
 
-def _terms(claim: Claim) -> Iterator[tuple[Part, str, Dissipated]]:
+def _terms(claim: Claim) -> Iterator[tuple[Part, str, Stored | Dissipated]]:
     for part in claim.parts:
-        yield from ((part, "V", square) for square in part.certificate.storage)
+        yield from ((part, "V", term) for term in part.certificate.storage)
         yield from ((part, "dV/dt", term) for term in part.certificate.dissipation)
 
 
 def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
-    """Every square of V and of the dissipation has a positive weight, every lemma one that is not negative."""
+    """Every square of V and of the dissipation has a positive weight, every other term one that is not negative."""
     for part, role, term in _terms(claim):
         weight = term.weight
         if isinstance(term, Lemma):
@@ -168,8 +180,19 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 text = f"weight of {term.of} in {role} >= 0"
                 yield _least(part, text, numbers, weight, strict=False)
                 yield _least(part, f"scale of {term.of} in {role} > 0", numbers, term.scale)
+        elif isinstance(term, Gathered):
+            yield _least(part, f"weight of |{term.of}|_G^2 in {role} >= 0", numbers, weight, strict=False)
+            yield _least(
+                part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
+            )
         elif weight.is_column():
             yield _least(part, f"weight of |{term.of}|^2 in {role} > 0", numbers, weight)
+
+
+def _memories(claim: Claim) -> Iterator[Assumption]:
+    for part, _, term in _terms(claim):
+        if isinstance(term, Gathered):
+            yield Assumption(f"{part.block}: G of |{term.of}|_G^2 starts at zero, or positive semidefinite", SIGNS)
 
 
 def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:

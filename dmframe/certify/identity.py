@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, final
@@ -11,8 +11,8 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, NormSquare, Square
-from dmframe.certify.claim import Claim, Part
+from dmframe.certificate import SX, Gathered, NormSquare, Square
+from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, ZeroTest, random_prime, zero_test
 
@@ -51,12 +51,22 @@ def equalities(claim: Claim) -> list[Equality]:
     """
     found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
     found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
+    found += list(_memories(claim))
     if claim.cascaded:
         for part in claim.parts:
             if part.certificate.sigma:
                 difference = composed(part) - claim.sigma
                 found.append(Equality(part.block, "sigma", difference, ca.fabs(composed(part)) + ca.fabs(claim.sigma)))
     return found
+
+
+def _memories(claim: Claim) -> Iterator[Equality]:
+    """What is gathered moves as its term says."""
+    for part in claim.parts:
+        terms = (*part.certificate.storage, *part.certificate.dissipation)
+        for term in (term for term in terms if isinstance(term, Gathered)):
+            moves, said = Field(claim.diagram).derivative(ca.vec(term.memory)), ca.vec(term.rate)
+            yield Equality(part.block, f"dG/dt of {term.of}", moves - said, ca.fabs(moves) + ca.fabs(said))
 
 
 def composed(part: Part) -> SX:
@@ -90,7 +100,7 @@ def empty_terms(claim: Claim, symbols: Symbols, seed: int) -> list[str]:
         (f"{part.block}: {term.of}", term.vector)
         for part in claim.parts
         for term in (*part.certificate.storage, *part.certificate.dissipation)
-        if isinstance(term, Square | NormSquare)
+        if isinstance(term, Square | NormSquare | Gathered)
     ]
     named = [("V", claim.V), ("dV/dt", claim.rate), *squares]
     tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))

@@ -49,7 +49,7 @@ def statements_of(claim: Claim, symbols: Symbols) -> list[Statement]:
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Square]]:
     for part in claim.parts:
-        yield from ((part, square) for square in part.certificate.storage)
+        yield from ((part, term) for term in part.certificate.storage if isinstance(term, Square))
 
 
 def _spent(claim: Claim) -> list[str]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dmframe.certificate import Clipped, Lemma, NormSquare, Square
+from dmframe.certificate import Clipped, Gathered, Lemma, NormSquare, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.verify import Verdict
 
-KINDS = {Square: "square", NormSquare: "norm_square", Lemma: "lemma", Clipped: "clipped"}
+KINDS = {Square: "square", NormSquare: "norm_square", Lemma: "lemma", Clipped: "clipped", Gathered: "gathered"}
 """Of a term, as it is printed."""
 
 

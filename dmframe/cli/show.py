@@ -102,15 +102,15 @@ def block_page(kind: type[AbstractBlock]) -> str:
     parts = [f"{type_name(kind)} ({kind.side.value})", readable(inspect.getdoc(kind) or "")]
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
-    states = ((s.name, f"({s.shape})", s.unit or "-", _projected(s)) for s in kind.states)
+    states = ((s.name, f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
     return "\n\n".join(parts)
 
 
-def _projected(state: State) -> str:
+def _said(state: State) -> str:
     sets = [name for name in (state.box, state.ball) if name]
-    return f"projected onto {' or '.join(sets)}" if sets else ""
+    return f"projected onto {' or '.join(sets)}" if sets else "optional" * state.optional
 
 
 def _port(port: Port) -> tuple[str, str, str, str]:

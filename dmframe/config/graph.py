@@ -263,17 +263,17 @@ def _start(section: Mapping[str, Any], faults: list[DmframeError]) -> dict[str, 
     """Start values as numbers; angles may carry a unit."""
     values = dict[str, Any]()
     for key, value in section.items():
-        items = value if isinstance(value, list) else [value]
         try:
-            numbers = [_start_number(item) for item in items]
+            values[key] = _start_numbers(value)
         except DmframeError as error:
             faults.append(ValueFault(f"start.{key}: {error.text}", path=("start", key)))
-            continue
-        values[key] = numbers if isinstance(value, list) else numbers[0]
     return values
 
 
-def _start_number(item: Any) -> float:
+def _start_numbers(item: Any, depth: int = 0) -> Any:
+    """A number, a list, or the rows of a matrix."""
+    if isinstance(item, list) and depth < 2:
+        return [_start_numbers(below, depth + 1) for below in item]
     if isinstance(item, str):
         return to_unit(item, "rad")
     if isinstance(item, bool) or not isinstance(item, int | float):

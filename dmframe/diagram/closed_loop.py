@@ -121,7 +121,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
     sides: dict[Side, list[Variable]] = {side: [] for side in Side}
     outputs = list[Signal]()
     for name, model in resolver.models.items():
-        for state in model.block.states:
+        for state in (state for state in model.block.states if state.name in model.states):
             rate = resolver.rate(name, state.name)
             leaf = model.states[state.name]
             sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, leaf, rate))

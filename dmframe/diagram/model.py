@@ -110,6 +110,9 @@ def model_block(
     outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
     rates = _checked(name, "rate", block.states, stated.rates, sizes)
     used = symbols_in([*outputs.values(), *rates.values()])
+    for key in states.keys() - rates.keys():
+        if used & hashes(states.pop(key)):
+            raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
     return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts)
@@ -125,7 +128,7 @@ def _checked(
     checked = {}
     for key, item in known.items():
         if key not in stated:
-            if isinstance(item, Port) and item.optional:
+            if item.optional:
                 continue
             raise BlockError(f"{name}: equations leave out the {kind} of {key}")
         try:

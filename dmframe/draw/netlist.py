@@ -66,7 +66,7 @@ def netlist(diagram: Diagram) -> Netlist:
             name=name,
             kind=diagram.type_of(name),
             side=block.side,
-            states=tuple(state.name for state in block.states),
+            states=tuple(diagram.models[name].states),
             inputs=tuple(inputs.get(name, ())),
             outputs=tuple(port.name for port in block.outputs if (name, port.name) in nets),
         )

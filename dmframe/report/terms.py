@@ -10,16 +10,16 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Bounded, Clipped, Dissipated, Lemma, NormSquare
+from dmframe.certificate import SX, Bounded, Clipped, Dissipated, Gathered, Lemma, NormSquare, Stored
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.report.expression import expression_latex
 from dmframe.report.laws import Row, law_of
-from dmframe.report.notation import latex, name_latex
+from dmframe.report.notation import GREEK, latex, name_latex
 
 FEW = 4
 """Elements of a diagonal up to which each is written out."""
 
-_STATED: Final = re.compile(r"([A-Za-z](?:_[A-Za-z0-9]+)?)[.,;:]")
+_STATED: Final = re.compile(rf"((?:[A-Za-z]|{'|'.join(sorted(GREEK))})(?:_[A-Za-z0-9]+)?)[.,;:]")
 
 
 @final
@@ -41,6 +41,8 @@ class TermRow:
         The weight at the graph's numbers.
     by
         The norm that multiplies a square, LaTeX; empty for most.
+    metric
+        The matrix that weighs a square beside its weight, LaTeX; empty for most.
     """
 
     block: str
@@ -51,6 +53,7 @@ class TermRow:
     weight: str
     value: str
     by: str = ""
+    metric: str = ""
 
 
 @final
@@ -93,7 +96,7 @@ def terms_of(claim: Claim) -> Terms:
     left = [(row, _formula(row)) for row in excess]
     gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
     return Terms(
-        V=(Row("V", "= " + _sum([(row, rf"\tfrac12 |{row.of}|^2_{{{row.symbol}}}") for row in storage], "")),),
+        V=(Row("V", "= " + _sum([(row, rf"\tfrac12 {_formula(row)}") for row in storage], "")),),
         rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *[_sum(left, "+")] * bool(left), *gained])),),
         storage=storage,
         dissipation=dissipation,
@@ -107,7 +110,7 @@ def terms_of(claim: Claim) -> Terms:
 def _formula(row: TermRow) -> str:
     if row.kind in ("lemma", "clipped"):
         return row.symbol
-    return rf"{row.by}|{row.of}|^2_{{{row.symbol}}}"
+    return rf"{row.by}|{row.of}|^2_{{{row.symbol}{row.metric}}}"
 
 
 def _kappa(claim: Claim) -> str:
@@ -133,7 +136,7 @@ def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermR
     return tuple(rows)
 
 
-def _row(claim: Claim, names: Names, part: Part, term: Dissipated | Bounded, symbol: str) -> TermRow:
+def _row(claim: Claim, names: Names, part: Part, term: Stored | Dissipated | Bounded, symbol: str) -> TermRow:
     factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
     if isinstance(term, Lemma):
         weight, value = names.weight(term.weight), names.value(term.weight)
@@ -145,7 +148,9 @@ def _row(claim: Claim, names: Names, part: Part, term: Dissipated | Bounded, sym
     if not written:
         written = names.weight(term.weight) if term.weight.is_column() else r"\text{a full matrix}"
     by = rf"|{latex(term.by_of)}|\, " if isinstance(term, NormSquare) else ""
-    return TermRow(part.block, "square", symbol, latex(term.of), factor, written, names.value(term.weight), by)
+    value, metric = names.value(term.weight), r"\, G" if isinstance(term, Gathered) else ""
+    kind = "gathered" if metric else "square"
+    return TermRow(part.block, kind, symbol, latex(term.of), factor, written, value, by, metric)
 
 
 @final

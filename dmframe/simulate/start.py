@@ -101,12 +101,14 @@ def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, 
             faults.append(UnknownNameError(f"start.{key}", "state", key, choices, path=("start", key)))
             continue
         numbers = _numbers(value)
-        rows = found.symbol.shape[0]
-        if numbers.shape not in ((), (rows,)):
-            text = f"start.{key}: expected {rows} numbers, found {numbers.size}"
-            faults.append(ValueFault(text, path=("start", key)))
+        rows, columns = found.symbol.shape
+        shape = (rows,) if columns == 1 else (rows, columns)
+        if numbers.shape not in ((), shape):
+            expected = f"{rows} numbers" if columns == 1 else f"one number, or {rows} rows of {columns}"
+            size = " x ".join(map(str, numbers.shape)) if numbers.any() and numbers.ndim > 1 else numbers.size
+            faults.append(ValueFault(f"start.{key}: expected {expected}, found {size}", path=("start", key)))
             continue
-        values[found.label] = np.broadcast_to(numbers, (rows,)).copy()
+        values[found.label] = np.broadcast_to(numbers, shape).ravel(order="F")  # a matrix is kept as a column
         faults += _outside_limits(diagram, found, values[found.label], key)
     raise_all(faults)
     return values

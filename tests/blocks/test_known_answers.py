@@ -270,6 +270,34 @@ def test_adaptive_kinematics_are_eqs_4_and_13_of_a_planar_arm_with_wrong_lengths
     close(found["d(a_k_hat)"], 2 * (Y_k.T @ e_k)[part])
 
 
+def test_the_kinematics_are_fitted_to_the_position_by_least_squares_that_forget() -> None:
+    robot = load("arm2")
+    true = np.array([x for joint in robot.joints for x in joint.translation] + list(robot.tool), dtype=float)
+    wrong = true + np.linspace(0.02, 0.1, 9)
+    upper, fore = turned(Q[0]), turned(Q[0] + Q[1])
+    W = np.zeros((2, 9))
+    W[:, [0, 2]], W[:, [3, 5]], W[:, [6, 8]] = np.eye(2), upper, fore
+    rng = np.random.default_rng(0)
+    root, e_k, x, R, mu = rng.normal(size=(9, 9)), np.array([0.3, -0.2]), np.array([0.4, 0.7]), np.array([5.0, 3]), 0.2
+    G, Gamma = root @ root.T, np.linspace(1, 3, 9)
+    given = {"Gamma_k": list(Gamma), "R": list(R), "forgetting": mu}
+    signals = {"q": Q, "dq": DQ, "e_k": e_k, "x": x, "a_k_hat": wrong, "G_k": G}
+    found = answer("adaptive_kinematics", given, robot=robot, **signals)
+    driven = answer("adaptive_kinematics", {"Gamma_k": 1}, robot=robot, q=Q, dq=DQ, e_k=e_k, a_k_hat=wrong)[
+        "d(a_k_hat)"
+    ]
+    P = np.linalg.inv(np.diag(1 / Gamma) + G)
+    close(found["d(a_k_hat)"], P @ (driven - W.T @ (R * (W @ wrong - x))))
+    close(found["d(G_k)"], W.T @ np.diag(R) @ W - mu * G)
+    composite = answer("adaptive_kinematics", {"Gamma_k": list(Gamma), "R": list(R)}, robot=robot, **_without(signals))
+    close(composite["d(a_k_hat)"], Gamma * (driven - W.T @ (R * (W @ wrong - x))))
+    assert "d(G_k)" not in composite
+
+
+def _without(signals: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: value for name, value in signals.items() if name != "G_k"}
+
+
 def test_the_accelerometer_hands_out_the_acceleration() -> None:
     close(answer("accelerometer", ddq=[1.5, -2])["ddq_m"], [1.5, -2])
 

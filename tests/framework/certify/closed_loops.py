@@ -135,8 +135,20 @@ def _loops() -> Iterator[Loop]:
         for task in ("task", "joint"):
             for servo, source in zip(("PI", "PID"), sources[task], strict=True):
                 yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
+    yield _fitted(robots[0])
     held = {kind for robot in robots[:1] for kind in ("circle", "setpoint", "sinusoid", "waypoints")}
     yield from _packaged(held)
+
+
+def _fitted(robot: Any) -> Loop:
+    """The kinematics fitted by least squares that forget: an option of a block, which no default graph takes."""
+    known = loop_of(robot, "task", "PI").specs
+    fitted: dict[str, Spec] = {
+        "geometry": ("adaptive_kinematics", {"Gamma_k": 2, "start_error": 0.03, "R": 5, "forgetting": 0.2}),
+        "observer": ("task_observer", {"beta": 2}),
+        "task": ("observed_tracking", {"gamma": 2}),
+    }
+    return Loop(f"{robot.name} fitted kinematics PI", robot, {**known, **fitted})
 
 
 def _packaged(held: set[str]) -> Iterator[Loop]:

@@ -11,7 +11,7 @@ from closed_loops import known_blocks, loop_of, true_in_numbers
 from user_blocks import FilteredDamping, OddDamping, SaturatedDamping
 
 from dmframe.block import AbstractBlock, Signals
-from dmframe.certificate import MONOTONE, Certificate, Lemma, Square
+from dmframe.certificate import MONOTONE, Certificate, Gathered, Lemma, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.diagram import Diagram
 from dmframe.robot.library import load
@@ -158,11 +158,16 @@ FORMS = {
     "expected each term of the storage to be a Square": lambda c, u: Certificate(
         (Lemma("x", ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
     ),
-    "expected each term of the dissipation to be a Square, a NormSquare or a Lemma": lambda c, u: Certificate(
+    "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered": lambda c, u: Certificate(
         c.storage, (ca.dot(u.sigma, u.sigma),), c.supply
     ),
     "s: expected columns of one length": lambda c, u: Certificate(
         c.storage, (Square("s", u.sigma, ca.SX(3, 1)),), c.supply
+    ),
+    "g: expected columns of one length, or a square matrix": lambda c, u: Certificate(
+        (*c.storage, Gathered("g", u.sigma, ca.SX(1), ca.SX.eye(3), ca.SX.eye(2), ca.SX([1, 1]), ca.SX(1))),
+        (),
+        c.supply,
     ),
     "expected a scalar supply, found 2 x 1": lambda c, u: Certificate(c.storage, (), u.sigma),
     "sigma has 2 shares, expected one for each of 0": lambda c, u: Certificate(

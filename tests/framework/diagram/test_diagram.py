@@ -94,6 +94,19 @@ class Cart(AbstractBlock):
         return Equations(outputs={"y": x.y, "v": x.v, "a": a, "secret": 2 * x.y}, rates={"y": x.v, "v": a})
 
 
+class OddCart(Cart):
+    """A cart that may count its way, and reads the count whether it counts or not."""
+
+    states: ClassVar[tuple[State, ...]] = (*Cart.states, State("way", "", "m", optional=True))
+    counts: bool = False
+    reads: bool = False
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        said = super().equations(u, x, p)
+        rates = {**said.rates, **({"way": x.v} if self.counts else {})}
+        return Equations({**said.outputs, "secret": x.way if self.reads else x.y}, rates)
+
+
 class BlindCart(Cart):
     """The same, its velocity not handed out."""
 
@@ -375,3 +388,15 @@ def test_parameters_stay_symbols_with_their_values_and_units() -> None:
     found = {p.label: (float(p.value), p.unit) for p in loop.parameters}
     assert found == {"wave.rate": (2.0, "rad/s"), "law.k": (3.0, "1/s"), "cart.c": (5.0, "1/s")}
     assert loop.p_values.tolist() == [2.0, 3.0, 5.0]
+
+
+def test_an_optional_state_is_there_if_its_rate_is() -> None:
+    plain = Diagram.build({"path": Wave(), "law": Law(), "cart": OddCart()})
+    counting = Diagram.build({"path": Wave(), "law": Law(), "cart": OddCart(counts=True, reads=True)})
+    assert [variable.name for variable in plain.loop.plant] == ["y", "v"]
+    assert [variable.name for variable in counting.loop.plant] == ["y", "v", "way"]
+
+
+def test_a_state_that_is_left_out_cannot_be_read() -> None:
+    with pytest.raises(BlockError, match="cart: equations read the state way, and leave out its rate"):
+        Diagram.build({"path": Wave(), "law": Law(), "cart": OddCart(reads=True)})

@@ -88,6 +88,20 @@ def test_given_values_win_over_the_path_and_over_the_blocks_own(tmp_path: Path) 
     np.testing.assert_array_equal(found["servo.q_c"], [0.1, 0.2])
 
 
+def test_a_matrix_starts_at_one_number_or_at_its_rows() -> None:
+    graph = load_graph("observed_tracking_forgetting_pi", ["geometry.adapt=tool"])
+    diagram = graph.diagram()
+
+    def begun(G_k: Any) -> np.ndarray:
+        run = simulate(diagram, 0.008, clock=0.008, start={**graph.start, "G_k": G_k})
+        return np.asarray(run["geometry.G_k"][0]).reshape(3, 3, order="F")
+
+    np.testing.assert_array_equal(begun(0.5), np.full((3, 3), 0.5))
+    np.testing.assert_array_equal(begun([[1, 2, 3], [4, 5, 6], [7, 8, 9]]), np.arange(1, 10).reshape(3, 3))
+    with pytest.raises(ValueFault, match=r"start\.G_k: expected one number, or 3 rows of 3, found 3"):
+        begun([1, 2, 3])
+
+
 def test_a_pose_out_of_reach_or_of_the_limits_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         StartError, match=r"start: arm\.x cannot reach goal\.x_d\(0\) = \[5, 0\.4\]; the nearest pose is"
