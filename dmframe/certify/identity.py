@@ -61,12 +61,21 @@ def equalities(claim: Claim) -> list[Equality]:
 
 
 def _memories(claim: Claim) -> Iterator[Equality]:
-    """What is gathered moves as its term says."""
+    """What is gathered moves as its term says; of terms that share it, told once."""
     for part in claim.parts:
         terms = (*part.certificate.storage, *part.certificate.dissipation)
+        seen = list[Gathered]()
         for term in (term for term in terms if isinstance(term, Gathered)):
+            if any(_same_memory(term, other) for other in seen):
+                continue
+            seen.append(term)
             moves, said = Field(claim.diagram).derivative(ca.vec(term.memory)), ca.vec(term.rate)
             yield Equality(part.block, f"dG/dt of {term.of}", moves - said, ca.fabs(moves) + ca.fabs(said))
+
+
+def _same_memory(one: Gathered, other: Gathered) -> bool:
+    pairs = zip(one.pieces[2:], other.pieces[2:], strict=True)
+    return all(a.shape == b.shape and ca.is_equal(a, b, 2) for a, b in pairs)
 
 
 def composed(part: Part) -> SX:
