@@ -85,8 +85,7 @@ class Manipulator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         robot = p.robot
-        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n))
-        moving -= p.maker_gravity * robot.gravity_torque(x.q)
+        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n), gravity_share=1 - p.maker_gravity)
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
         ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
         return Equations(
@@ -110,8 +109,8 @@ class Manipulator(AbstractBlock):
         if "sigma" not in truth:
             return Certificate()
         robot, sigma = p.robot, truth.sigma
-        reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref)
-        reference -= p.maker_gravity * robot.gravity_torque(x.q)
+        share = 1 - p.maker_gravity
+        reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, gravity_share=share)
         B = self._viscous(p)
         friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
         return Certificate(

@@ -196,7 +196,7 @@ def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver
     """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen."""
     loop = frozen(diagram).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
-    return np.asarray(step.tick.jacobian()(linear.point, 0, loop.p_values, 0)[0].full())
+    return np.asarray(step.tick.jacobian()(linear.point, 0, loop.p_values, 0, 0)[0].full())
 
 
 def rest_space(A: Array) -> Array:

@@ -2,8 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, final
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import casadi as ca
+
+
+@final
+class Hoisted(NamedTuple):
+    """The functions of one tick, each of (..., p, c), and c as a function of p: what stays the same for a run."""
+
+    trajectory: Any
+    sample: Any
+    rate: Any
+    clip: Any
+    constants: Any
+
+
+def split(bodies: Mapping[str, tuple[Sequence[Any], Sequence[Any]]], p: Any) -> tuple[list[Any], Any]:
+    """Functions of (inputs..., p, c), and c as a function of p: what stays the same for a whole run."""
+    flat = [ca.vertcat(*map(ca.vec, map(ca.densify, expressions))) for _, expressions in bodies.values()]
+    remaining, symbols, constants = ca.extract_parametric(ca.vertcat(*flat), p)
+    c = ca.SX.sym("c", len(symbols))
+    (remaining,) = ca.substitute([remaining], [ca.vertcat(ca.SX(0, 1), *symbols)], [c])
+    made, first = list[Any](), 0
+    for name, (inputs, expressions) in bodies.items():
+        outputs = list[Any]()
+        for expression in expressions:
+            outputs.append(remaining[first : first + expression.numel()])
+            first += expression.numel()
+        made.append(ca.Function(name, [*inputs, p, c], outputs))
+    return made, ca.Function("constants", [p], [ca.vertcat(ca.SX(0, 1), *constants)])
 
 
 @final
@@ -32,6 +63,22 @@ class Parts:
     rate: Any
     outputs: Any
     clip: Any
+
+    @cached_property
+    def hoisted(self) -> Hoisted:
+        """The same, with what follows from p alone taken out of each."""
+        t, p = ca.SX.sym("t"), ca.SX.sym("p", self.trajectory.numel_in(1))
+        state = ca.SX.sym("state", self.control.numel_in(0))
+        x, u, w = (ca.SX.sym(name, self.rate.numel_in(i)) for i, name in enumerate("xuw"))
+        bodies = {
+            "trajectory": ([t], [self.trajectory(t, p)]),
+            # control and outputs see the same instant, and share most of their work
+            "sample": ([state, w], ca.cse([*self.control(state, w, p), self.outputs(state, w, p)])),
+            "rate": ([x, u, w], [self.rate(x, u, w, p)]),
+            "clip": ([state], [self.clip(state, p)]),
+        }
+        (trajectory, sample, rate, clip), constants = split(bodies, p)
+        return Hoisted(trajectory, sample, rate, clip, constants)
 
     @property
     def moved(self) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import casadi as ca
 
-from dmframe.compile.parts import Parts
+from dmframe.compile.parts import Parts, split
 from dmframe.errors import EngineError
 
 _BINARY: Final = {
@@ -62,9 +62,10 @@ def loop_source(parts: Parts) -> str:
 
     Raises `EngineError` where an expression holds what C has no word for.
     """
-    functions, constants = _prepared(parts)
-    sizes = {**parts.sizes, "C": constants.numel_out(0), "MOVED": int(parts.moved)}
-    return _assembled(sizes, [constants, *functions], "loop.c")
+    hoisted = parts.hoisted
+    sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0), "MOVED": int(parts.moved)}
+    functions = [hoisted.constants, hoisted.trajectory, hoisted.sample, hoisted.rate, hoisted.clip]
+    return _assembled(sizes, functions, "loop.c")
 
 
 def control_source(control: Any) -> tuple[str, int]:
@@ -90,38 +91,6 @@ def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str) -
 def shipped(name: str) -> str:
     """A file of C that comes with this package."""
     return files("dmframe.compile").joinpath(name).read_text(encoding="utf-8")
-
-
-def _prepared(parts: Parts) -> tuple[list[Any], Any]:
-    """Each function with what follows from p alone taken out, and the one that computes that once a run."""
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", parts.trajectory.numel_in(1))
-    state = ca.SX.sym("state", parts.control.numel_in(0))
-    x, u, w = (ca.SX.sym(name, parts.rate.numel_in(i)) for i, name in enumerate("xuw"))
-    # control and outputs see the same instant, and share most of their work
-    observed = ca.cse([*parts.control(state, w, p), parts.outputs(state, w, p)])
-    bodies = {
-        "trajectory": ([t], [parts.trajectory(t, p)]),
-        "sample": ([state, w], observed),
-        "rate": ([x, u, w], [parts.rate(x, u, w, p)]),
-        "clip": ([state], [parts.clip(state, p)]),
-    }
-    return split(bodies, p)
-
-
-def split(bodies: Mapping[str, tuple[Sequence[Any], Sequence[Any]]], p: Any) -> tuple[list[Any], Any]:
-    """Functions of (inputs..., p, c), and c as a function of p: what stays the same for a whole run."""
-    flat = [ca.vertcat(*map(ca.vec, map(ca.densify, expressions))) for _, expressions in bodies.values()]
-    remaining, symbols, constants = ca.extract_parametric(ca.vertcat(*flat), p)
-    c = ca.SX.sym("c", len(symbols))
-    (remaining,) = ca.substitute([remaining], [ca.vertcat(ca.SX(0, 1), *symbols)], [c])
-    made, first = list[Any](), 0
-    for name, (inputs, expressions) in bodies.items():
-        outputs = list[Any]()
-        for expression in expressions:
-            outputs.append(remaining[first : first + expression.numel()])
-            first += expression.numel()
-        made.append(ca.Function(name, [*inputs, p, c], outputs))
-    return made, ca.Function("constants", [p], [ca.vertcat(ca.SX(0, 1), *constants)])
 
 
 def written(f: Any) -> str:

@@ -139,18 +139,21 @@ class SymbolicRobot:
 
     # Dynamics
 
-    def inverse_dynamics(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any, inertia: Any = None) -> Any:
+    def inverse_dynamics(
+        self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any, inertia: Any = None, gravity_share: Any = 1
+    ) -> Any:
         r"""The torque :math:`M(q)\ddot q_{ref} + C(q,\dot q)\dot q_{ref} + g(q)`, eqs. (3) and (5), SX (n).
 
         The Newton-Euler recursion with every product of two velocities polarised,
         :math:`\tfrac12 (p(\dot q) r(\dot q_{ref}) + p(\dot q_{ref}) r(\dot q))`, because :math:`C(q,a)b` with the
         Christoffel C is the symmetric bilinear form of the velocity terms. One O(n) pass, linear in the inertial
-        parameters.
+        parameters. With `dq` itself for `dq_ref` the products are the plain ones, and fewer.
 
         Parameters
         ----------
         q, dq, dq_ref, ddq_ref : SX (n)
         inertia : SX (10 n), default the robot's own
+        gravity_share : SX, what of g(q) is counted: less than 1 where somebody else carries the rest
 
         References
         ----------
@@ -159,7 +162,8 @@ class SymbolicRobot:
         links = self._links(q)
         h = _bodies(self.inertia if inertia is None else inertia, self.n)
         omega = nu = dnu = ca.SX(3, 1)
-        acceleration = -self.gravity
+        plain = dq_ref is dq
+        acceleration = -self.gravity * gravity_share
         A = ca.SX(3, 3)
         forces = []
         for i, link in enumerate(links):
@@ -167,11 +171,12 @@ class SymbolicRobot:
             acceleration = R_t @ (acceleration + A @ link.offset)
             omega, nu, dnu = R_t @ omega, R_t @ nu, R_t @ dnu
             if link.revolute:
-                dnu += a * ddq_ref[i] + ca.cross(omega * _half(dq_ref[i]) + nu * _half(dq[i]), a)
+                spin = omega * dq[i] if plain else omega * _half(dq_ref[i]) + nu * _half(dq[i])
+                dnu += a * ddq_ref[i] + ca.cross(spin, a)
                 omega, nu = omega + a * dq[i], nu + a * dq_ref[i]
             else:
                 acceleration += a * ddq_ref[i] + ca.cross(omega * dq_ref[i] + nu * dq[i], a)
-            A, B = _acceleration_field(omega, nu, dnu)
+            A, B = _acceleration_field(omega, omega if plain else nu, dnu)
             forces.append(h[i].wrench(acceleration, dnu, A, B))
         return _project(links, forces)
 
@@ -304,8 +309,11 @@ def _acceleration_field(omega: Any, nu: Any, dnu: Any) -> tuple[Any, Any]:
     :math:`A = [\dot\nu]_\times + B`,
     :math:`B r = \tfrac12(\omega \times (\nu \times r) + \nu \times (\omega \times r))`.
     """
-    wx, wy, wz = (omega[i] * nu[i] for i in range(3))
-    xy, xz, yz = ((omega[i] * nu[j] + omega[j] * nu[i]) * 0.5 for i, j in ((0, 1), (0, 2), (1, 2)))
+
+    def product(i: int, j: int) -> Any:
+        return omega[i] * nu[j] if nu is omega or i == j else (omega[i] * nu[j] + omega[j] * nu[i]) * 0.5
+
+    (wx, wy, wz), (xy, xz, yz) = (product(i, i) for i in range(3)), (product(*ij) for ij in ((0, 1), (0, 2), (1, 2)))
     B = _matrix([[-wy - wz, xy, xz], [xy, -wx - wz, yz], [xz, yz, -wx - wy]])
     return skew(dnu) + B, B
 

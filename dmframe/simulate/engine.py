@@ -6,6 +6,7 @@ import ctypes
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, final, get_args
 
+import casadi as ca
 import numpy as np
 
 from dmframe.compile import first_time, load, loop_source
@@ -125,6 +126,31 @@ class Compiled:
 
 
 @final
+class Chunk:
+    """Some ticks as one function, called without converting arrays."""
+
+    def __init__(self, tick: Any, ticks: int) -> None:
+        begin, k, p = ca.MX.sym("begin", tick.numel_in(0)), ca.MX.sym("k", 1, ticks), ca.MX.sym("p", tick.numel_in(2))
+        many = tick.mapaccum(f"ticks_{ticks}", ticks)
+        self._function = ca.Function("chunk", [begin, k, p], many(begin, k, p))
+        self._given = [np.empty(self._function.numel_in(i)) for i in range(3)]
+        self._found = [np.empty((ticks, tick.numel_out(j))) for j in range(2)]
+        self._buffer, self._evaluate = self._function.buffer()
+        for i, array in enumerate(self._given):
+            self._buffer.set_arg(i, array.data)
+        for j, array in enumerate(self._found):
+            self._buffer.set_res(j, array.data)
+
+    def __call__(self, state: np.ndarray, first: int, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States at the ticks first + 1, ...; what is recorded at first, ...: a row each, until the next call."""
+        begin, k, parameters = self._given
+        begin[:], k[:], parameters[:] = state, first + np.arange(k.size), p
+        self._evaluate()
+        states, recorded = self._found
+        return states, recorded
+
+
+@final
 @dataclass(frozen=True)
 class Interpreted:
     """CasADi's own virtual machine."""
@@ -135,52 +161,47 @@ class Interpreted:
     notices: tuple[str, ...] = ()
     name: str = "interpreted"
     elastic: bool = False
-    chunks: dict[int, Any] = field(default_factory=dict)
-    maps: dict[int, Any] = field(default_factory=dict)
+    chunks: dict[int, Chunk] = field(default_factory=dict)
 
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         """See `Engine`."""
-        try:
-            history = self._history(state, p, first, ticks)
-        except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
-            history = self._singly(state, p, first, ticks)
-            self._keep(history, p, first, history.shape[1], rows)
-            state[:] = history[:, -1]
-            raise Stuck(history.shape[1] - 1, str(error).strip().splitlines()[-1]) from None
-        bad = np.flatnonzero(~np.all(np.isfinite(history), axis=0))
-        done = int(bad[0]) - 1 if bad.size else ticks
-        self._keep(history, p, first, max(1, min(ticks, done + 1)), rows)
-        state[:] = history[:, min(done + 1, ticks)]
-        return done
-
-    def _history(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int) -> np.ndarray:
-        """States at the ticks first to first + ticks, a column each."""
         if ticks == 0:
-            return state[:, None]
+            self._keep(state[None], self._observed(state[None], p, first), first, rows)
+            return 0
         if ticks not in self.chunks:
-            self.chunks[ticks] = self.step.tick.mapaccum(f"ticks_{ticks}", ticks)
-        many = self.chunks[ticks](state, np.arange(first, first + ticks)[None, :], p).full()
-        return np.hstack([state[:, None], many])
+            self.chunks[ticks] = Chunk(self.step.tick, ticks)
+        try:
+            after, recorded = self.chunks[ticks](state, first, p)
+        except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
+            states = self._singly(state, p, first, ticks)
+            self._keep(states, self._observed(states, p, first), first, rows)
+            state[:] = states[-1]
+            raise Stuck(len(states) - 1, str(error).strip().splitlines()[-1]) from None
+        states = np.vstack([state, after])
+        bad = np.flatnonzero(~np.all(np.isfinite(states), axis=1))
+        done = int(bad[0]) - 1 if bad.size else ticks
+        count = max(1, min(ticks, done + 1))
+        self._keep(states[:count], recorded[:count], first, rows)
+        state[:] = states[min(done + 1, ticks)]
+        return done
 
     def _singly(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int) -> np.ndarray:
         """Go again through the ticks of a chunk that failed, up to the one that cannot be computed."""
-        columns = [state.copy()]
+        states = [state.copy()]
         try:
             for k in range(first, first + ticks):
-                columns.append(self.step.tick(columns[-1], k, p).full().ravel())
+                states.append(self.step.tick(states[-1], k, p)[0].full().ravel())
         except RuntimeError:
             pass
-        return np.stack(columns, axis=1)
+        return np.stack(states)
 
-    def _keep(self, history: np.ndarray, p: np.ndarray, first: int, count: int, rows: np.ndarray) -> None:
-        """Write what is kept of the first `count` columns."""
-        offset = -first % self.every
-        states = history[:, offset : count : self.every]
-        size = states.shape[1]
-        if size == 0:
-            return
-        if size not in self.maps:
-            self.maps[size] = self.step.outputs.map(size)
-        times = (first + offset + self.every * np.arange(size)) * self.step.period
-        outputs = self.maps[size](states, times[None, :], np.tile(p[:, None], size)).full()
-        rows[:size] = np.vstack([states, outputs])[self.kept].T
+    def _observed(self, states: np.ndarray, p: np.ndarray, first: int) -> np.ndarray:
+        """What is recorded at states, a row each, of the ticks from `first` on."""
+        times = (first + np.arange(len(states))) * self.step.period
+        return np.stack([self.step.outputs(x, t, p).full().ravel() for x, t in zip(states, times, strict=True)])
+
+    def _keep(self, states: np.ndarray, recorded: np.ndarray, first: int, rows: np.ndarray) -> None:
+        """Write what is kept of these ticks, a row each."""
+        wanted = slice(-first % self.every, None, self.every)
+        both = np.hstack([states[wanted], recorded[wanted]])
+        np.take(both, self.kept, axis=1, out=rows[: len(both)], mode="clip")

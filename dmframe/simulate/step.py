@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, final, get_args
 
 import casadi as ca
+import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.compile.parts import Parts
@@ -77,7 +78,8 @@ class Step:
     parts
         What the tick is made of.
     tick
-        (state, k, p) -> state at (k + 1) T; the state holds the controller's part first.
+        (state, k, p) -> (state at (k + 1) T, all recorded outputs at k T as one column); the state holds the
+        controller's part first.
     outputs
         (state, t, p) -> all recorded outputs as one column.
     rate
@@ -121,14 +123,15 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     held, command = columns([leaf for leaf in loop.crossings if sampled and leaf.side is Side.CONTROLLER])
     advanced = stack(variable.rate for variable in loop.controller if sampled)
     if sampled:
-        rate = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
+        (rate,) = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
     else:
-        rate = project(loop, loop.joined([stack(variable.rate for variable in every)]))
+        (rate,) = project(loop, loop.joined([stack(variable.rate for variable in every)]))
+    (rate,) = _pruned(loop, [rate])
     _, meanings = columns(loop.trajectories)
     return Parts(
         trajectory=ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)]),
         control=_function("control", loop, [loop.state], [advanced, command]),
-        rate=ca.Function("plant", [integrated, held, _signals(loop), loop.p], ca.cse(rate)),
+        rate=ca.Function("plant", [integrated, held, _signals(loop), loop.p], [ca.cse(rate)]),
         outputs=_function("outputs", loop, [loop.state], [recorded]),
         clip=ca.Function("clip", [loop.state, loop.p], [inside(loop, loop.state)]),
     )
@@ -153,8 +156,19 @@ def _symbols(loop: ClosedLoop) -> tuple[Any, Any, Any]:
 
 def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[SX]) -> Any:
     """Joined expressions as a function of (inputs..., w, p); projections act as their law says."""
-    joined = project(loop, loop.joined(expressions))
+    joined = _pruned(loop, project(loop, loop.joined(expressions)))
     return ca.Function(name, [*inputs, _signals(loop), loop.p], ca.cse(joined))
+
+
+def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
+    """Without the terms of the robot's numbers that are zero: a file has many, and no run changes them."""
+    zeros = [
+        p.symbol.nz[k]
+        for p in loop.parameters
+        if p.label.startswith("robot.")
+        for k in np.flatnonzero(p.value.ravel(order="F") == 0)
+    ]
+    return list(ca.substitute(expressions, [ca.vertcat(*zeros)], [ca.SX.zeros(len(zeros))])) if zeros else expressions
 
 
 def _signals(loop: ClosedLoop) -> SX:
@@ -183,32 +197,35 @@ def inside(loop: ClosedLoop, state: SX) -> SX:
 
 
 def _tick(parts: Parts, solver: Solver, period: float, substeps: int) -> Any:
-    """(state, k, p) -> the state one tick later, for the interpreter."""
+    """(state, k, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
     state, k = ca.MX.sym("state", parts.control.numel_in(0)), ca.MX.sym("k")
     p = ca.MX.sym("p", parts.control.numel_in(2))
-    t = k * period
-    dz, u = parts.control(state, parts.trajectory(t, p), p)
+    t, hoisted = k * period, parts.hoisted
+    c = hoisted.constants(p)
+    dz, u, recorded = hoisted.sample(state, hoisted.trajectory(t, p, c), p, c)
     z, x = ca.vertsplit(state, [0, dz.numel(), state.numel()])
-    x = _integrate(parts, x, t, u, p, solver, period, substeps)
-    return ca.Function("tick", [state, k, p], [parts.clip(ca.vertcat(z + period * dz, x), p)])
-
-
-def _integrate(parts: Parts, x: Any, t: Any, u: Any, p: Any, solver: Solver, period: float, substeps: int) -> Any:
     if solver.method == "cvodes":
-        return _cvodes(parts, x, t, u, p, solver, period)
-    h, moved = period / substeps, parts.moved
-    still = ca.MX.zeros(parts.rate.size1_in(2))
+        x = _cvodes(parts, x, t, u, p, solver, period)
+    else:
+        x = _rk4(parts, x, t, u, p, c, period / substeps, substeps)
+    return ca.Function("tick", [state, k, p], [hoisted.clip(ca.vertcat(z + period * dz, x), p, c), recorded])
+
+
+def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: float, substeps: int) -> Any:
+    hoisted, moved = parts.hoisted, parts.moved
+    still = ca.MX.zeros(hoisted.rate.size1_in(2))
 
     def at(x: Any, t: Any) -> Any:
-        return parts.rate(x, u, parts.trajectory(t, p) if moved else still, p)
+        return hoisted.rate(x, u, hoisted.trajectory(t, p, c) if moved else still, p, c)
 
+    half, whole, sixth = ca.MX(h / 2), ca.MX(h), ca.MX(h / 6)
     for j in range(substeps):
         now = t + j * h
         k1 = at(x, now)
-        k2 = at(x + h / 2 * k1, now + h / 2)
-        k3 = at(x + h / 2 * k2, now + h / 2)
-        k4 = at(x + h * k3, now + h)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        k2 = at(x + half * k1, now + h / 2)
+        k3 = at(x + half * k2, now + h / 2)
+        k4 = at(x + whole * k3, now + h)
+        x = x + sixth * (k1 + 2 * (k2 + k3) + k4)
     return x
 
 

@@ -184,7 +184,7 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
     p = _unbounded(diagram)
 
     def rates(state: np.ndarray, t: float) -> np.ndarray:
-        advanced = step.tick(state, t / PERIOD, p).full().ravel()
+        advanced = step.tick(state, t / PERIOD, p)[0].full().ravel()
         return np.concatenate([(advanced - state)[:split] / PERIOD, step.rate(state, t, p).full().ravel()])
 
     return rates
