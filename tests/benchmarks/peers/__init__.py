@@ -13,6 +13,7 @@ PEERS = (
     "jax_by_hand",
     "jax_arrays",
     "jaxonomy_blocks",
+    "jaxonomy_arrays",
     "mujoco_callback",
     "mujoco_euler",
     "drake_diagram",

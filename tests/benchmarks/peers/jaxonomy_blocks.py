@@ -12,15 +12,15 @@ from tests.benchmarks.loop import Loop as Numbers
 from tests.benchmarks.peer import Peer
 
 
-def diagram(loop: Numbers) -> tuple[Any, Any]:
-    """The diagram, and the port of (q_c, i, q, dq)."""
+def diagram(loop: Numbers, *, arrays: bool = False) -> tuple[Any, Any]:
+    """The diagram, and the port of (q_c, i, q, dq); the robot in scalars, or in arrays."""
     import jaxonomy as jx
     from jaxonomy.framework import DependencyTicket
 
     from tests.benchmarks.jax_loop import functions
 
     jx.set_backend("jax")
-    control, rate, z_start, x_start = functions(loop)
+    control, rate, z_start, x_start = functions(loop, arrays=arrays)
     n = loop.n
 
     class Plant(jx.LeafSystem):  # type: ignore[misc]
@@ -66,13 +66,14 @@ class Loop(Peer):
     """Fixed-step RK4."""
 
     title: ClassVar[str] = "Jaxonomy"
+    arrays: ClassVar[bool] = False
     package: ClassVar[str] = "jaxonomy"
     module: ClassVar[str] = "jaxonomy"
     note: ClassVar[str] = "the same functions as the JAX row; its compilation is left out"
 
     def build(self) -> None:
         logging.getLogger("jaxonomy").setLevel(logging.WARNING)
-        self.diagram, self.port = diagram(self.loop)
+        self.diagram, self.port = diagram(self.loop, arrays=self.arrays)
         self.context = self.diagram.create_context()
 
     def warm(self, seconds: float) -> None:
