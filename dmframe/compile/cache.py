@@ -20,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from dmframe.compile.compiler import FLAGS, LARGE, LIGHT, SHARED, CompileFailed, Compiler, processor
+from dmframe.compile.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
 
 VARIABLE: Final = "DMFRAME_CACHE"
 MOST_BYTES: Final = 512 * 2**20
@@ -46,7 +46,7 @@ def cache_folder() -> Path:
 
 def key_of(source: str, compiler: Compiler) -> str:
     """What the machine code is made from, as one number."""
-    told = "\0".join((source, repr((SHARED, FLAGS, LARGE, LIGHT)), compiler.identity, processor()))
+    told = "\0".join((source, repr((SHARED, FLAGS)), compiler.identity, processor()))
     return hashlib.sha256(told.encode()).hexdigest()[:40]
 
 

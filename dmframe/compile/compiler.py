@@ -30,11 +30,6 @@ TUNED: Final = (
 FLAGS: Final = (TUNED, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
 """Sets of flags, best first; a compiler that refuses one is given the next. None of them lets sums be reordered."""
 
-LARGE: Final = 600_000
-"""Bytes of source from which on the compiler is asked for less: its time grows faster than the source."""
-
-LIGHT: Final = ("-O1", "-march=native", "-fno-math-errno")
-
 SHARED: Final = ("-std=gnu11", "-fPIC", "-shared", "-s", "-w")
 LIMIT = 300.0
 """A compiler that takes longer is stopped [s]."""
@@ -55,7 +50,7 @@ class Compiler:
     def build(self, source: Path, library: Path) -> None:
         """Compile one file into a shared library in the same folder. Raises `CompileFailed`."""
         complaint = ""
-        for flags in (LIGHT, *FLAGS[1:]) if source.stat().st_size > LARGE else FLAGS:
+        for flags in FLAGS:
             words = [*self.command, *SHARED, *flags, source.name, "-o", library.name, "-lm"]
             try:
                 done = subprocess.run(

@@ -65,11 +65,11 @@ def diagram(loop: Numbers, *, arrays: bool = False) -> tuple[Any, Any]:
 class Loop(Peer):
     """Fixed-step RK4."""
 
-    title: ClassVar[str] = "Jaxonomy"
+    title: ClassVar[str] = "Jaxonomy, scalar code"
     arrays: ClassVar[bool] = False
     package: ClassVar[str] = "jaxonomy"
     module: ClassVar[str] = "jaxonomy"
-    note: ClassVar[str] = "the same functions as the JAX row; its compilation is left out"
+    note: ClassVar[str] = "the same functions as the row of JAX in scalar code; its compilation is left out"
 
     def build(self) -> None:
         logging.getLogger("jaxonomy").setLevel(logging.WARNING)

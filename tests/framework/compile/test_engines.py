@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
+import dmframe.compile.function
 from dmframe.catalogue import graphs
 from dmframe.compile import Parts, load, loop_source
+from dmframe.compile.function import written
 from dmframe.compile.library import address
-from dmframe.compile.source import shipped, written
+from dmframe.compile.source import shipped
 from dmframe.config.graph import load_graph
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
 from dmframe.results.metrics import tracking_error
@@ -168,6 +170,36 @@ def tabulated(function: Any) -> np.ndarray:
         library.dm_table(address(at[0]), address(at[1]), address(result))
         results.append(result)
     return np.array(results)
+
+
+@pytest.mark.parametrize("piece", [1, 2, 7, 1000])
+def test_a_long_function_in_pieces_gives_the_same_numbers(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dmframe.compile.function, "PIECE", piece)
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    first, values = x * y + 2, list[Any]()
+    for k in range(20):
+        first = ca.sin(first) * ca.cos(first) + y / (k + 1)
+        values += [first, x, ca.SX(k), first - values[0] if values else first]
+    function = ca.Function("f", [x, y], [ca.vertcat(*values)])
+    assert written(function).count("noinline") == (0 if piece == 1000 else -(-function_lines(function) // piece))
+    np.testing.assert_allclose(tabulated(function), [function(*point).full().ravel() for point in POINTS], rtol=1e-12)
+
+
+def function_lines(function: Any) -> int:
+    return len(dmframe.compile.function._lines(function)[0])
+
+
+def test_a_function_in_pieces_may_write_over_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dmframe.compile.function, "PIECE", 1)
+    a = ca.SX.sym("a", 2)
+    function = ca.Function("f", [a], [ca.vertcat(a[1] + 1, a[0] * 2 + a[1])])
+    text = written(function) + "\nDM_EXPORT void dm_over(double *a) { dm_f(a, a); }"
+    head = shipped("arithmetic.h") + '\n#define DM_EXPORT __attribute__((visibility("default")))\n'
+    library = load(head + text).library
+    assert isinstance(library, ctypes.CDLL)
+    values = np.array([3.0, 5.0])
+    library.dm_over(address(values))
+    assert values.tolist() == [6, 11]
 
 
 POINTS = [(0.3, 0.7), (-0.9, 0.2), (1e-9, -3.0), (0.99, 1e-3), (-0.5, -0.5)]
