@@ -11,11 +11,15 @@ import ast
 import contextlib
 import copy
 import inspect
+import multiprocessing
+import os
 import sys
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from functools import cache
 from types import FunctionType
 from typing import Any
 
@@ -45,6 +49,10 @@ SWAPS: Mapping[type[ast.AST], type[ast.operator]] = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult,
 }  # fmt: skip
 FUNCTIONS = {"sin": "cos", "cos": "sin", "tanh": "sin", "horzcat": "vertcat", "cross": "dot"}
+
+
+SHARE = 40
+"""Faults that a process tries before it tells."""
 
 
 @dataclass(frozen=True)
@@ -306,13 +314,25 @@ def homes(kind: str, available: Sequence[Loop]) -> list[Loop]:
     return [loop for loop in available if kind in loop.types]
 
 
-def campaign(*, everywhere: bool, certificates: bool = True, library: bool = True) -> Iterator[Result]:
-    """Every fault in one closed loop that it can touch, taken in turn, or in all of them."""
-    available = loops()
-    for turn, mutant in enumerate(all_mutants(certificates=certificates, library=library)):
+Trial = tuple[Mutant, Loop]
+"""A fault and the closed loop that it is put into."""
+
+
+@cache
+def trials(scope: str, everywhere: bool) -> tuple[Trial, ...]:
+    """Every fault of `scope` in one closed loop that it can touch, taken in turn, or in all of them."""
+    available, found = loops(), list[Trial]()
+    for turn, mutant in enumerate(all_mutants(certificates=scope != "equations", library=scope == "all")):
         fitting = homes(mutant.owner, available) if mutant.owner in known_blocks() else list(available)
         chosen = fitting if everywhere else fitting[turn % len(fitting) :][:1] if fitting else []
-        yield from (judged(mutant, loop) for loop in chosen)
+        found += [(mutant, loop) for loop in chosen]
+    return tuple(found)
+
+
+def share(scope: str, everywhere: bool, first: int, last: int) -> list[tuple[str, str]]:
+    """The outcomes of some trials, each with what a reader should know; a process builds the list for itself."""
+    results = [judged(*trial) for trial in trials(scope, everywhere)[first:last]]
+    return [(result.outcome, f"{result.mutant} [{result.loop}]: {result.reason}") for result in results]
 
 
 def all_mutants(*, certificates: bool, library: bool) -> Iterator[Mutant]:
@@ -330,18 +350,25 @@ def all_mutants(*, certificates: bool, library: bool) -> Iterator[Mutant]:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="each fault in one closed loop only")
-    parser.add_argument("--equations", action="store_true", help="only those in equations of blocks")
+    parser.add_argument(
+        "--everywhere", action="store_true", help="each fault in every closed loop that holds its place"
+    )
+    parser.add_argument("--scope", choices=["equations", "blocks", "all"], default="all", help="whose faults")
     parser.add_argument("--list", action="store_true", help="print every fault that was not refuted")
+    parser.add_argument("--workers", type=int, default=os.cpu_count(), help="processes")
     options = parser.parse_args()
-    counts = Counter[str]()
-    more = not options.equations
-    for result in campaign(everywhere=not options.quick, certificates=more, library=more):
-        counts[result.outcome] += 1
-        if counts.total() % 100 == 0:
-            print(f"{counts.total()} faults tried, {counts['survived']} survived", file=sys.stderr)  # noqa: T201
-        if result.outcome == "survived" or (options.list and result.outcome != "refuted"):
-            print(f"{result.outcome}: {result.mutant} [{result.loop}]: {result.reason}")  # noqa: T201
+    count, counts = len(trials(options.scope, options.everywhere)), Counter[str]()
+    with ProcessPoolExecutor(options.workers, multiprocessing.get_context("spawn")) as pool:
+        shares = [
+            pool.submit(share, options.scope, options.everywhere, first, first + SHARE)
+            for first in range(0, count, SHARE)
+        ]
+        for done in as_completed(shares):
+            for outcome, text in done.result():
+                counts[outcome] += 1
+                if outcome == "survived" or (options.list and outcome != "refuted"):
+                    print(f"{outcome}: {text}")  # noqa: T201
+            print(f"{counts.total()} of {count} faults tried, {counts['survived']} survived", file=sys.stderr)  # noqa: T201
     for outcome, meaning in OUTCOMES.items():
         print(f"{counts[outcome]:6d} {outcome:12s} {meaning}")  # noqa: T201
     return 1 if counts["survived"] else 0
