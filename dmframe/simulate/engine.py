@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Literal, Protocol, final, get_args
 
 import casadi as ca
@@ -20,7 +21,7 @@ WORTH = 50_000_000
 """Instructions that a run must take for `auto` to compile it: a fraction of a second when interpreted."""
 
 CHUNK = 256
-"""Ticks that the interpreter computes in one call."""
+"""Ticks that the interpreter computes in one call; CasADi takes five times as long to make a function of 100."""
 
 
 class Stuck(Exception):
@@ -68,6 +69,10 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
             notices.append(notice)
         if found is not None:
             return Compiled(step, kept, every, found, tuple(notices))
+    states = step.parts.control.numel_in(0)
+    rows = kept[kept >= states] - states
+    if rows.size < step.parts.outputs.numel_out(0):
+        step, kept = step.recording(rows), np.concatenate([kept[kept < states], states + np.arange(rows.size)])
     return Interpreted(step, kept, every, tuple(notices))
 
 
@@ -134,20 +139,24 @@ class Chunk:
         many = tick.mapaccum(f"ticks_{ticks}", ticks)
         self._function = ca.Function("chunk", [begin, k, p], many(begin, k, p))
         self._given = [np.empty(self._function.numel_in(i)) for i in range(3)]
-        self._found = [np.empty((ticks, tick.numel_out(j))) for j in range(2)]
+        self._states = np.empty((ticks + 1, tick.numel_out(0)))
+        self._recorded = np.empty((ticks, tick.numel_out(1)))
         self._buffer, self._evaluate = self._function.buffer()
         for i, array in enumerate(self._given):
             self._buffer.set_arg(i, array.data)
-        for j, array in enumerate(self._found):
-            self._buffer.set_res(j, array.data)
+        self._buffer.set_res(0, self._states[1:].data)
+        self._buffer.set_res(1, self._recorded.data)
 
     def __call__(self, state: np.ndarray, first: int, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the ticks first + 1, ...; what is recorded at first, ...: a row each, until the next call."""
+        """States at the ticks `first` and after, and what is recorded there, a row each; overwritten by the next call.
+
+        There is one state more than is recorded.
+        """
         begin, k, parameters = self._given
         begin[:], k[:], parameters[:] = state, first + np.arange(k.size), p
+        self._states[0] = state
         self._evaluate()
-        states, recorded = self._found
-        return states, recorded
+        return self._states, self._recorded
 
 
 @final
@@ -163,6 +172,12 @@ class Interpreted:
     elastic: bool = False
     chunks: dict[int, Chunk] = field(default_factory=dict)
 
+    @cached_property
+    def whole(self) -> bool:
+        """Is everything kept?"""
+        size = self.step.tick.numel_out(0) + self.step.tick.numel_out(1)
+        return np.array_equal(self.kept, np.arange(size))
+
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         """See `Engine`."""
         if ticks == 0:
@@ -171,17 +186,17 @@ class Interpreted:
         if ticks not in self.chunks:
             self.chunks[ticks] = Chunk(self.step.tick, ticks)
         try:
-            after, recorded = self.chunks[ticks](state, first, p)
+            states, recorded = self.chunks[ticks](state, first, p)
         except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
             states = self._singly(state, p, first, ticks)
             self._keep(states, self._observed(states, p, first), first, rows)
             state[:] = states[-1]
             raise Stuck(len(states) - 1, str(error).strip().splitlines()[-1]) from None
-        states = np.vstack([state, after])
-        bad = np.flatnonzero(~np.all(np.isfinite(states), axis=1))
-        done = int(bad[0]) - 1 if bad.size else ticks
+        done = ticks
+        if not np.all(np.isfinite(states)):
+            done = int(np.argmin(np.all(np.isfinite(states), axis=1))) - 1
         count = max(1, min(ticks, done + 1))
-        self._keep(states[:count], recorded[:count], first, rows)
+        self._keep(states, recorded[:count], first, rows)
         state[:] = states[min(done + 1, ticks)]
         return done
 
@@ -203,5 +218,5 @@ class Interpreted:
     def _keep(self, states: np.ndarray, recorded: np.ndarray, first: int, rows: np.ndarray) -> None:
         """Write what is kept of these ticks, a row each."""
         wanted = slice(-first % self.every, None, self.every)
-        both = np.hstack([states[wanted], recorded[wanted]])
-        np.take(both, self.kept, axis=1, out=rows[: len(both)], mode="clip")
+        both = np.hstack([states[: len(recorded)][wanted], recorded[wanted]])
+        rows[: len(both)] = both if self.whole else both[:, self.kept]

@@ -13,7 +13,8 @@ With a continuous clock controller and plant are integrated together, and a tick
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, final, get_args
 
 import casadi as ca
@@ -71,19 +72,16 @@ class Solver:
 @final
 @dataclass(frozen=True)
 class Step:
-    """The tick's functions, all with the parameters p as a column.
+    """The tick's functions, all with the parameters p as a column; the state holds the controller's part first.
 
     Parameters
     ----------
     parts
         What the tick is made of.
-    tick
-        (state, k, p) -> (state at (k + 1) T, all recorded outputs at k T as one column); the state holds the
-        controller's part first.
-    outputs
-        (state, t, p) -> all recorded outputs as one column.
     rate
         (state, t, p) -> the plant's rate with the commands of that instant.
+    solver
+        How the plant is integrated.
     period
         T [s].
     substeps
@@ -91,11 +89,28 @@ class Step:
     """
 
     parts: Parts
-    tick: Any
-    outputs: Any
     rate: Any
+    solver: Solver
     period: float
     substeps: int
+
+    @cached_property
+    def tick(self) -> Any:
+        """(state, k, p) -> (state at (k + 1) T, recorded outputs at k T as one column), for the interpreter."""
+        return _tick(self.parts, self.solver, self.period, self.substeps)
+
+    @cached_property
+    def outputs(self) -> Any:
+        """(state, t, p) -> recorded outputs as one column."""
+        parts, (state, t, p) = self.parts, _columns_of(self.parts)
+        return ca.Function("recorded", [state, t, p], [parts.outputs(state, parts.trajectory(t, p), p)])
+
+    def recording(self, rows: np.ndarray) -> Step:
+        """The same, but of the recorded outputs only some."""
+        state, _, p = (ca.SX.sym("of", symbol.shape) for symbol in _columns_of(self.parts))
+        w = ca.SX.sym("w", self.parts.outputs.numel_in(1))
+        some = ca.Function("outputs", [state, w, p], [self.parts.outputs(state, w, p)[rows.tolist()]])
+        return replace(self, parts=replace(self.parts, outputs=some))
 
 
 def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX) -> Step:
@@ -104,16 +119,9 @@ def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: 
     substeps = _substeps(period, solver)
     parts = build_parts(loop, clock, recorded)
     measured = _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
-    state, t, p = _symbols(loop)
-    w = parts.trajectory(t, p)
-    return Step(
-        parts=parts,
-        tick=_tick(parts, solver, period, substeps),
-        outputs=ca.Function("recorded", [state, t, p], [parts.outputs(state, w, p)]),
-        rate=ca.Function("rate", [state, t, p], [measured(state, w, p)]),
-        period=period,
-        substeps=substeps,
-    )
+    state, t, p = _columns_of(parts)
+    rate = ca.Function("rate", [state, t, p], [measured(state, parts.trajectory(t, p), p)])
+    return Step(parts, rate, solver, period, substeps)
 
 
 def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
@@ -150,8 +158,9 @@ def _substeps(period: float, solver: Solver) -> int:
     return max(1, math.ceil(round(steps, 9)))
 
 
-def _symbols(loop: ClosedLoop) -> tuple[Any, Any, Any]:
-    return ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
+def _columns_of(parts: Parts) -> tuple[Any, Any, Any]:
+    """State, t and p."""
+    return ca.MX.sym("state", parts.control.numel_in(0)), ca.MX.sym("t"), ca.MX.sym("p", parts.control.numel_in(2))
 
 
 def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[SX]) -> Any:
@@ -198,8 +207,7 @@ def inside(loop: ClosedLoop, state: SX) -> SX:
 
 def _tick(parts: Parts, solver: Solver, period: float, substeps: int) -> Any:
     """(state, k, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
-    state, k = ca.MX.sym("state", parts.control.numel_in(0)), ca.MX.sym("k")
-    p = ca.MX.sym("p", parts.control.numel_in(2))
+    state, k, p = _columns_of(parts)
     t, hoisted = k * period, parts.hoisted
     c = hoisted.constants(p)
     dz, u, recorded = hoisted.sample(state, hoisted.trajectory(t, p, c), p, c)

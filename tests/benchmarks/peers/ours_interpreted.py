@@ -14,7 +14,7 @@ class Loop(Peer):
 
     title: ClassVar[str] = "dmframe, interpreted"
     package: ClassVar[str] = "dmframe"
-    note: ClassVar[str] = "keeps every signal at every sample, where the others keep the joint angles"
+    note: ClassVar[str] = "keeps the joint angles, as the others, and the error"
     engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
 
     def build(self) -> None:
@@ -25,7 +25,7 @@ class Loop(Peer):
         self.wall: float | None = None
 
     def run(self, seconds: float) -> Array:
-        from dmframe.simulate import simulate
+        from dmframe.simulate import Log, simulate
 
         solver = replace(self.graph.solver, step=self.step)
         found = simulate(
@@ -35,6 +35,7 @@ class Loop(Peer):
             solver=solver,
             start=self.graph.start,
             engine=self.engine,
+            log=Log(signals=("arm.q",)),
         )
         if found.engine != self.engine:
             raise RuntimeError(f"expected the engine {self.engine}, found {found.engine}")
