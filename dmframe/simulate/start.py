@@ -52,7 +52,7 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
     _as_blocks_say(diagram, values, made)
     _check_finite(variables, values)
     _into_sets(loop, values)
-    return np.concatenate([np.ravel(values[v.label], order="F") for v in variables]) if variables else np.zeros(0)
+    return _column(variables, values)
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
@@ -254,8 +254,7 @@ def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) 
         known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
         key = ("start", variable.label, *(v.label for v in known))
         function = _once(made, key, partial(_stated, loop, expression, known))
-        shaped = (np.reshape(values[v.label], v.symbol.shape, order="F") for v in known)  # a matrix is kept as a column
-        now = function(0, loop.p_values, *shaped)
+        now = function(0, loop.p_values, _column(known, values))
         values[variable.label] = np.asarray(now.full().ravel())
 
 
@@ -265,15 +264,19 @@ def _goal(loop: ClosedLoop, wanted: Any) -> Any:
 
 
 def _stated(loop: ClosedLoop, expression: Any, known: Sequence[Variable]) -> Any:
-    """(t, p, known states...) -> what a block says."""
+    """(t, p, known states as one column) -> what a block says."""
     (joined,) = loop.joined([loop_trajectories(loop, expression)])
-    return ca.Function("at_start", [loop.time, loop.p, *(v.symbol for v in known)], [ca.vec(joined)])
+    return ca.Function("at_start", [loop.time, loop.p, stack(v.symbol for v in known)], [ca.vec(joined)])
+
+
+def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Values as one column, a matrix column by column, as which one may be kept already."""
+    return np.concatenate([np.zeros(0), *(np.ravel(values[v.label], order="F") for v in variables)])
 
 
 def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """An expression of states and parameters at t = 0."""
     known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
-    inputs = [loop.time, loop.p, *(v.symbol for v in known)]
+    inputs = [loop.time, loop.p, stack(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
-    shaped = (np.reshape(values[v.label], v.symbol.shape, order="F") for v in known)
-    return np.asarray(function(0, loop.p_values, *shaped).full().ravel())
+    return np.asarray(function(0, loop.p_values, _column(known, values)).full().ravel())
