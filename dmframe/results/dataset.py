@@ -95,6 +95,14 @@ def parameter_labels(diagram: Diagram) -> tuple[str, ...]:
     return tuple(str(i) for i in range(1, size + 1))
 
 
+def translation_labels(diagram: Diagram) -> tuple[str, ...]:
+    """``shoulder_pan_joint x`` and so on, of the kinematic parameters that are adapted: all, links or tool."""
+    size = diagram.sizes.bound.get("h", (0, ""))[0]
+    joints = joint_labels(diagram)
+    places = {3 * len(joints) + 3: (*joints, "tool"), 3 * len(joints): joints, 3: ("tool",)}
+    return tuple(f"{place} {axis}" for place in places.get(size, ()) for axis in "xyz")
+
+
 def _parameter_unit(name: str) -> str:
     """Of a dynamic parameter by its name, in the full set; empty where it has no name."""
     kinds = {"m": "kg", "mc": "kg m", "I": "kg m^2", "B": "N m s/rad", "D": "N m"}
@@ -103,7 +111,7 @@ def _parameter_unit(name: str) -> str:
 
 def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
     """Names for the elements of a dimension that a shape calls `letter`."""
-    named = {"n": joint_labels, "m": axis_labels, "p": parameter_labels}
+    named = {"n": joint_labels, "m": axis_labels, "p": parameter_labels, "h": translation_labels}
     found = named[letter](diagram) if letter in named else ()
     return found if len(found) == size else tuple(str(i) for i in range(1, size + 1))
 

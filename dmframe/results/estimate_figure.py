@@ -80,6 +80,9 @@ def _panel(axes: Any, run: Run, variable: Variable, most: int, *, legend: bool) 
 def _element(label: str, letter: str) -> str:
     if letter == "n":
         return short(label)
+    if letter == "h":
+        place, _, axis = label.rpartition(" ")
+        return f"{short(place)} {axis}".strip()
     base, under, index = label.partition("_")
     return rf"${base}_{{{index}}}$" if under and base.isalpha() else label
 

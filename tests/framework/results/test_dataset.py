@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.results.dataset import dataset, sliding
+from dmframe.config.graph import load_graph
+from dmframe.results.dataset import dataset, element_labels, sliding
 
 
 def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, arm2):
@@ -25,6 +26,18 @@ def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
     assert data.parameter.size == 36
     assert list(data.parameter.values[[0, 1, 10, 30, 35]]) == ["m_1", "mc_x1", "m_2", "B_1", "D_3"]
     assert str(data.parameter_unit.sel(parameter="I_xx2").values) == "kg m^2"
+
+
+@pytest.mark.parametrize(
+    ("adapt", "count", "first", "last"),
+    [("all", 12, "shoulder_pan_joint x", "tool z"), ("links", 9, "shoulder_pan_joint x", "elbow_joint z"),
+     ("tool", 3, "tool x", "tool z")],
+)  # fmt: skip
+def test_adapted_translations_bear_the_names_of_what_they_place(adapt, count, first, last):
+    diagram = load_graph("theorem_3", [f"geometry.adapt={adapt}"]).diagram()
+    labels = element_labels(diagram, "h", count)
+    assert (len(labels), labels[0], labels[-1]) == (count, first, last)
+    assert element_labels(load_graph("ur10_fast").diagram(), "h", 2) == ("1", "2")
 
 
 def test_values_are_those_of_the_run(ur10):
