@@ -52,7 +52,8 @@ def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Con
         field = field.with_parameters(stack(gain.symbol for gain in gains), stack(copies))
     faults, residual = _faulty(claim, field)
     factors = [fault.factor for fault in faults]
-    tape = Tape.from_function(symbols.function("controls", [residual], [*copies, *factors]))
+    # evaluated once a fault, so that it is worth finding what it holds twice
+    tape = Tape.from_function(symbols.function("controls", [ca.cse(residual)], [*copies, *factors]))
     terms = Tape.from_function(symbols.function("terms", [fault.matters for fault in faults]))
     point = _Point(tape, symbols, gains, len(faults), random.Random(seed + 1))
     found = [
@@ -80,13 +81,13 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
     """All faults, and the residual as a function of their factors."""
     flips = dict(_flips(claim))
     field = field.with_factors({label: fault.factor for label, fault in flips.items()})
-    faults, own = list(flips.values()), list[SX]()
+    faults, own, honest = list(flips.values()), list[SX](), Field(claim.diagram)
     for part in claim.parts:
         rate = dissipation = excess = ca.SX(0)
         for square in part.certificate.storage:
             term = field.derivative(square.value / 2)
             if not term.is_zero():
-                matters = Field(claim.diagram).derivative(square.value / 2)
+                matters = honest.derivative(square.value / 2)
                 faults.append(_dropped(f"{part.block}: storage of {square.of} dropped", matters))
                 rate += faults[-1].factor * term
         for spent in part.certificate.dissipation:
@@ -101,8 +102,8 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
 
 def _flips(claim: Claim) -> Iterator[tuple[str, _Fault]]:
     V, loop = claim.V, claim.loop
-    for variable in loop.controller:
-        (rate,) = loop.joined([variable.rate])
+    rates = loop.joined([variable.rate for variable in loop.controller])
+    for variable, rate in zip(loop.controller, rates, strict=True):
         gained = ca.dot(ca.gradient(V, variable.symbol), ca.densify(rate))
         if not gained.is_zero():
             name = f"sign of d {variable.label}/dt flipped"
