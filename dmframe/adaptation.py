@@ -40,8 +40,8 @@ too (`Fit`):
 law                  parameter     what it does
 ==================== ============= ===================================================================================
 composite            R             adapts by the prediction error too; without forgetting P = Gamma
-bounded-gain         forgetting mu least squares over the last 1/mu seconds: each direction of theta converges at that
-forgetting                         rate or faster while W excites it, and has the gain Gamma where nothing is known
+bounded-gain         forgetting mu least squares over the last 1/mu seconds: each direction of theta converges at about
+forgetting                         the rate mu while W excites it, and has the gain Gamma where nothing is known
 ==================== ============= ===================================================================================
 
 P is at most :math:`\Gamma`, the bound of the gain. With :math:`W_P = c P^{-1}` as the weight of V, c a constant,
@@ -144,6 +144,12 @@ class Estimate:
     def storage(self) -> Square:
         """|estimate - truth|^2_W; S is half of it."""
         return Square(self.error, self.value - self.truth, self.weight)
+
+
+def start_of(state: str, p: Any, nominal: SX) -> SX:
+    """Where an estimate starts: where the parameter of its name says, else at the model's."""
+    key = f"{state}_0"
+    return getattr(p, key) if key in p else nominal
 
 
 @final
@@ -289,4 +295,4 @@ def _by(term: Dissipated | Bounded, error: SX, error_of: str) -> NormSquare:
     return NormSquare(term.of, term.vector, term.weight, error, error_of)
 
 
-__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation"]
+__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation", "start_of"]

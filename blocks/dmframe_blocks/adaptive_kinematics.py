@@ -152,10 +152,11 @@ class AdaptiveKinematics(AbstractBlock):
             if self.forgetting is not None:
                 raise MissingError("adaptive_kinematics: forgetting needs R, the weight of what is to be forgotten")
             return None
-        set_aside = [name for name in ("leak", "error_leak", "a_k_hat_box", "a_k_hat_ball") if getattr(self, name)]
-        if self.forgetting is not None and set_aside:
+        others = ("leak", "error_leak", "a_k_hat_box", "a_k_hat_ball")
+        beside = [name for name in others if getattr(self, name) is not None]
+        if self.forgetting is not None and beside:
             raise ValueFault(
-                f"adaptive_kinematics: expected no {set_aside[0]} beside forgetting: it acts in the metric of "
+                f"adaptive_kinematics: expected no {beside[0]} beside forgetting: it acts in the metric of "
                 "Gamma_k, and V's is then that of P"
             )
         x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))

@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
@@ -83,7 +83,7 @@ class DynamicCompensator(AbstractBlock):
         gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, self._nominal(u, p), u.sigma)},
+            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), u.sigma)},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -93,7 +93,14 @@ class DynamicCompensator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
+        a_d = Estimate(
+            "a_d_hat - a_d",
+            "a_d_hat - a_d_hat(0)",
+            x.a_d_hat,
+            truth.a_d,
+            start_of("a_d_hat", p, u.a_d_nominal),
+            1 / p.Gamma,
+        )
         robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
         return Certificate(
             storage=(a_d.storage,),
@@ -101,7 +108,3 @@ class DynamicCompensator(AbstractBlock):
             excess=robust.excess,
             supply=-ca.dot(u.sigma, effect) - ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
         )
-
-    def _nominal(self, u: Signals, p: Signals) -> SX:
-        """Where the estimate starts."""
-        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import Estimate, Leak, adaptation
+from dmframe.adaptation import Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
@@ -69,7 +69,7 @@ class FilteredAdaptation(AbstractBlock):
         gradient = -p.Gamma * (u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": adaptation(p).rate(gradient, x.a_d_hat, self._nominal(u, p), u.e_f)},
+            rates={"a_d_hat": adaptation(p).rate(gradient, x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), u.e_f)},
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -78,7 +78,14 @@ class FilteredAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
+        a_d = Estimate(
+            "a_d_hat - a_d",
+            "a_d_hat - a_d_hat(0)",
+            x.a_d_hat,
+            truth.a_d,
+            start_of("a_d_hat", p, u.a_d_nominal),
+            1 / p.Gamma,
+        )
         robust = adaptation(p).terms([a_d], u.e_f, "e_f")
         return Certificate(
             storage=(a_d.storage,),
@@ -87,7 +94,3 @@ class FilteredAdaptation(AbstractBlock):
             supply=-ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
             truth={"direct": ca.SX(0)},
         )
-
-    def _nominal(self, u: Signals, p: Signals) -> SX:
-        """Where the estimate starts."""
-        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

@@ -119,8 +119,8 @@ class FilteredRegressor(AbstractBlock):
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
                 f"integrator; found {'both' if self.bias else 'neither'}"
             )
-        Y_f, error = self._momentum(u, p) * p.bandwidth + x.Y_z, self._error(u, x, p)
-        e_f = p.weight * error
+        Y_f = self._filtered(u, x, p)
+        e_f = p.weight * self._error(Y_f, u, x)
         return Equations(
             outputs={"Y_f": Y_f, "e_f": e_f, "tau_f": Y_f @ u.a_d_hat, "q_f": x.q_f},
             rates={
@@ -137,8 +137,8 @@ class FilteredRegressor(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(6) and (7)."""
-        K_star, error = truth.K * truth.K_P, self._error(u, x, p)
-        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
+        K_star, Y_f = truth.K * truth.K_P, self._filtered(u, x, p)
+        error = self._error(Y_f, u, x)
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
         explained, learned = K_star * error, tuple[Square, ...]()
@@ -156,8 +156,11 @@ class FilteredRegressor(AbstractBlock):
             supply=ca.dot(p.weight * error, explained - h),
         )
 
-    def _error(self, u: Signals, x: Signals, p: Signals) -> SX:
-        Y_f = self._momentum(u, p) * p.bandwidth + x.Y_z
+    def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:
+        """Y_f."""
+        return self._momentum(u, p) * p.bandwidth + x.Y_z
+
+    def _error(self, Y_f: SX, u: Signals, x: Signals) -> SX:
         error = u.w * (Y_f @ u.a_d_hat) + u.w_I * x.q_f - x.v_f
         return error if self.bias else error + x.b_hat
 

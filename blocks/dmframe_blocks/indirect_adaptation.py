@@ -7,7 +7,7 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
+from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Lemma, Square
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
@@ -79,7 +79,11 @@ class IndirectAdaptation(AbstractBlock):
         epsilon = law.drive(error)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": law.rate(-p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, self._nominal(u, p), error)},
+            rates={
+                "a_d_hat": law.rate(
+                    -p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), error
+                )
+            },
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
@@ -90,7 +94,14 @@ class IndirectAdaptation(AbstractBlock):
         """(3) and (4)."""
         law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
         epsilon = law.drive(error)
-        a_d = Estimate("a_d_hat - a_d", "a_d_hat - a_d_hat(0)", x.a_d_hat, truth.a_d, self._nominal(u, p), 1 / p.Gamma)
+        a_d = Estimate(
+            "a_d_hat - a_d",
+            "a_d_hat - a_d_hat(0)",
+            x.a_d_hat,
+            truth.a_d,
+            start_of("a_d_hat", p, u.a_d_nominal),
+            1 / p.Gamma,
+        )
         robust = law.terms([a_d], error, "epsilon")
         spent = Square("epsilon", error, ca.SX(1)) if law.width is None else self._beyond(error, law.width)
         return Certificate(
@@ -104,7 +115,3 @@ class IndirectAdaptation(AbstractBlock):
     def _beyond(self, error: SX, width: SX) -> Lemma:
         """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
         return Lemma("epsilon", width, error, ca.SX.zeros(error.shape[0]), width, "dead_zone")
-
-    def _nominal(self, u: Signals, p: Signals) -> SX:
-        """Where the estimate starts."""
-        return p.a_d_hat_0 if "a_d_hat_0" in p else u.a_d_nominal

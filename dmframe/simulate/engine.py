@@ -21,7 +21,7 @@ WORTH = 50_000_000
 """Instructions that a run must take for `auto` to compile it: a fraction of a second when interpreted."""
 
 CHUNK = 256
-"""Ticks that the interpreter computes in one call; CasADi takes five times as long to make a function of 100."""
+"""Ticks that the interpreter computes in one call."""
 
 
 class Stuck(Exception):

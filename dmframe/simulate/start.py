@@ -105,7 +105,7 @@ def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, 
         shape = (rows,) if columns == 1 else (rows, columns)
         if numbers.shape not in ((), shape):
             expected = f"{rows} numbers" if columns == 1 else f"one number, or {rows} rows of {columns}"
-            size = " x ".join(map(str, numbers.shape)) if numbers.any() and numbers.ndim > 1 else numbers.size
+            size = " x ".join(map(str, numbers.shape)) if numbers.size and numbers.ndim > 1 else numbers.size
             faults.append(ValueFault(f"start.{key}: expected {expected}, found {size}", path=("start", key)))
             continue
         values[found.label] = np.broadcast_to(numbers, shape).ravel(order="F")  # a matrix is kept as a column

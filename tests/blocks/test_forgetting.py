@@ -17,7 +17,7 @@ from dmframe.certify.along import along
 from dmframe.config.graph import load_graph
 from dmframe.errors import DmframeError
 from dmframe.report.terms import terms_of
-from dmframe.simulate import Run, Solver, simulate
+from dmframe.simulate import Run, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics
 
 NAME = "observed_tracking_forgetting_pi"
@@ -56,7 +56,10 @@ def test_forgetting_and_composite_adaptation_are_proved_with_every_part_of_the_k
     verdict = proof(*overrides)
     assert verdict.outcome == "proved", verdict.reason
     assert all(control.refuted for control in verdict.controls)
-    assert ("x_hat - x", "goes to zero") in {(s.signal, s.says) for s in verdict.statements} or verdict.bounds
+    robust = any("leak" in override or "dead_zone" in override for override in overrides)
+    assert bool(verdict.bounds) == robust
+    says = "is bounded in the mean square, by the residual" if robust else "goes to zero"
+    assert ("x_hat - x", says) in {(item.signal, item.says) for item in verdict.statements}
 
 
 @pytest.mark.parametrize("name", ["theorem_1", "filtered_regulation_pid", "observed_regulation_pi"])
@@ -223,13 +226,3 @@ def test_a_report_calls_the_metric_by_its_name() -> None:
     assert r"\tfrac12 |\hat{a}_{k} - a_{k}|^2_{W_{2}\, G}" in terms.V[0].right
     (row,) = (row for row in terms.dissipation if row.kind == "gathered")
     assert (row.weight, row.value) == (r"\frac{\mu}{2}", "0.1")
-
-
-def test_the_solver_matters_as_little_as_for_any_other_graph() -> None:
-    fine = load_graph(NAME, [TOOL])
-    diagram = fine.diagram()
-    runs = [
-        simulate(diagram, 2.0, clock=fine.file.clock, solver=Solver(step=step), start=fine.start, engine=engine)
-        for step, engine in ((0.001, "compiled"), (0.001, "interpreted"))
-    ]
-    np.testing.assert_allclose(runs[0]["geometry.a_k_hat"], runs[1]["geometry.a_k_hat"], rtol=1e-10, atol=1e-12)
