@@ -34,7 +34,7 @@ class JointFeedforward(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ Section IV-A, the remark after eq. (45).
+    [WangTAC2020]_ Section IV-A, its last remark.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (
