@@ -47,7 +47,8 @@ class Square:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Square:
         """The same form of other expressions."""
-        return Square(*pieces, of=self.of)
+        vector, weight = pieces
+        return Square(vector, weight, self.of)
 
     @property
     def value(self) -> SX:
@@ -225,7 +226,8 @@ class Gathered:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
         """The same form of other expressions."""
-        return Gathered(*pieces, of=self.of)
+        vector, weight, memory, regressor, by, forgetting = pieces
+        return Gathered(vector, weight, memory, regressor, by, forgetting, self.of)
 
 
 def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
@@ -261,7 +263,8 @@ class Clipped:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
         """The same term of other expressions."""
-        return Clipped(*pieces, of=self.of)
+        first, width, other = pieces
+        return Clipped(first, width, other, self.of)
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered
@@ -302,24 +305,28 @@ class Driven:
     .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
 
     one such equation a joint. That every remainder r is bounded is decided from the closed loop's equations, and that A
-    is Hurwitz at the graph's numbers. The signals that follow, `bounded`, are the z plus something bounded.
+    is stable at the graph's numbers, also while a state that it holds moves anywhere in its box. The signals that
+    follow, `bounded`, are the z plus something bounded; and where r vanishes, the z do.
 
     Parameters
     ----------
     vectors
         z, columns.
     rates
-        A, row by row: columns or scalars of parameters.
+        A, row by row: columns or scalars of parameters, or of states with a box.
     bounded
         What is bounded with them: columns.
     otherwise
         Conditions that have to take its place where it is not shown.
+    of
+        How a reader writes what is bounded; printed from the expressions.
     """
 
     vectors: tuple[SX, ...]
     rates: tuple[tuple[SX, ...], ...]
     bounded: tuple[SX, ...]
     otherwise: tuple[Condition, ...] = ()
+    of: tuple[str, ...] = ()
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -331,7 +338,7 @@ class Driven:
         left, count = list(pieces), len(self.vectors)
         vectors, left = left[:count], left[count:]
         rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
-        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise)
+        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise, self.of)
 
 
 @final
