@@ -22,7 +22,7 @@ SX = Any
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Square:
     r"""The quadratic form :math:`|a|_W^2 = a^\top W a`.
 
@@ -88,7 +88,7 @@ MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lemma:
     r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
 
@@ -134,7 +134,7 @@ class Lemma:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NormSquare:
     r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
 
@@ -176,7 +176,7 @@ class NormSquare:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gathered:
     r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
 
@@ -236,7 +236,7 @@ def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clipped:
     r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
 
@@ -276,7 +276,7 @@ Bounded = Square | NormSquare | Clipped
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Consumed:
     r"""What a cascade takes from the servo level: :math:`c\,|a|^2`; some block there has to pay for it.
 
@@ -298,7 +298,7 @@ class Consumed:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Driven:
     r"""Signals that V does not weigh, and that stay bounded because a stable linear equation drives them.
 

@@ -206,7 +206,7 @@ class Closure:
             found = next((item for item in waiting if self._follows(*item)), None)
             if found is None:
                 break
-            waiting.remove(found)
+            waiting = [item for item in waiting if item is not found]
             self.driven.append(found[1])
             vectors += found[1].bounded
         self.missed = waiting

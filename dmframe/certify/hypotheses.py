@@ -145,10 +145,10 @@ def _written(divisor: SX) -> str:
 
 def _open(closure: Closure) -> Iterator[Assumption]:
     """What V does not weigh, nor anything that follows from it, and what the loop still feels."""
-    left = closure.open_states()
-    if not left or closure.turning():
+    left = [variable.label for variable in closure.open_states()] or ["the time t"]
+    if closure.turning():
         return
-    names, felt = _listed([v.label for v in left]), _listed([v.label for v in closure.felt()])
+    names, felt = _listed(left), _listed([v.label for v in closure.felt()])
     yield Assumption(
         f"a solution exists for all time, with {names} bounded: V does not weigh all of them, and the rates of {felt} "
         "depend on them",

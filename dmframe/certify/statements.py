@@ -80,7 +80,7 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
 def _memory(term: Gathered) -> Driven:
     """What is gathered is forgotten: it obeys a stable equation."""
     memory = ca.vec(ca.densify(term.memory))
-    return Driven((memory,), ((-term.forgetting,),), (memory,))
+    return Driven((memory,), ((-term.forgetting,),), (memory,), of=(f"G of |{term.of}|_G^2",))
 
 
 IN_V = "V holds it with a positive weight and does not grow"

@@ -50,6 +50,8 @@ class Verdict:
         The exact test, with its error bound.
     states
         Which states are bounded, and which are not known to be.
+    fixed
+        Parameters that are zero in the graph, and that the proof takes for zero, by label.
     bounds
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
@@ -67,6 +69,7 @@ class Verdict:
     controls: tuple[Control, ...] = ()
     statements: tuple[Statement, ...] = ()
     states: States | None = None
+    fixed: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
@@ -155,6 +158,7 @@ def _verified(
         controls=controls,
         statements=tuple(statements_of(claim, symbols, signs, closure)),
         states=states_of(claim, closure),
+        fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
         build=clock.build,
         check=clock.check,
