@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Final, final
+from typing import Final
 
 CIRCLE: Final = "cos, sin"
 SIGN: Final = "sign"
@@ -17,7 +17,6 @@ class ZeroDivision(ArithmeticError):
     """A denominator vanished at this point: draw another one."""
 
 
-@final
 class Trial:
     """A prime, a source of randomness, and the values already chosen for functions that the field does not have.
 
