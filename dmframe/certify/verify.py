@@ -12,7 +12,8 @@ from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
-from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
+from dmframe.certify.identity import check_identity, empty_terms
+from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
 from dmframe.certify.symbols import symbols_of
@@ -28,12 +29,6 @@ STANDING = (
     Assumption("the robot is rigid, with constant inertial parameters and the friction of the graph", "eq. (3)"),
     Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
     Assumption("the desired trajectory and its derivatives that appear are bounded", "Theorems 1 to 4"),
-)
-
-
-UNDECIDED = (
-    "not decided: dV/dt is what the blocks claim to rounding, at real points, but only by a property of a function "
-    "(tanh, sqrt, sin of a sum) that the exact test does not know"
 )
 
 
@@ -130,8 +125,8 @@ def _verified(
         test = check_identity(claim, symbols, trials=trials, seed=seed)
     except ValueFault as error:
         return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
-    if not test.zero and holds_in_reals(claim, symbols, seed):
-        return Verdict("not_applicable", UNDECIDED, claim, test, build=clock.build, check=clock.check)
+    if not test.zero and (reason := doubt(claim, symbols, seed)):
+        return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
         return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
