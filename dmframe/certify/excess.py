@@ -59,7 +59,9 @@ def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
 def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]:
     for part in claim.parts:
         for term in part.certificate.excess:
-            value, constant = _width(term, numbers) if isinstance(term, Clipped) else _size(claim, term, numbers, symbols)
+            value, constant = (
+                _width(term, numbers) if isinstance(term, Clipped) else _size(claim, term, numbers, symbols)
+            )
             yield Bound(part.block, term.of, value, _times(term), _weight(claim, part), constant)
 
 

@@ -21,6 +21,7 @@ ATTEMPTS = 20
 BITS = 149
 """Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
 
+
 @final
 @dataclass(frozen=True)
 class Equality:

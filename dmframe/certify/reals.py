@@ -158,5 +158,7 @@ class _Look:
         half = len(outputs) // 2
         pairs = list[tuple[Decimal, Decimal]]()
         for residuals, scales in zip(outputs[:half], outputs[half:], strict=True):
-            pairs += zip(residuals, scales if len(scales) == len(residuals) else [max(scales)] * len(residuals), strict=True)
+            pairs += zip(
+                residuals, scales if len(scales) == len(residuals) else [max(scales)] * len(residuals), strict=True
+            )
         return pairs

@@ -105,7 +105,7 @@ def _nonzero(
 
 def _first(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> int:
     """The first residue that is not zero, over all choices of signs."""
-    for (residues_there, *_) in sign_choices(tape, point, trial):
+    for residues_there, *_ in sign_choices(tape, point, trial):
         for residue in residues_there:
             if residue:
                 return residue

@@ -25,7 +25,8 @@ DIGITS: Final = 60
 """Of each operation. The elementary functions below lose a few."""
 
 _GUARD: Final = 10
-_CONTEXT: Final = Context(prec=DIGITS + _GUARD)
+CONTEXT: Final = Context(prec=DIGITS + _GUARD)
+"""In which decimals are computed here."""
 
 ONE, TWO = Decimal(1), Decimal(2)
 
@@ -42,7 +43,7 @@ def at_point(
     `literal` says what a constant is worth; its decimal value, if it is not given. Raises `UndefinedHere`.
     """
     constants = literal or decimal_of
-    with localcontext(_CONTEXT):
+    with localcontext(CONTEXT):
         flat = [value for vector in inputs for value in vector]
         values: list[Decimal] = []
         try:
@@ -76,7 +77,7 @@ _ARITY: Final = {ca.OP_ADD: 2, ca.OP_SUB: 2, ca.OP_MUL: 2, ca.OP_DIV: 2}
 
 def decimal_of(value: Fraction) -> Decimal:
     """A rational number to `DIGITS` digits and a few more."""
-    return _CONTEXT.divide(Decimal(value.numerator), Decimal(value.denominator))
+    return CONTEXT.divide(Decimal(value.numerator), Decimal(value.denominator))
 
 
 def _pi() -> Decimal:

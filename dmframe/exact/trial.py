@@ -30,8 +30,8 @@ class Trial:
     - fabs(x) is x sign(x). It does not jump: what holds on both sides of x = 0 with absolute values alone holds there
       too, so that a sign is 0 only where sign itself was asked for. There |x| may be read as 0 or as x, both being
       true on x = 0; an identity needs to hold in one of these readings (`zero_is_its_own_size`).
-    - Any other function is a free random value: also fmin, fmax, comparisons, if_else, floor. That is sound, on the sets
-      where they switch too: an identity that holds for free values holds for those that the function takes. It is
+    - Any other function is a free random value: also fmin, fmax, comparisons, if_else, floor. That is sound, on the
+      sets where they switch too: an identity that holds for free values holds for those that the function takes. It is
       not complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not seen.
 
     The rules say nothing of derivatives: that of a jump is not there at all, and has to be kept out beforehand.
@@ -106,7 +106,7 @@ class Trial:
         return self._signed(value, jumps=True)
 
     def size(self, value: int) -> int:
-        """fabs of a reduced residue: the residue times its sign."""
+        """The absolute value of a reduced residue: the residue times its sign."""
         sign = self._signed(value, jumps=False)
         return value if sign == 0 and self.zero_is_its_own_size else value * sign % self.prime
 
