@@ -15,10 +15,12 @@ from dmframe.certify.conditions import conditions_of, decide
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses
-from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
+from dmframe.certify.identity import check_identity, empty_terms
 from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
+from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
+from dmframe.certify.smoothness import smoothness
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
@@ -28,10 +30,6 @@ from dmframe.exact.rational import Interval
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
-UNDECIDED = (
-    "not decided: dV/dt is what the blocks claim to rounding, at real points, but only by a property of a function "
-    "(tanh, sqrt, sin of a sum) that the exact test does not know"
-)
 
 
 @final
@@ -128,13 +126,16 @@ def _verified(
 ) -> Verdict:
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
+    smooth = smoothness(diagram, claim)
     clock.built()
+    if smooth.faults:
+        return Verdict("not_applicable", "; ".join(smooth.faults), claim, build=clock.build, check=clock.check)
     try:
         test = check_identity(claim, symbols, trials=trials, seed=seed)
     except ValueFault as error:
         return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
-    if not test.zero and holds_in_reals(claim, symbols, seed):
-        return Verdict("not_applicable", UNDECIDED, claim, test, build=clock.build, check=clock.check)
+    if not test.zero and (reason := doubt(claim, symbols, seed)):
+        return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
         return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
@@ -154,7 +155,7 @@ def _verified(
         test=test,
         kappa=payment(claim, numbers) if claim.cascaded else None,
         conditions=tuple(conditions),
-        assumptions=tuple(dict.fromkeys([*assumptions, *given, *hypotheses(claim, closure)])),
+        assumptions=tuple(dict.fromkeys([*assumptions, *given, *smooth.assumptions, *hypotheses(claim, closure)])),
         controls=controls,
         statements=tuple(statements_of(claim, symbols, signs, closure)),
         states=states_of(claim, closure),
