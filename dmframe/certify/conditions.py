@@ -31,7 +31,6 @@ from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault
 from dmframe.exact.rational import Interval, evaluate
-from dmframe.port import Side
 
 SIGNS = "V is positive, dV/dt not"
 
@@ -79,7 +78,9 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
             checked.append(_inequality(name, condition, numbers))
     checked += _weights(claim, numbers)
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = _sets(claim, numbers)
+    from dmframe.certify.projections import projection_conditions  # which builds on this module
+
+    inside, unknown = projection_conditions(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(_matrices(claim, numbers))
     checked += matrices
@@ -93,13 +94,12 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
 def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
     """The conditions that blocks state. Raises `NotApplicableError` where a block cannot state its own."""
     for name, block in claim.diagram.blocks.items():
-        if block.side is not Side.SOURCE:
-            seen = view(claim.diagram, name, claim.truths)
-            try:
-                with told_by(name, "conditions()"):
-                    yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
-            except BlockError as error:
-                raise NotApplicableError(error.text) from None
+        seen = view(claim.diagram, name, claim.truths)
+        try:
+            with told_by(name, "conditions()"):
+                yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
+        except BlockError as error:
+            raise NotApplicableError(error.text) from None
 
 
 @final
@@ -146,7 +146,7 @@ def upper(value: Number) -> Fraction:
     return value.upper if isinstance(value, Interval) else value
 
 
-def _decided(name: str, text: str, source: str, least: Callable[[], Fraction], strict: bool = True) -> Checked:
+def decided(name: str, text: str, source: str, least: Callable[[], Fraction], strict: bool = True) -> Checked:
     """A condition from the least value that must be positive; undecided, which is not holding, where there is none."""
     try:
         value = least()
@@ -162,7 +162,7 @@ def _decided(name: str, text: str, source: str, least: Callable[[], Fraction], s
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     text = condition.name
     least = partial(numbers.least, condition.expression)
-    return _decided(f"{name}: {text}", text, condition.source, least, condition.strict)
+    return decided(f"{name}: {text}", text, condition.source, least, condition.strict)
 
 
 def _terms(claim: Claim) -> Iterator[tuple[Part, str, Stored | Dissipated]]:
@@ -196,7 +196,7 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
 
 
 def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
-    return _decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict)
+    return decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict)
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -208,7 +208,7 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, weight)
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0"
-            yield _decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:
@@ -220,48 +220,6 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
-
-
-def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
-    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it.
-
-    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
-    """
-    checked, assumed = list[Checked](), list[Assumption]()
-    for projection in claim.loop.projections:
-        own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
-        for part in claim.parts:
-            for square in part.certificate.storage:
-                if part.block != projection.block or not symbols_in([square.vector]) & own:
-                    continue
-                truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
-                room, rest = _decidable(projection.set.room(truth), numbers)
-                if room.numel():
-                    least = partial(numbers.least, room)
-                    checked.append(_decided(text, INSIDE[projection.kind], "Remark 2", least, strict=False))
-                if rest:
-                    at = sorted({row % truth.shape[0] for row in rest})
-                    where = f", at [{', '.join(map(str, at))}]" if projection.kind == "box" else ""
-                    assumed.append(Assumption(f"{text}{where}, where the plant's start decides it", "Remark 2"))
-                askew = projection.set.askew(square.weight)
-                if not askew.is_zero():
-                    checked.append(_normal(projection.name, askew, numbers))
-    return checked, assumed
-
-
-INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
-
-
-def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
-    """The rows that depend on parameters alone, and the positions of the others."""
-    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
-    return room[known], [row for row in range(room.shape[0]) if row not in known]
-
-
-def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
-    text = "weight in V times adaptation gain is one number for all elements"
-    least = partial(numbers.least, ca.vertcat(askew, -askew))
-    return _decided(f"{name}: projected in the metric of V", text, "projection lemma", least, strict=False)
 
 
 def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
@@ -296,7 +254,7 @@ def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
         return min(common_margin(corners, rates) for corners, rates in zip(a, b, strict=True))
 
     text = "A'P + P A < 0 at the four corners of the box, one P > 0"
-    return _decided(f"{name}: {condition.name}", text, condition.source, least)
+    return decided(f"{name}: {condition.name}", text, condition.source, least)
 
 
 def _rows(values: Sequence[Number], rows: int) -> list[tuple[Fraction, Fraction]]:

@@ -93,8 +93,8 @@ def conflicts(diagram: Diagram, stated: Stated) -> Iterator[str]:
             together = other in distances(diagram, one)
             if together and not same_expression(stated[one][name], stated[other][name]):
                 yield (
-                    f"the true {name} has two owners: the certificates of {one} and {other} state different values, and "
-                    "wires connect them; expected one, so give one of the two another name"
+                    f"the true {name} has two owners: the certificates of {one} and {other} state different values, "
+                    "and wires connect them; expected one, so give one of the two another name"
                 )
 
 
