@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX
-from dmframe.certify.conditions import Checked
+from dmframe.certify.checked import Checked
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Box, Projection
 

@@ -22,8 +22,8 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Assumption, Square
+from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
-from dmframe.certify.conditions import Checked, Numbers, decided, lower
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.symbols import symbols_of
