@@ -31,7 +31,6 @@ from dmframe.exact.rational import Interval
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
 
-
 @final
 @dataclass(frozen=True)
 class Verdict:
