@@ -30,7 +30,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault
-from dmframe.exact.rational import Interval, evaluate
+from dmframe.exact.rational import Interval, as_float, evaluate
 from dmframe.port import Side
 
 SIGNS = "V is positive, dV/dt not"
@@ -155,7 +155,7 @@ def _decided(name: str, text: str, source: str, least: Callable[[], Fraction], s
     except ValueFault as error:
         text = f"{text}; undecided: {error.text}"
     else:
-        return Checked(name, text, float(value), value > 0 if strict else value >= 0, source)
+        return Checked(name, text, as_float(value), value > 0 if strict else value >= 0, source)
     return Checked(name, text, None, False, source, "undecided")
 
 
@@ -216,7 +216,7 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
@@ -286,7 +286,7 @@ def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
 def _payment(claim: Claim, numbers: Numbers) -> Checked:
     kappa = payment(claim, numbers)
     name = "the servo level pays for the cascade: some kappa > 0 exists"
-    value = float(kappa.least) if kappa else None
+    value = as_float(kappa.least) if kappa else None
     return Checked(name, "kappa >= c sum_j a_j^2 / W_j", value, kappa is not None, "composition of storage functions")
 
 
