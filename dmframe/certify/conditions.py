@@ -29,6 +29,7 @@ from dmframe.certify.stability import common_margin
 from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
+from dmframe.exact.rational import as_float
 
 SIGNS = "V is positive, dV/dt not"
 
@@ -137,7 +138,7 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
