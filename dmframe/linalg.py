@@ -6,6 +6,8 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.naming import operation
+
 
 def ldl(A: Any) -> tuple[Any, list[Any]]:
     r"""The unrolled factors of a symmetric positive definite matrix, :math:`A = L \,\mathrm{diag}(d)\, L^\top`.
@@ -32,6 +34,7 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     return L, d
 
 
+@operation
 def solve_spd(A: Any, b: Any) -> Any:
     r"""Solve :math:`A x = b` for a symmetric positive definite A, by :math:`L D L^\top` without a square root.
 
