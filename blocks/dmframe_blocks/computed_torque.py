@@ -31,7 +31,7 @@ class ComputedTorque(AbstractBlock):
 
     Parameters
     ----------
-    alpha : scalar, 1/s, > 0
+    alpha_bar : scalar, 1/s, > 0
         Rate at which the error decays once the estimates fit. Larger asks for more torque.
 
     References
@@ -53,7 +53,7 @@ class ComputedTorque(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"), Port("direct"))
 
-    alpha: Scalar = Positive("", "1/s")
+    alpha_bar: Scalar = Positive("", "1/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
@@ -61,8 +61,8 @@ class ComputedTorque(AbstractBlock):
         return Equations(
             outputs={
                 "dq_ref": u.dq,
-                "ddq_ref": u.ddq_d - 2 * p.alpha * dq_err - p.alpha * p.alpha * q_err,
-                "s_star": dq_err + p.alpha * q_err,
+                "ddq_ref": u.ddq_d - 2 * p.alpha_bar * dq_err - p.alpha_bar * p.alpha_bar * q_err,
+                "s_star": dq_err + p.alpha_bar * q_err,
             }
         )
 
@@ -73,8 +73,8 @@ class ComputedTorque(AbstractBlock):
         outputs = self.equations(u, x, p).outputs
         s_star = outputs["s_star"]
         return Certificate(
-            storage=(Square("s_star", s_star, ca.SX(1)),),
-            dissipation=(Square("s_star", s_star, p.alpha),),
+            storage=(Square(s_star),),
+            dissipation=(Square(s_star, p.alpha_bar),),
             supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
         )
 

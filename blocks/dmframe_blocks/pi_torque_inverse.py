@@ -10,6 +10,7 @@ import casadi as ca
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Assumption, Certificate, Condition, Inequality
+from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -102,15 +103,15 @@ class PiTorqueInverse(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5)."""
-        K_star = truth.K * truth.K_P
-        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
+        K_star = named("K_star", truth.K * truth.K_P)
+        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_I = Estimate(x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
         w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
         effect = K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))
         filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
         law = adaptation(p)
-        robust = law.terms([w, w_I], u.epsilon, "epsilon")
-        robust += law.idle(u.epsilon, effect, "the inverse's torque error")
+        robust = law.terms([w, w_I], u.epsilon)
+        robust += law.idle(u.epsilon, effect)
         return Certificate(
             storage=(w.storage, w_I.storage),
             dissipation=robust.dissipation,

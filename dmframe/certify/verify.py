@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 from dmframe.certificate import Assumption
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
-from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
+from dmframe.certify.conditions import conditions_of
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
+from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.statements import Statement, statements_of
 from dmframe.certify.symbols import symbols_of
