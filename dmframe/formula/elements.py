@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
@@ -46,7 +47,9 @@ class Elements:
             written = tuple(tuple(self._scalar(item) for item in row) for row in rows)
         except UnreadableError:
             return self.unprinted(expression)
-        return written[0][0] if expression.is_scalar() else Stack(written, expression.shape)
+        if expression.is_scalar():
+            return written[0][0]
+        return lifted(written, expression.shape) or Stack(written, expression.shape)
 
     def unprinted(self, expression: SX) -> Node:
         """The names on which an expression depends."""
@@ -65,7 +68,9 @@ class Elements:
         if x.is_constant():
             return constant(ca.DM(x))
         if x.is_symbolic():
-            return self._known.get(x.element_hash()) or Name(x.name())
+            if x.element_hash() not in self._known:  # a number of the robot
+                raise UnreadableError("it holds a symbol that has no name")
+            return self._known[x.element_hash()]
         parts = [self._scalar(x.dep(k)) for k in range(x.n_dep())]
         return _joined(x.op(), parts)
 
@@ -98,6 +103,22 @@ def _joined(kind: int, parts: list[Node]) -> Node:
             raise UnreadableError("it holds an operation that has no sign here")
 
 
-def symbols_of(columns: Mapping[str, Any]) -> dict[str, SX]:
-    """Those of several expressions that are symbols."""
-    return {name: value for name, value in columns.items() if isinstance(value, ca.SX) and not value.is_constant()}
+def lifted(rows: tuple[tuple[Node, ...], ...], shape: tree.Shape) -> Node | None:
+    """One formula for all elements of a column, where they are the same but for the element; else None."""
+    if shape[1] != 1:
+        return None
+    wholes = {_without(row[0], place) for place, row in enumerate(rows)}
+    found = wholes.pop() if len(wholes) == 1 else None
+    return replace(found, shape=shape) if found is not None else None
+
+
+def _without(node: Any, place: int) -> Any:
+    """The node with the element of this place taken for the whole column."""
+    if isinstance(node, Piece) and node.columns is None and node.rows == (place, place + 1):
+        return node.of
+    if isinstance(node, tuple):
+        return tuple(_without(item, place) for item in node)
+    if is_dataclass(node) and not isinstance(node, type):
+        inner = {item.name: _without(getattr(node, item.name), place) for item in fields(node) if item.name != "shape"}
+        return replace(node, **inner)
+    return node

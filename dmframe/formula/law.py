@@ -85,7 +85,7 @@ class PrintedLaw:
     dissipation: tuple[PrintedTerm, ...] = ()
     excess: tuple[PrintedTerm, ...] = ()
     supply: Formula | None = None
-    consumption: Formula | None = None
+    consumption: PrintedTerm | None = None
     definitions: tuple[Line, ...] = ()
     S: Line | None = None
     dS: Line | None = None
@@ -149,10 +149,19 @@ class Energy:
         """The supply."""
         return self._reader(self._certificate.supply, self._scalars.supply)
 
-    def consumption(self) -> Node | None:
-        """c of c |sigma|^2."""
-        consumes = self._certificate.consumes
-        return None if consumes is None else self._reader(consumes, self._scalars.consumes)
+    def consumption(self) -> PrintedTerm | None:
+        """c |a|^2, which the servo level pays."""
+        mine, theirs = self._certificate.consumes, self._scalars.consumes
+        if mine is None or theirs is None:
+            return None
+        vector, c = self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c)
+        return PrintedTerm("consumed", formula(vector), formula(c), None, formula(self._consumed()))
+
+    def _consumed(self) -> Node:
+        mine, theirs = self._certificate.consumes, self._scalars.consumes
+        if mine is None or theirs is None:
+            return Number(Fraction(0))
+        return squared(self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c))
 
     def S(self) -> Node:
         """Half the sum of the storage."""
@@ -162,13 +171,13 @@ class Energy:
         return total
 
     def dS(self) -> Node:
-        """- dissipation + excess + supply."""
+        """- dissipation + excess + consumption + supply."""
         total: Node = Number(Fraction(0))
         for _, node in self._nodes["dissipation"]:
             total = tree.subtract(total, node, SCALAR)
         for _, node in self._nodes["excess"]:
             total = tree.add(total, node, SCALAR)
-        return tree.add(total, self.supply(), SCALAR)
+        return tree.add(tree.add(total, self._consumed(), SCALAR), self.supply(), SCALAR)
 
     def _term(self, term: Any, scalars: Any) -> tuple[PrintedTerm, Node]:
         nodes = [self._reader(*pair) for pair in zip(term.pieces, scalars.pieces, strict=True)]

@@ -197,7 +197,7 @@ class ReadBlock:
             dissipation=energy.terms("dissipation"),
             excess=energy.terms("excess"),
             supply=formula(energy.supply()) if claims else None,
-            consumption=formula(consumption) if consumption is not None else None,
+            consumption=consumption,
             definitions=tuple(self._definitions()),
             S=line("S", Name("S"), energy.S()) if stored else None,
             dS=line("dS", rate_of("S", SCALAR), energy.dS()) if claims else None,
@@ -236,6 +236,8 @@ def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
             kind = type(term).__name__
             found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]
     found.append(("its supply", certificate.supply))
-    found += [("what it consumes", item) for item in (certificate.consumes,) if item is not None]
-    found += [("its sigma", item) for item in certificate.sigma]
+    if certificate.consumes is not None:
+        found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
+    found += [("its pays", item) for item in certificate.pays]
+    found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
     return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

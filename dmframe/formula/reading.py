@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Certificate, Consumed
 from dmframe.diagram.model import BlockModel
 from dmframe.errors import BlockError
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
@@ -94,10 +94,9 @@ class Reading:
         model, names = self.model, dict[str, Expression]()
 
         def sign(name: str, shape: tuple[int, int]) -> Expression:
-            known = names.get(name)
-            if known is None or known.shape != shape:
-                known = names.setdefault(name, kind.sym(name, *shape))
-            return known
+            if name not in names:
+                names[name] = kind.sym(name, *shape)
+            return kind(names[name])  # a copy: a block that assigns to elements of it leaves the symbol alone
 
         inputs = {
             key: kind(*symbol.shape) if key in self.zero else sign(key, symbol.shape)
@@ -127,7 +126,9 @@ class Reading:
         u, x, p, _ = signs.signals(self.name, ())
         with reading(signs.naming), told_at(self.name, self.model.block):
             stated = self.model.block.equations(u, x, p)
-        return Equations(*({name: signs.as_kind(value) for name, value in part.items()} for part in (stated.outputs, stated.rates)))
+        return Equations(
+            *({name: signs.as_kind(value) for name, value in part.items()} for part in (stated.outputs, stated.rates))
+        )
 
     def certificate(self, signs: Signs, truths: Sequence[str]) -> Certificate | None:
         """The block's certificate on these symbols, with the truths that there are."""
@@ -215,8 +216,9 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         dissipation=terms("dissipation"),
         excess=terms("excess"),
         supply=convert(stated.supply),
-        consumes=None if stated.consumes is None else convert(stated.consumes),
-        sigma=tuple(map(convert, stated.sigma)),
+        consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
+        pays=tuple(map(convert, stated.pays)),
+        driven=terms("driven"),
         truth={name: convert(value) for name, value in stated.truth.items()},
     )
 
