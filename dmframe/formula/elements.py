@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Final, final
 
 import casadi as ca
@@ -23,17 +24,20 @@ class Elements:
     """Reads scalar expressions whose symbols have names: whole columns or matrices of symbols."""
 
     def __init__(self, symbols: Mapping[str, SX]) -> None:
-        self._known = dict[int, Node]()
-        for name, symbol in symbols.items():
+        self._symbols, self._count = symbols, 0
+
+    @cached_property
+    def _known(self) -> dict[int, Node]:
+        known = dict[int, Node]()
+        for name, symbol in self._symbols.items():
             whole = Name(name, symbol.shape)
             rows = symbol.shape[0]
-            for place, element in enumerate(symbol.nonzeros() if not symbol.is_scalar() else []):
+            for place, element in enumerate(symbol.nonzeros()):
                 row, column = place % rows, place // rows
                 columns = None if symbol.is_column() else (column, column + 1)
-                self._known[element.element_hash()] = Piece(whole, (row, row + 1), columns, SCALAR)
-            if symbol.is_scalar():
-                self._known[symbol.element_hash()] = whole
-        self._count = 0
+                one = whole if symbol.is_scalar() else Piece(whole, (row, row + 1), columns, SCALAR)
+                known[element.element_hash()] = one
+        return known
 
     def read(self, expression: SX) -> Node:
         """The tree of an expression; what is too long to be read is named by its symbols."""

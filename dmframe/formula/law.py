@@ -9,8 +9,8 @@ from typing import Any, final
 
 from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square
 from dmframe.formula import tree
-from dmframe.formula.tree import SCALAR, Applied, Name, Node, Norm, Number, Rate
-from dmframe.formula.write import Formula, formula
+from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Rate
+from dmframe.formula.write import Formula
 
 
 @final
@@ -25,7 +25,7 @@ class Line:
     @property
     def whole(self) -> Formula:
         """The equation."""
-        return Formula(*(f"{a} = {b}" for a, b in zip(_parts(self.left), _parts(self.right), strict=True)))
+        return Formula(Equation(self.left.node, self.right.node, self.left.node.shape))
 
 
 @final
@@ -98,29 +98,25 @@ class PrintedLaw:
         return (*self.outputs, *self.rates, *energy, *self.definitions)
 
 
-def _parts(item: Formula) -> tuple[str, str, str]:
-    return item.text, item.latex, item.unicode
-
-
 Reader = Callable[[Any, Any], Node]
 """The tree of an expression, given as it was read and as scalars."""
 
 
-def line(name: str, left: Node, right: Node) -> Line:
-    """left = right."""
-    return Line(name, formula(left), formula(right))
+def line(left: Node, right: Node) -> Line:
+    """Left = right."""
+    name = left.of if isinstance(left, Rate) else left
+    return Line(name.name if isinstance(name, Name) else "", Formula(left), Formula(right))
 
 
-def equation_lines(
-    stated: Mapping[str, Any], running: Mapping[str, Any], reader: Reader, sign: Callable[[str, Any], Node]
-) -> tuple[Line, ...]:
-    """One line an expression, without those that say that a name is itself."""
-    lines = []
-    for name, expression in running.items():
-        left, right = sign(name, expression), reader(stated[name], expression)
-        if left != right:
-            lines.append(line(name, left, right))
-    return tuple(lines)
+def lines(equations: Sequence[tuple[Node, Node]]) -> tuple[Line, ...]:
+    """One line an equation, without those that say that a name is itself."""
+    made = (line(*equation) for equation in equations)
+    return tuple(item for item in made if not _says_nothing(item))
+
+
+def _says_nothing(equation: Line) -> bool:
+    """Is it w = w, or the rate of q, which is called dq?"""
+    return isinstance(equation.right.node, Name) and equation.left.latex == equation.right.latex
 
 
 def rate_of(name: str, shape: tree.Shape) -> Node:
@@ -150,12 +146,12 @@ class Energy:
         return self._reader(self._certificate.supply, self._scalars.supply)
 
     def consumption(self) -> PrintedTerm | None:
-        """c |a|^2, which the servo level pays."""
+        """C |a|^2, which the servo level pays."""
         mine, theirs = self._certificate.consumes, self._scalars.consumes
         if mine is None or theirs is None:
             return None
         vector, c = self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c)
-        return PrintedTerm("consumed", formula(vector), formula(c), None, formula(self._consumed()))
+        return PrintedTerm("consumed", Formula(vector), Formula(c), None, Formula(self._consumed()))
 
     def _consumed(self) -> Node:
         mine, theirs = self._certificate.consumes, self._scalars.consumes
@@ -182,8 +178,8 @@ class Energy:
     def _term(self, term: Any, scalars: Any) -> tuple[PrintedTerm, Node]:
         nodes = [self._reader(*pair) for pair in zip(term.pieces, scalars.pieces, strict=True)]
         kind, vector, weight, by, whole = _TERMS[type(term)](term, nodes)
-        said = formula(by) if by is not None else None
-        return PrintedTerm(kind, formula(vector), formula(weight), said, formula(whole)), whole
+        said = Formula(by) if by is not None else None
+        return PrintedTerm(kind, Formula(vector), Formula(weight), said, Formula(whole)), whole
 
 
 Said = tuple[str, Node, Node, Node | None, Node]

@@ -9,15 +9,17 @@ import casadi as ca
 
 from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
+from dmframe.diagram.model import BlockModel
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
-from dmframe.formula.law import Energy, Line, PrintedLaw, equation_lines, line, rate_of
+from dmframe.formula.fold import folded, names_of
+from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Reading, Signs, differs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
-from dmframe.formula.write import formula
+from dmframe.formula.write import Formula
 from dmframe.naming import as_mx, expression_of
 
 POINTS: Final = 2
@@ -33,7 +35,7 @@ def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
     """The laws of all blocks of a diagram. Raises `BlockError` where what is read is not what runs."""
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
-    blocks = {name: ReadBlock(diagram, name, functions) for name in diagram.blocks}
+    blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
         block.compare()
@@ -66,17 +68,49 @@ def _truths(diagram: Diagram, name: str) -> dict[str, tuple[int, int]]:
     return shapes
 
 
+def _read(diagram: Diagram, name: str, functions: RobotFunctions | None) -> ReadBlock:
+    zero = {port for (block, port), source in diagram.sources.items() if block == name and source == Zero()}
+    made = {
+        port.name
+        for port in diagram.blocks[name].truth
+        for model in diagram.models.values()
+        for other in model.block.outputs
+        if other.name == port.name and other.name in model.equations.outputs and same_unit(other, port)
+    }
+    shapes = _truths(diagram, name)
+    return ReadBlock(diagram.models[name], functions, truths=shapes, made=frozenset(made), zero=frozenset(zero))
+
+
 @final
 class ReadBlock:
-    """One block of a diagram while it is read: as matrices (MX) and, where that fails, as scalars (SX)."""
+    """One block while it is read: as matrices (MX) and, where that fails, as scalars (SX).
 
-    def __init__(self, diagram: Diagram, name: str, functions: RobotFunctions | None) -> None:
-        self.diagram, self.name, self.model = diagram, name, diagram.models[name]
-        self.type = type(self.model.block)
-        zero = {port for (block, port), source in diagram.sources.items() if block == name and source == Zero()}
-        self.reading = Reading(name, self.model, _truths(diagram, name), functions, frozenset(zero))
+    Parameters
+    ----------
+    model
+        The block's equations as they run.
+    truths
+        Shapes of the truths that it may read.
+    made
+        Those that outputs of other blocks are; others come from certificates.
+    zero
+        Inputs that nobody drives.
+    """
+
+    def __init__(
+        self,
+        model: BlockModel,
+        functions: RobotFunctions | None,
+        *,
+        truths: Mapping[str, tuple[int, int]],
+        made: frozenset[str],
+        zero: frozenset[str] = frozenset(),
+    ) -> None:
+        self.name, self.model, self.made = model.name, model, made
+        self.type = type(model.block)
+        self.reading = Reading(model.name, model, truths, functions, zero)
         self.certificate, self.scalars, self.claimed = Certificate(), Certificate(), list[str]()
-        self.elements = Elements({})
+        self.elements, self.names = Elements({}), dict[Node, Name]()
         try:
             self._read(ca.MX)
         except DmframeError:
@@ -109,19 +143,15 @@ class ReadBlock:
         """The truths that this diagram has, as `dmframe.diagram.view` finds them."""
         found = set[str]()
         for port in self.model.block.truth:
-            made = any(
-                other.name == port.name and same_unit(other, port)
-                for model in self.diagram.models.values()
-                for other in model.block.outputs
-                if other.name in model.equations.outputs
-            )
             if port.name in stated:
                 value = expression_of(stated[port.name])
                 if value.is_constant():
                     number = ca.DM(value) if isinstance(value, ca.SX | ca.DM) else value.to_DM()
                     self.reading.constants[port.name] = number
                     self.signs.columns["truths"][port.name] = self.signs.kind(number)
-            if (port.name in stated or made or port.derivative_of in found) and port.name in self.reading.truths:
+            if (
+                port.name in stated or port.name in self.made or port.derivative_of in found
+            ) and port.name in self.reading.truths:
                 found.add(port.name)
                 yield port.name
 
@@ -150,10 +180,14 @@ class ReadBlock:
             mine, theirs = ([piece for _, piece in _pieces(c)] for c in (self.certificate, self.scalars))
             both = reading.of_signs(signs, mine), reading.of_signs(other, theirs)
             pairs.append(("certificate", names, *both))
-        if signs.naming.again:
-            given = [name for name, _ in signs.naming.again]
+        again = [
+            *signs.naming.again,
+            *((n, self.stated.outputs[n]) for n in signs.naming.definitions if n in self.stated.outputs),
+        ]
+        if again:
+            given = [name for name, _ in again]
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
-            second = reading.of_signs(signs, [expression for _, expression in signs.naming.again])
+            second = reading.of_signs(signs, [expression for _, expression in again])
             pairs.append(("equations", [f"{name}, named twice," for name in given], first, second))
         for seed in range(POINTS):
             values = reading.values(signs, seed)
@@ -170,44 +204,41 @@ class ReadBlock:
     def law(self) -> PrintedLaw:
         """Print what was read."""
         running = self.model.equations
-        scalars = Elements({name: s for name, s in self.reading.running_names().items()})
+        scalars = Elements(self.reading.running_names())
 
-        def shown(read_as: Any, runs: Any) -> Node:
-            return self._node(read_as, runs, scalars)
-
-        def left(name: str, expression: Any) -> Node:
-            return Name(name, expression.shape)
-
-        outputs = equation_lines(self.stated.outputs, running.outputs, shown, left)
-        rates = equation_lines(
-            self.stated.rates, running.rates, shown, lambda name, expression: rate_of(name, expression.shape)
-        )
-        known = {item.right.latex for item in outputs}
-        energy = Energy(self.certificate, self.scalars, lambda mine, theirs: self._node(mine, theirs, self.elements))
+        nodes = {name: self._node(self.stated.outputs[name], runs, scalars) for name, runs in running.outputs.items()}
+        self.names = names_of(nodes, self.signs.naming.taken)
+        outputs = [(Name(name, node.shape), folded(node, self.names, name)) for name, node in nodes.items()]
+        rates = [
+            (rate_of(name, runs.shape), self._folded(self.stated.rates[name], runs, scalars))
+            for name, runs in running.rates.items()
+        ]
+        energy = Energy(self.certificate, self.scalars, lambda mine, theirs: self._folded(mine, theirs, self.elements))
         stored = bool(energy.terms("storage"))
         claims = stored or bool(energy.terms("dissipation"))
         consumption = energy.consumption()
         return PrintedLaw(
             name=self.name,
-            outputs=outputs,
-            rates=tuple(
-                item for item in rates if item.right.latex not in known and item.left.latex != item.right.latex
-            ),
+            outputs=lines(outputs),
+            rates=lines(rates),
             storage=energy.terms("storage"),
             dissipation=energy.terms("dissipation"),
             excess=energy.terms("excess"),
-            supply=formula(energy.supply()) if claims else None,
+            supply=Formula(energy.supply()) if claims else None,
             consumption=consumption,
             definitions=tuple(self._definitions()),
-            S=line("S", Name("S"), energy.S()) if stored else None,
-            dS=line("dS", rate_of("S", SCALAR), energy.dS()) if claims else None,
+            S=line(Name("S"), energy.S()) if stored else None,
+            dS=line(rate_of("S", SCALAR), energy.dS()) if claims else None,
             matrices=self.signs.kind is ca.MX,
         )
 
     def _definitions(self) -> Iterator[Line]:
-        own = self.elements
         for name, (symbol, expression) in self.signs.naming.definitions.items():
-            yield line(name, Name(name, symbol.shape), self._node(expression, None, own))
+            if name not in self.model.equations.outputs:
+                yield line(Name(name, symbol.shape), self._folded(expression, None, self.elements))
+
+    def _folded(self, read_as: Any, runs: Any, elements: Elements) -> Node:
+        return folded(self._node(read_as, runs, elements), self.names)
 
     def _node(self, read_as: Any, runs: Any, elements: Elements) -> Node:
         """As matrices; else element by element of what runs; else by the names on which it depends."""

@@ -128,7 +128,7 @@ class _Reader:
         return Applied(called.sign, tuple(arguments), x.shape)
 
     def add(self, x: Any, shape: Shape) -> Node:
-        """a + b, and the two halves of if_else."""
+        """A + b, and the two halves of if_else."""
         if x.dep(0).op() == x.dep(1).op() == ca.OP_IF_ELSE_ZERO:
             yes, no = x.dep(0), x.dep(1)
             if no.dep(0).op() == ca.OP_NOT and ca.is_equal(no.dep(0).dep(0), yes.dep(0), 100):
@@ -136,14 +136,14 @@ class _Reader:
         return tree.add(self.node(x.dep(0)), self.node(x.dep(1)), shape)
 
     def elementwise(self, x: Any, shape: Shape) -> Node:
-        """a * b."""
+        """A * b."""
         left, right = self.node(x.dep(0)), self.node(x.dep(1))
         if not tree.is_scalar(left) and not tree.is_scalar(right) and not tree.is_column(left):
             return Applied("hadamard", (left, right), shape)
         return tree.multiply(left, right, shape)
 
     def matrix_product(self, x: Any, shape: Shape) -> Node:
-        """c + a @ b."""
+        """C + a @ b."""
         base, left, right = (x.dep(k) for k in range(3))
         if left.is_constant() and shape == SCALAR and left.shape[0] == 1 and left.to_DM().is_one():
             product: Node = Applied("sum", (self.node(right),), shape)
@@ -156,7 +156,7 @@ class _Reader:
         of = x.dep(0)
         if of.shape == shape:
             return self.node(of)
-        if of.is_column() and x.is_row() or of.is_row() and x.is_column():
+        if (of.is_column() and x.is_row()) or (of.is_row() and x.is_column()):
             return tree.transpose(self.node(of))
         raise UnreadableError("it reshapes a matrix")
 

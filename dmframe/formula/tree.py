@@ -172,6 +172,16 @@ class Rate:
 
 @final
 @dataclass(frozen=True)
+class Equation:
+    """left = right."""
+
+    left: Node
+    right: Node
+    shape: Shape
+
+
+@final
+@dataclass(frozen=True)
 class Unprinted:
     """Something too long to be read, by the names that it holds."""
 
@@ -196,6 +206,7 @@ Node = (
     | Choice
     | Relation
     | Rate
+    | Equation
     | Unprinted
 )
 """Any of them."""
@@ -212,7 +223,7 @@ def is_column(node: Node) -> bool:
 
 
 def add(left: Node, right: Node, shape: Shape) -> Node:
-    """left + right."""
+    """Left + right."""
     terms = (*_terms(left), *_terms(right))
     kept = tuple(term for term in terms if not _is_zero(term))
     if not kept:
@@ -221,7 +232,7 @@ def add(left: Node, right: Node, shape: Shape) -> Node:
 
 
 def subtract(left: Node, right: Node, shape: Shape) -> Node:
-    """left - right; what is subtracted keeps its brackets."""
+    """Left - right; what is subtracted keeps its brackets."""
     return add(left, scale(Fraction(-1), right), shape)
 
 

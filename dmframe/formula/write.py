@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Final, final
 
 from dmframe.formula import tree
@@ -14,6 +15,7 @@ from dmframe.formula.tree import (
     Applied,
     Choice,
     Diagonal,
+    Equation,
     Identity,
     Inverse,
     Name,
@@ -38,19 +40,27 @@ _SUM, _PRODUCT, _ATOM = range(3)
 @final
 @dataclass(frozen=True)
 class Formula:
-    """One formula in the three dialects."""
+    """One formula, in three dialects; each is written when it is first asked for."""
 
-    text: str
-    latex: str
-    unicode: str
+    node: Node
+
+    @cached_property
+    def text(self) -> str:
+        """In the code's names: ``J_hat'(x_o - x)/2 + s/beta``."""
+        return TEXT.write(self.node)
+
+    @cached_property
+    def latex(self) -> str:
+        """As LaTeX, without dollar signs."""
+        return LATEX.write(self.node)
+
+    @cached_property
+    def unicode(self) -> str:
+        """For a terminal or a drawing: ``ẇ = −Λ τ_dc σ``."""
+        return UNICODE.write(self.node)
 
     def __str__(self) -> str:
         return self.text
-
-
-def formula(node: Node) -> Formula:
-    """A tree in all dialects."""
-    return Formula(TEXT.write(node), LATEX.write(node), UNICODE.write(node))
 
 
 class Dialect(ABC):
@@ -80,7 +90,7 @@ class Dialect(ABC):
 
     @abstractmethod
     def raised(self, base: str, exponent: str) -> str:
-        """base to the exponent, of "T", "-1" or a number."""
+        """Base to the exponent, of "T", "-1" or a number."""
 
     @abstractmethod
     def over(self, above: str, below: str, *, simple: bool) -> str:
@@ -158,6 +168,8 @@ class Dialect(ABC):
                 if right is None:
                     return f"{self.relations[sign]} {self._held(left)}", _SUM
                 return f"{self.write(left)} {self.relations[sign]} {self.write(right)}", _SUM
+            case Equation(left, right):
+                return f"{self.write(left)} = {self.write(right)}", _SUM
             case Rate(of):
                 return self.rate(of.name), _ATOM
             case Unprinted(names):
@@ -351,7 +363,7 @@ class _Latex(Dialect):
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
         """A number stands before its factors, unless it joins a quotient's."""
-        if coefficient == 1 and more or (below and not more and coefficient == 1):
+        if (coefficient == 1 and more) or (below and not more and coefficient == 1):
             return "" if more else "1", ""
         return self.fraction(coefficient), ""
 
@@ -412,8 +424,8 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @final
 class _Unicode(_Plain):
-    minus, gap, prime, square = "−", " ", "ᵀ", "²"  # noqa: RUF001 -- the sign of a formula
-    relations = {"<": "<", "<=": "≤", ">": ">", ">=": "≥", "=": "=", "!=": "≠", "and": "∧", "or": "∨", "not": "¬"}  # noqa: RUF001
+    minus, gap, prime, square = "−", " ", "ᵀ", "²"
+    relations = {"<": "<", "<=": "≤", ">": ">", ">=": "≥", "=": "=", "!=": "≠", "and": "∧", "or": "∨", "not": "¬"}
 
     def name(self, name: str) -> str:
         return unicode_name(name)
