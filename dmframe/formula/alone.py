@@ -17,7 +17,7 @@ from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.robot.chain import Joint, SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
 
-_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 5, "h": 4}
+_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4}
 """Letters of shapes: all different, so that what is not square does not look so."""
 
 
@@ -53,11 +53,23 @@ def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
     return read
 
 
+def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
+    """The law with the options at their defaults or, where the block does not stand so, with the first that helps."""
+    plain = law_of_type(block)
+    if plain is not None:
+        return "", plain
+    for label, values in _switched(block):
+        law = law_of_type(block, **values)
+        if law is not None:
+            return label, law
+    return None
+
+
 def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ...]]]:
     """What each option of a block changes: ``leak``, with the lines that it replaces or adds."""
     plain = law_of_type(block)
     if plain is None:
-        return
+        return  # the options that it needs are told by `plainest`
     before = {item.whole.text for item in plain.lines}
     for label, values in _switched(block):
         law = law_of_type(block, **values)

@@ -9,8 +9,8 @@ from typing import Any, final
 
 from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square
 from dmframe.formula import tree
+from dmframe.formula.formula import Formula
 from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Rate
-from dmframe.formula.write import Formula
 
 
 @final

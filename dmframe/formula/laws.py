@@ -14,12 +14,12 @@ from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, names_of
+from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Reading, Signs, differs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
-from dmframe.formula.write import Formula
 from dmframe.naming import as_mx, expression_of
 
 POINTS: Final = 2

@@ -10,10 +10,14 @@ from functools import cache
 from typing import Final, final
 
 LETTERS: Final = {
-    **dict(zip("alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi".split(), "αβγδεζηθικλμνξ", strict=True)),
-    **dict(zip("pi rho sigma tau phi chi psi omega".split(), "πρστφχψω", strict=True)),
-    **dict(zip("Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega".split(), "ΓΔΘΛΞΠΣΦΨΩ", strict=True)),
-}  # fmt: skip
+    name: letter
+    for names, letters in (
+        ("alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi", "αβγδεζηθικλμνξ"),
+        ("pi rho sigma tau phi chi psi omega", "πρστφχψω"),
+        ("Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega", "ΓΔΘΛΞΠΣΦΨΩ"),
+    )
+    for name, letter in zip(names.split(), letters, strict=True)
+}
 """Greek letters, by their names in code and LaTeX."""
 
 ACCENTS: Final = {"hat": "hat", "bar": "bar", "err": "tilde"}

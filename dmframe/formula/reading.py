@@ -103,7 +103,7 @@ class Reading:
             for key, symbol in model.inputs.items()
         }
         states = {key: sign(key, symbol.shape) for key, symbol in model.states.items()}
-        parameters = {key: sign(key, symbol.shape) for key, symbol in model.parameters.items()}
+        parameters = {key: sign(key, s.shape) for key, s in model.parameters.items() if key not in model.starts}
         for key, symbol in model.starts.items():
             parameters[key] = sign(key.removesuffix("_0") + START, symbol.shape)
         truths = {
@@ -167,7 +167,8 @@ class Reading:
         """The symbols of the equations that run, by how they print."""
         model = self.model
         starts = {key.removesuffix("_0") + START: symbol for key, symbol in model.starts.items()}
-        return {**model.inputs, **model.states, **model.parameters, **starts}
+        parameters = {key: symbol for key, symbol in model.parameters.items() if key not in model.starts}
+        return {**model.inputs, **model.states, **parameters, **starts}
 
 
 @final

@@ -1,16 +1,13 @@
-"""The tree of a formula in three dialects: the code's names, LaTeX, and Unicode for terminals and drawings."""
+"""How the tree of a formula becomes text: precedence and brackets, for all dialects alike."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from functools import cached_property
-from typing import Final, final
+from typing import ClassVar
 
 from dmframe.formula import tree
-from dmframe.formula.names import latex_name, unicode_name
 from dmframe.formula.tree import (
     Applied,
     Choice,
@@ -37,40 +34,13 @@ _SUM, _PRODUCT, _ATOM = range(3)
 """How tightly a piece of text holds together."""
 
 
-@final
-@dataclass(frozen=True)
-class Formula:
-    """One formula, in three dialects; each is written when it is first asked for."""
-
-    node: Node
-
-    @cached_property
-    def text(self) -> str:
-        """In the code's names: ``J_hat'(x_o - x)/2 + s/beta``."""
-        return TEXT.write(self.node)
-
-    @cached_property
-    def latex(self) -> str:
-        """As LaTeX, without dollar signs."""
-        return LATEX.write(self.node)
-
-    @cached_property
-    def unicode(self) -> str:
-        """For a terminal or a drawing: ``ẇ = −Λ τ_dc σ``."""
-        return UNICODE.write(self.node)
-
-    def __str__(self) -> str:
-        return self.text
-
-
 class Dialect(ABC):
     """How a tree is written; a dialect says what its signs are."""
 
     minus: str
     gap: str
     comma = ", "
-    less: str
-    relations: dict[str, str]
+    relations: ClassVar[Mapping[str, str]]
 
     def write(self, node: Node) -> str:
         """The text of a tree."""
@@ -196,7 +166,7 @@ class Dialect(ABC):
         if _mixed_quotient(product):
             above = self.bracketed(above)
         simple = len(divisors) == 1
-        return f"{sign}{self.over(above, below if simple else below, simple=simple)}", holds
+        return f"{sign}{self.over(above, below, simple=simple)}", holds
 
     def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
         """What stands before the factors, and what stands below them, of a number."""
@@ -245,211 +215,3 @@ def _mixed_quotient(product: Product) -> bool:
     """Is a product with a matrix divided element by element?"""
     matrix = any(not tree.is_column(factor) for factor in product.factors)
     return matrix and any(not tree.is_scalar(node) for node in product.below)
-
-
-class _Plain(Dialect):
-    """What the two dialects of running text share."""
-
-    prime: str
-    square: str
-
-    def over(self, above: str, below: str, *, simple: bool) -> str:
-        return f"{above}/{below if simple else self.bracketed(below)}"
-
-    def bracketed(self, text: str) -> str:
-        return f"({text})"
-
-    def norm(self, text: str, *, squared: bool, weight: str) -> str:
-        below = f"_({weight})" if " " in weight or "/" in weight else f"_{weight}" * bool(weight)
-        return f"|{text}|" + self.square * squared + below
-
-    def word(self, word: str) -> str:
-        return word
-
-    def matrix(self, rows: Sequence[Sequence[str]]) -> str:
-        if all(len(row) == 1 for row in rows):
-            return f"({', '.join(row[0] for row in rows)})"
-        return f"[{'; '.join(', '.join(row) for row in rows)}]"
-
-    def choice(self, relation: str, yes: str, no: str) -> str:
-        return f"{yes} if {relation}, else {no}"
-
-    def unprinted(self, names: Sequence[str]) -> str:
-        return f"an expression of {', '.join(names)}" if names else "a matrix of numbers"
-
-    def between(self, left: str, right: str) -> str:
-        return "" if left.endswith(self.prime) and right.startswith("(") else " "
-
-
-@final
-class _Text(_Plain):
-    minus, gap, prime, square = "-", " ", "'", "^2"
-    relations = {
-        "<": "<",
-        "<=": "<=",
-        ">": ">",
-        ">=": ">=",
-        "=": "=",
-        "!=": "!=",
-        "and": "and",
-        "or": "or",
-        "not": "not",
-    }
-
-    def name(self, name: str) -> str:
-        return name
-
-    def rate(self, name: str) -> str:
-        return f"d{name}/dt"
-
-    def fraction(self, value: Fraction) -> str:
-        return _decimal(value)
-
-    def raised(self, base: str, exponent: str) -> str:
-        return (
-            f"{base}'" if exponent == "T" else f"{base}^{exponent}" if "/" not in exponent else f"{base}^({exponent})"
-        )
-
-    def part(self, text: str, piece: Piece) -> str:
-        ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
-        sizes = piece.of.shape
-        return f"{text}[{', '.join(_span(end, size) for end, size in zip(ends, sizes, strict=False))}]"
-
-
-def _span(ends: tuple[int, int], size: int) -> str:
-    """As Python writes it."""
-    start, stop = ends
-    if stop - start == 1:
-        return str(start)
-    return f"{start or ''}:{stop if stop < size else ''}"
-
-
-def _decimal(value: Fraction) -> str:
-    if value.denominator == 1:
-        return str(value.numerator)
-    exact = float(value)
-    return f"{value.numerator}/{value.denominator}" if value.denominator <= 1000 and len(str(exact)) > 6 else str(exact)
-
-
-@final
-class _Latex(Dialect):
-    minus, gap = "-", " "
-    relations = {
-        "<": "<",
-        "<=": r"\le",
-        ">": ">",
-        ">=": r"\ge",
-        "=": "=",
-        "!=": r"\ne",
-        "and": r"\land",
-        "or": r"\lor",
-        "not": r"\lnot",
-    }
-
-    def name(self, name: str) -> str:
-        return latex_name(name)
-
-    def rate(self, name: str) -> str:
-        return latex_name(name, "dot")
-
-    def fraction(self, value: Fraction) -> str:
-        return str(value.numerator) if value.denominator == 1 else self._small(value)
-
-    @staticmethod
-    def _small(value: Fraction) -> str:
-        if value.denominator > 1000:
-            return str(float(value))
-        return rf"\tfrac{{{value.numerator}}}{{{value.denominator}}}"
-
-    def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
-        """A number stands before its factors, unless it joins a quotient's."""
-        if (coefficient == 1 and more) or (below and not more and coefficient == 1):
-            return "" if more else "1", ""
-        return self.fraction(coefficient), ""
-
-    def raised(self, base: str, exponent: str) -> str:
-        return f"{base}^{{{self._top(exponent)}}}" if exponent != "T" else rf"{base}^\top"
-
-    @staticmethod
-    def _top(exponent: str) -> str:
-        return exponent
-
-    def over(self, above: str, below: str, *, simple: bool) -> str:
-        if simple and "\\left" not in above + below:
-            return f"{above}/{below}"
-        return rf"\frac{{{above}}}{{{below}}}"
-
-    def bracketed(self, text: str) -> str:
-        return rf"\left({text}\right)" if "\\frac" in text or "\\tfrac" in text else f"({text})"
-
-    def norm(self, text: str, *, squared: bool, weight: str) -> str:
-        return f"|{text}|" + "^2" * squared + (f"_{{{weight}}}" if weight else "")
-
-    def word(self, word: str) -> str:
-        known = {"sgn": r"\operatorname{sgn}", "diag": r"\operatorname{diag}", "sqrt": r"\operatorname{sqrt}"}
-        standard = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "log", "min", "max")
-        if word in standard:
-            return f"\\{word}"
-        plain = word.replace("_", r"\_")
-        return known.get(word, rf"\operatorname{{{plain}}}")
-
-    def matrix(self, rows: Sequence[Sequence[str]]) -> str:
-        body = r" \\ ".join(" & ".join(row) for row in rows)
-        return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
-
-    def part(self, text: str, piece: Piece) -> str:
-        return f"[{text}]_{{{_counted(piece)}}}"
-
-    def choice(self, relation: str, yes: str, no: str) -> str:
-        return rf"\begin{{cases}} {yes} & {relation} \\ {no} & \text{{else}} \end{{cases}}"
-
-    def unprinted(self, names: Sequence[str]) -> str:
-        return rf"\text{{an expression of }} {', '.join(names)}" if names else r"\text{a matrix of numbers}"
-
-
-def _counted(piece: Piece) -> str:
-    """Rows and columns counted from one, both ends included."""
-    ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
-    sizes = piece.of.shape
-    spans = []
-    for (start, stop), size in zip(ends, sizes, strict=False):
-        whole = (start, stop) == (0, size)
-        spans.append(":" if whole else str(stop) if stop - start == 1 else f"{start + 1}:{stop}")
-    return ",".join(spans)
-
-
-_VULGAR: Final = {Fraction(1, 2): "½", Fraction(1, 4): "¼", Fraction(3, 4): "¾"}
-_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-
-@final
-class _Unicode(_Plain):
-    minus, gap, prime, square = "−", " ", "ᵀ", "²"
-    relations = {"<": "<", "<=": "≤", ">": ">", ">=": "≥", "=": "=", "!=": "≠", "and": "∧", "or": "∨", "not": "¬"}
-
-    def name(self, name: str) -> str:
-        return unicode_name(name)
-
-    def rate(self, name: str) -> str:
-        return unicode_name(name, "dot")
-
-    def fraction(self, value: Fraction) -> str:
-        return _VULGAR.get(value) or _decimal(value)
-
-    def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
-        if coefficient in _VULGAR:
-            return _VULGAR[coefficient], ""
-        return super().lead(coefficient, more, below)
-
-    def raised(self, base: str, exponent: str) -> str:
-        if exponent == "T":
-            return f"{base}ᵀ"
-        return f"{base}{exponent.translate(_RAISED)}" if "/" not in exponent else f"{base}^({exponent})"
-
-    def part(self, text: str, piece: Piece) -> str:
-        return f"{text}[{_counted(piece)}]"
-
-
-TEXT: Final[Dialect] = _Text()
-LATEX: Final[Dialect] = _Latex()
-UNICODE: Final[Dialect] = _Unicode()
