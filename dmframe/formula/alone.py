@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any, Final, Literal, get_args, get_origin
@@ -37,15 +38,15 @@ def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
             if field.is_required() and name in known and name not in values
         }
         made = block(**given, **values)
-        chain = _arm() if block.uses_robot else None
+        functions = _arm() if block.uses_robot else None
+        chain = functions.of.chain if functions else None
         sizes = _sizes(made, chain)
         arrays, faults = parameter_arrays(type_name(block), made, sizes)
         if faults:
             return None
-        model = model_block(type_name(block), made, arrays, sizes, SymbolicRobot(chain) if chain else None)
+        model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)
     except (DmframeError, KeyError):  # it needs a graph: a file, a path through points, another option
         return None
-    functions = RobotFunctions(model.robot) if model.robot is not None else None
     shapes = {port.name: (*sizes.of(port.shape), 1, 1)[:2] for port in made.truth}
     read = ReadBlock(model, functions, truths=shapes, made=frozenset(shapes))
     certify({model.name: read})
@@ -53,12 +54,31 @@ def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
     return read
 
 
+def variants(block: type[AbstractBlock]) -> Iterator[ReadBlock]:
+    """The block with its options at their defaults, then each option by itself, then all that go together."""
+    plain = read_type(block)
+    if plain is not None:
+        yield plain
+    together = dict[str, Any]()
+    for _, values in switched(block):
+        read = read_type(block, **values)
+        if read is not None:
+            yield read
+        both = {**values, **together}
+        if read_type(block, **both) is not None:
+            together = both
+    if len(together) > 1:
+        read = read_type(block, **together)
+        if read is not None:
+            yield read
+
+
 def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
     """The law with the options at their defaults or, where the block does not stand so, with the first that helps."""
     plain = law_of_type(block)
     if plain is not None:
         return "", plain
-    for label, values in _switched(block):
+    for label, values in switched(block):
         law = law_of_type(block, **values)
         if law is not None:
             return label, law
@@ -71,7 +91,7 @@ def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ..
     if plain is None:
         return  # the options that it needs are told by `plainest`
     before = {item.whole.text for item in plain.lines}
-    for label, values in _switched(block):
+    for label, values in switched(block):
         law = law_of_type(block, **values)
         if law is not None:
             changed = tuple(item for item in law.lines if item.whole.text not in before)
@@ -79,7 +99,7 @@ def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ..
                 yield label, changed
 
 
-def _switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
+def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Each option at another value than its default; one that needs a second comes with it."""
     known = specs(block)
     free = {name: _some(spec) for name, spec in known.items() if _is_off(block, name) and spec.form not in PAIRS}
@@ -133,7 +153,8 @@ def _sizes(block: AbstractBlock, chain: SerialChain | None) -> Sizes:
     return sizes
 
 
-def _arm() -> SerialChain:
+@functools.cache
+def _arm() -> RobotFunctions:
     """Three joints in space, whose task is two coordinates."""
     one, zero = Fraction(1), Fraction(0)
     unit = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
@@ -142,7 +163,7 @@ def _arm() -> SerialChain:
         Joint(f"joint_{axis}", "revolute", unit[axis], unit, (one, zero, one), **limits) for axis in (2, 1, 0)
     )
     link = tuple(Fraction(number) for number in ("2", "0.3", "0.1", "0.2", "0.5", "0", "0.6", "0", "0", "0.7"))
-    return SerialChain(
+    chain = SerialChain(
         name="arm",
         joints=joints,
         tool=(one, zero, zero),
@@ -154,3 +175,4 @@ def _arm() -> SerialChain:
         model=None,
         model_tool=0,
     )
+    return RobotFunctions(SymbolicRobot(chain))

@@ -11,7 +11,8 @@ import functools
 import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from enum import Enum
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -19,13 +20,14 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock
+from dmframe.certificate import Certificate
 from dmframe.errors import BlockError
-from dmframe.formula.alone import read_type, switched
+from dmframe.formula.alone import variants
 from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
 from dmframe.formula.names import Symbol, symbol
 from dmframe.formula.reading import differs
-from dmframe.formula.robot import CONSTANTS, SIGNS
+from dmframe.formula.robot import SIGNS
 
 _DISPLAYED: Final = re.compile(r"^([ \t]*)\.\. math::[ \t]*(.*)$")
 _INLINE: Final = re.compile(r":math:`([^`]*)`", re.DOTALL)
@@ -54,8 +56,14 @@ def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
     equations = list(equations_of(block))
     if not any(item.displayed for item in equations):
         return ()
+    checker = _Checker(equations)
+    for read in variants(block):
+        if checker.hold(read):
+            break
+    if not checker.tried:
+        return ()
     file = Path(inspect.getsourcefile(block) or block.__name__).name
-    return tuple(BlockError(f"{file}:{line}: {text}") for line, text in _Checker(block, equations).faults())
+    return tuple(BlockError(f"{file}:{line}: {text}") for line, text in checker.faults())
 
 
 def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
@@ -71,7 +79,9 @@ def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
             continue
         start, indent = place + 1, len(head[1])
         place += 1
-        while place < len(lines) and (not lines[place].strip() or len(lines[place]) - len(lines[place].lstrip()) > indent):
+        while place < len(lines) and (
+            not lines[place].strip() or len(lines[place]) - len(lines[place].lstrip()) > indent
+        ):
             place += 1
         body = [(first + number, lines[number]) for number in range(start, place)]
         if head[2].strip():
@@ -163,100 +173,225 @@ def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> I
 
 
 @final
-class _Config:
-    """A block with some options, in numbers at random points."""
-
-    def __init__(self, read: ReadBlock) -> None:
-        self.read = read
-        self.points = [_point(read, seed) for seed in range(POINTS)]
-
-
-@final
 @dataclass(frozen=True)
 class _Point:
-    """Numbers of names, of rates and of energies, at one point; and the robot's functions there."""
+    """What the names of a docstring are at one random point, with some options of the block.
+
+    Parameters
+    ----------
+    names
+        All that may be named.
+    computed
+        What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
+    rates
+        Of states, and of S.
+    """
 
     names: Mapping[Symbol, Numbers]
+    computed: Mapping[Symbol, Numbers]
     rates: Mapping[Symbol, Numbers]
-    computed: frozenset[Symbol]
-    """Names whose numbers the code computes, so that an equation can be held to them."""
-    robot: Any
+    read: ReadBlock
+
+    def look(self, name: Symbol) -> Numbers | None:
+        """The numbers of a name, or of the rate that a dotted name is."""
+        for known in (self.computed, self.names):
+            if name in known:
+                return known[name]
+        bare = undotted(name)
+        return self.rates.get(bare) if bare is not None else None
+
+    def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
+        """A function of the robot, J(q)."""
+        robot, functions = self.read.signs.robot, self.read.reading.functions
+        methods = [method for method, sign in SIGNS.items() if symbol(sign) == name]
+        if robot is None or functions is None or not methods:
+            return None
+        parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
+        try:
+            function = functions.of_method(methods[0], tuple(parameters))
+            return np.array(function(*map(ca.DM, arguments), functions.values))
+        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
+            return None
+
+
+def undotted(name: Symbol) -> Symbol | None:
+    """The name whose rate this one is; None without a dot on top."""
+    last = name.accents[-1:]
+    if last == ("dot",):
+        return replace(name, accents=name.accents[:-1])
+    return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
 
 
 def _point(read: ReadBlock, seed: int) -> _Point:
     """All that a docstring of this block may name."""
     values = read.reading.values(read.signs, seed)
-    names = {symbol(name): np.atleast_2d(np.asarray(value)) for name, value in values.items() if isinstance(name, str)}
-    names |= {symbol(CONSTANTS[name]): names[symbol(CONSTANTS[name])] for name in CONSTANTS if CONSTANTS[name] in values}
+    names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
     defined = read.reading.of_signs(read.signs, [expression for _, expression in definitions.values()]).at(values)
     outputs, rates = read.model.equations.outputs, read.model.equations.rates
     run = read.reading.of_running().at(values)
-    made = {symbol(name): value for name, value in zip([*definitions, *outputs], [*defined, *run], strict=False)}
-    energy = _energies(read, values)
-    rate = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
-    rate |= {Symbol("S"): energy[1]} if energy else {}
-    made |= {Symbol("S"): energy[0]} if energy else {}
-    known = {key for key, value in made.items() if key not in names}
-    return _Point({**made, **names, **{k: v for k, v in made.items() if k in known}}, rate, frozenset(known), read)
-
-
-def _energies(read: ReadBlock, values: Mapping[str, Any]) -> tuple[Numbers, Numbers] | None:
-    """S and what the certificate claims of its rate."""
+    computed = dict(zip(map(symbol, definitions), defined, strict=True))
+    computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
+    moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
     stated = read.scalars
-    if not stated.storage and not stated.dissipation:
-        return None
-    signs = read.scalar_signs
-    storage = sum((ca.SX(term.value) for term in stated.storage), ca.SX(0)) / 2
-    claim = ca.SX(stated.supply) - sum((ca.SX(term.value) for term in stated.dissipation), ca.SX(0))
-    claim += sum((ca.SX(term.value) for term in stated.excess), ca.SX(0))
+    if stated.storage or stated.dissipation:
+        S, dS = read.reading.of_signs(read.scalar_signs, energies(stated)).at(values)
+        computed, moving = {Symbol("S"): S, **computed}, {Symbol("S"): dS, **moving}
+    return _Point(names, {key: value for key, value in computed.items() if key not in names}, moving, read)
+
+
+def energies(stated: Certificate) -> list[Any]:
+    """S, and what the certificate claims of its rate."""
+
+    def total(terms: Sequence[Any]) -> Any:
+        return sum((ca.SX(term.value) for term in terms), ca.SX(0))
+
+    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
     if stated.consumes is not None:
-        claim += stated.consumes.value
-    first, second = read.reading.of_signs(signs, [storage, claim]).at(values)
-    return first, second
+        claimed += stated.consumes.value
+    return [total(stated.storage) / 2, claimed]
+
+
+class _Verdict(Enum):
+    """What an equation is, with some options."""
+
+    HOLDS = "holds"
+    DIFFERS = "is not what the code computes"
+    UNREADABLE = "cannot be read"
+    DEFINES = "defines a name"
+    SKIPPED = "is about something else"
+
+
+@final
+class _Trial:
+    """A docstring's equations with some options of the block, at one point."""
+
+    def __init__(self, point: _Point, equations: Sequence[Stated]) -> None:
+        self.point, self.used = point, set[Symbol]()
+        self._open = dict[Symbol, Stated]()
+        self._known = dict[Symbol, Numbers]()
+        for item in equations:
+            left = name_in(item.left)
+            if left is not None and self._is_new(left[0]):
+                self._open.setdefault(left[0], item)
+
+    def _is_new(self, name: Symbol) -> bool:
+        return self.point.look(name) is None and undotted(name) is None and not name.start
+
+    def _look(self, name: Symbol) -> Numbers | None:
+        found = self.point.look(name)
+        if found is not None or name in self._known:
+            return self._known.get(name) if found is None else found
+        if name not in self._open:
+            return None
+        self.used.add(name)
+        meant = self._open.pop(name)  # taken away while it is read, so that it cannot need itself
+        try:
+            self._known[name] = self._value(meant.right)
+        finally:
+            self._open[name] = meant
+        return self._known[name]
+
+    def _value(self, words: Sequence[str]) -> Numbers:
+        return evaluate(words, self._look, self.point.call)
+
+    def verdict(self, item: Stated) -> tuple[_Verdict, str]:
+        """What an equation is, and the sentence about it."""
+        try:
+            return self._verdict(item)
+        except UnreadableLatexError as error:
+            return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
+
+    def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
+        left = name_in(item.left)
+        if not item.left:
+            raise UnreadableLatexError("it is no equation")
+        if left is None:
+            if not item.displayed:
+                return _Verdict.SKIPPED, ""
+            return self._compared(self._value(item.left), item.right, " ".join(item.left))
+        name, shown = left[0], said(left[0])
+        bare = undotted(name)
+        if "\\int" in item.right:
+            return self._integral(name, item)
+        if name in self.point.computed:
+            return self._compared(self.point.computed[name], item.right, shown)
+        if bare is not None and bare in self.point.rates:
+            return self._compared(self.point.rates[bare], item.right, shown)
+        if not item.displayed:
+            return _Verdict.SKIPPED, ""
+        if self.point.look(name) is not None or name.start:
+            return _Verdict.DIFFERS, f"{shown}: an equation for it, but the block does not compute it"
+        if bare is not None:
+            return _Verdict.DIFFERS, f"{shown}: an equation for its rate, but the block has no state {said(bare)}"
+        self._value(item.right)
+        return _Verdict.DEFINES, shown
+
+    def _integral(self, name: Symbol, item: Stated) -> tuple[_Verdict, str]:
+        r"""A = \int b of a state a: its rate is b."""
+        words = item.right[item.right.index("\\int") + 1 :]
+        if name in self.point.rates:
+            return self._compared(self.point.rates[name], words, f"rate of {said(name)}")
+        if item.displayed:
+            raise UnreadableLatexError("an integral is understood of a state alone")
+        return _Verdict.SKIPPED, ""
+
+    def _compared(self, computed: Numbers, words: Sequence[str], shown: str) -> tuple[_Verdict, str]:
+        value = self._value(words)
+        if value.shape == (1, 1) != computed.shape:
+            value = np.full(computed.shape, value[0, 0])
+        text = f"{shown}: the docstring's law is not what the equations compute"
+        if shown in ("S", r"\dot{S}"):
+            text = f"{shown}: the docstring's law is not what the certificate claims"
+        return (_Verdict.DIFFERS, text) if differs(computed, value) else (_Verdict.HOLDS, "")
 
 
 @final
 class _Checker:
-    """One block's docstring against its code, with the options in which each equation holds."""
+    """One block's docstring, held to its code with one choice of options after another."""
 
-    def __init__(self, block: type[AbstractBlock], equations: Sequence[Stated]) -> None:
-        self.block, self.equations = block, equations
+    def __init__(self, equations: Sequence[Stated]) -> None:
+        self._equations = equations
+        self._told = dict[Stated, tuple[_Verdict, str]]()
+        self._fine, self._used = set[Stated](), set[str]()
+        self._late = dict[str, Stated]()
+        self.tried = 0
 
-    def configs(self) -> Iterator[_Config]:
-        """The block with its options at their defaults, then one by one."""
-        plain = read_type(self.block)
-        if plain is not None:
-            yield _Config(plain)
-        for _, values in switched(self.block):
-            read = read_type(self.block, **values)
-            if read is not None:
-                yield _Config(read)
+    def hold(self, read: ReadBlock) -> bool:
+        """Hold all equations to a block; True when nothing is left to be shown."""
+        trials = [_Trial(_point(read, seed), self._equations) for seed in range(POINTS)]
+        fine = set[Stated]()
+        for item in self._equations:
+            found = [trial.verdict(item) for trial in trials]
+            worst = next((one for one in found if one[0] in (_Verdict.DIFFERS, _Verdict.UNREADABLE)), found[0])
+            if worst[0] in (_Verdict.HOLDS, _Verdict.DEFINES, _Verdict.SKIPPED):
+                fine.add(item)
+            if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
+                self._told[item] = worst
+        self._used |= {said(name) for trial in trials for name in trial.used}
+        if not self.tried:
+            self._late = self._not_yet(fine)
+        self._fine |= fine
+        self.tried += 1
+        return all(item in self._fine for item in self._equations)
+
+    def _not_yet(self, fine: set[Stated]) -> dict[str, Stated]:
+        """Left sides of which no equation holds for the defaults, each with the first of them."""
+        sides = dict[str, list[Stated]]()
+        for item in self._equations:
+            if item.displayed and item.left:
+                sides.setdefault(" ".join(item.left), []).append(item)
+        return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str]]:
         """Lines and what is wrong there."""
-        open_equations = [item for item in self.equations]
-        told = dict[Stated, str]()
-        stated, holding, first = set[Any](), set[Any](), True
-        for config in self.configs():
-            for item in list(open_equations):
-                verdict = _Try(config, self.equations).of(item)
-                if first and verdict.key is not None:
-                    stated.add(verdict.key)
-                    if verdict.holds:
-                        holding.add(verdict.key)
-                if verdict.holds:
-                    open_equations.remove(item)
-                else:
-                    told[item] = verdict.text if item not in told or verdict.differs else told[item]
-            if first:
-                self._missing = {key: text for key, text in ((k, k) for k in stated - holding)}
-            first = False
-            if not open_equations:
-                break
-        if first:
-            return  # a block that cannot stand without a graph is checked where it stands in one
-        for item in self.equations:
-            if item in open_equations and told.get(item):
-                yield item.line, told[item]
+        for item in self._equations:
+            verdict, text = self._told[item]
+            if item not in self._fine:
+                if item.displayed or verdict is _Verdict.DIFFERS:
+                    yield item.line, text
+            elif verdict is _Verdict.DEFINES and text not in self._used:
+                yield item.line, f"{text}: the block has nothing of this name, and no other equation uses it"
+            elif self._late.get(" ".join(item.left)) is item:
+                yield item.line, f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"

@@ -25,7 +25,21 @@ class UnreadableLatexError(Exception):
 
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
-_BLANK: Final = ("\\,", "\\;", "\\!", "\\:", "\\ ", "\\quad", "\\qquad", "\\left", "\\right", "\\bigl", "\\bigr", "~", "&")
+_BLANK: Final = (
+    "\\,",
+    "\\;",
+    "\\!",
+    "\\:",
+    "\\ ",
+    "\\quad",
+    "\\qquad",
+    "\\left",
+    "\\right",
+    "\\bigl",
+    "\\bigr",
+    "~",
+    "&",
+)
 _ACCENTS: Final = ("hat", "bar", "tilde", "dot", "ddot")
 _ALIAS: Final = {"varepsilon": "epsilon", "varphi": "phi", "vartheta": "theta"}
 _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
@@ -38,7 +52,9 @@ _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
 
 def tokens(text: str) -> list[str]:
     """The words of a formula, without blanks."""
-    inside = re.sub(r"\\begin\{[bp]matrix\}.*?\\end\{", lambda found: found[0].replace("&", "\\cell "), text, flags=re.DOTALL)
+    inside = re.sub(
+        r"\\begin\{[bp]matrix\}.*?\\end\{", lambda found: found[0].replace("&", "\\cell "), text, flags=re.DOTALL
+    )
     return [token for token in _TOKEN.findall(inside) if token not in _BLANK]
 
 
@@ -268,9 +284,11 @@ class LatexReader:
         letter = _ALIAS.get(word.removeprefix("\\"), word.removeprefix("\\"))
         if word in ("\\mathrm", "\\operatorname"):
             letter = "".join(self._group()).replace("\\_", "_")
-        elif word.startswith("\\") and letter not in LETTERS:
-            return None
-        elif not letter.replace("_", "").isalnum() or letter.isdigit():
+        elif (
+            (word.startswith("\\") and letter not in LETTERS)
+            or not letter.replace("_", "").isalnum()
+            or letter.isdigit()
+        ):
             return None
         if letter == "Delta" and self._next() and self._next() not in _ENDS:
             inner = self.symbol()  # the difference of something is one name
@@ -393,7 +411,7 @@ def multiplied(left: Any, right: Any) -> Any:
         return scaled(left.scale, right)
     if isinstance(right, Eye):
         return Eye(right.scale * float(left[0, 0])) if left.shape == (1, 1) else left * right.scale
-    if (1, 1) in (left.shape, right.shape) or left.shape[1] == 1 and left.shape[0] == right.shape[0]:
+    if (1, 1) in (left.shape, right.shape) or (left.shape[1] == 1 and left.shape[0] == right.shape[0]):
         return left * right
     if left.shape[1] != right.shape[0]:
         raise UnreadableLatexError(f"{_size(left)} and {_size(right)} cannot be multiplied")

@@ -120,6 +120,7 @@ class ReadBlock:
 
     def _read(self, kind: Any) -> None:
         self.signs = self.reading.signs(kind)
+        self.scalar_signs = self.signs
         self.stated = self.reading.equations(self.signs)
         self.elements = Elements(self.signs.names if kind is ca.SX else {})
 
@@ -169,9 +170,9 @@ class ReadBlock:
         if None in [item if item is None else 0 for item in stated]:
             raise self._fault("equations", names[[item is None for item in stated].index(True)])
         pairs = [("equations", names, reading.of_signs(signs, stated), reading.of_running())]
-        self.scalars = self.certificate
+        self.scalars, self.scalar_signs = self.certificate, signs
         if signs.kind is ca.MX:
-            other = reading.signs(ca.SX)
+            other = self.scalar_signs = reading.signs(ca.SX)
             self.scalars = self._certificate(other)
             self.elements = Elements(other.names)
             names = [name for name, _ in _pieces(self.certificate)]
