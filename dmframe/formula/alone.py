@@ -125,7 +125,7 @@ def _is_off(block: type[AbstractBlock], name: str) -> bool:
 
 
 def _word(choice: Any) -> str:
-    return str(choice[0] if isinstance(choice, tuple) else choice).lower()
+    return ", ".join(choice) if isinstance(choice, tuple) else str(choice).lower()
 
 
 def _choices(kind: Any, default: Any) -> Iterator[Any]:
@@ -135,7 +135,8 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
     elif get_origin(kind) is Literal:
         yield from (word for word in get_args(kind) if word != default)
     elif get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is Literal:
-        yield from ((word,) for word in get_args(get_args(kind)[0]))
+        words = get_args(get_args(kind)[0])
+        yield from [words, *((word,) for word in words)]
 
 
 def _some(spec: Spec) -> Any:

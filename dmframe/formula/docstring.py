@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -25,7 +26,7 @@ from dmframe.errors import BlockError
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
-from dmframe.formula.names import Symbol, symbol
+from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.reading import differs
 from dmframe.formula.robot import SIGNS
 
@@ -148,10 +149,18 @@ def _parts(text: str) -> Iterator[tuple[list[str], str]]:
         depth += {"(": 1, "{": 1, "[": 1, ")": -1, "}": -1, "]": -1}.get(word, 0)
         if word in (",", ";") and depth == 0:
             if part:
-                yield part, " ".join(part)
+                yield part, shown(part)
             part = []
         else:
             part.append(word)
+
+
+def shown(words: Sequence[str]) -> str:
+    """Words as LaTeX again."""
+    text = ""
+    for word in words:
+        text += (" " if re.search(r"\\[A-Za-z]+$", text) and word[:1].isalpha() else "") + word
+    return text
 
 
 def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> Iterator[Stated]:
@@ -168,8 +177,8 @@ def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> I
         if displayed:
             yield Stated((), tuple(sides[0]), line, displayed, source)
         return
-    for right in sides[1:]:
-        yield Stated(tuple(sides[0]), tuple(right), line, displayed, source)
+    for left, right in pairwise(sides):
+        yield Stated(tuple(left), tuple(right), line, displayed, source)
 
 
 @final
@@ -209,9 +218,21 @@ class _Point:
         parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
         try:
             function = functions.of_method(methods[0], tuple(parameters))
-            return np.array(function(*map(ca.DM, arguments), functions.values))
+            # inertial parameters come first in a_d, whatever else it holds
+            given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
+            return function(*given, functions.values).full()
         except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
             return None
+
+
+def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
+    """Does an equation hold ``name^{-1}``?"""
+    wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
+    return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
+
+
+def _bare(words: Sequence[str]) -> list[str]:
+    return [word for word in words if word not in "{}"]
 
 
 def undotted(name: Symbol) -> Symbol | None:
@@ -222,9 +243,12 @@ def undotted(name: Symbol) -> Symbol | None:
     return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
 
 
-def _point(read: ReadBlock, seed: int) -> _Point:
-    """All that a docstring of this block may name."""
+def _point(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> _Point:
+    """All that a docstring of this block may name; a matrix that it inverts is symmetric and positive definite."""
     values = read.reading.values(read.signs, seed)
+    for name, value in values.items():
+        if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
+            values[name] = np.asarray(value) @ np.asarray(value).T + np.eye(value.shape[0])
     names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
@@ -233,6 +257,9 @@ def _point(read: ReadBlock, seed: int) -> _Point:
     run = read.reading.of_running().at(values)
     computed = dict(zip(map(symbol, definitions), defined, strict=True))
     computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
+    truths = read.certificate.truth
+    true = read.reading.of_signs(read.signs, list(truths.values())).at(values)
+    computed |= {symbol(name): value for name, value in zip(truths, true, strict=True)}
     moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
     stated = read.scalars
     if stated.storage or stated.dissipation:
@@ -279,6 +306,14 @@ class _Trial:
     def _is_new(self, name: Symbol) -> bool:
         return self.point.look(name) is None and undotted(name) is None and not name.start
 
+    def is_computed(self, item: Stated) -> bool:
+        """Is its left side something that the block computes with these options?"""
+        left = name_in(item.left)
+        if left is None:
+            return False
+        bare = undotted(left[0])
+        return left[0] in self.point.computed or (bare is not None and bare in self.point.rates)
+
     def _look(self, name: Symbol) -> Numbers | None:
         found = self.point.look(name)
         if found is not None or name in self._known:
@@ -310,23 +345,23 @@ class _Trial:
         if left is None:
             if not item.displayed:
                 return _Verdict.SKIPPED, ""
-            return self._compared(self._value(item.left), item.right, " ".join(item.left))
-        name, shown = left[0], said(left[0])
+            return self._compared(self._value(item.left), item.right, shown(item.left))
+        name, label = left[0], said(left[0])
         bare = undotted(name)
         if "\\int" in item.right:
             return self._integral(name, item)
         if name in self.point.computed:
-            return self._compared(self.point.computed[name], item.right, shown)
+            return self._compared(self.point.computed[name], item.right, label)
         if bare is not None and bare in self.point.rates:
-            return self._compared(self.point.rates[bare], item.right, shown)
+            return self._compared(self.point.rates[bare], item.right, label)
         if not item.displayed:
             return _Verdict.SKIPPED, ""
         if self.point.look(name) is not None or name.start:
-            return _Verdict.DIFFERS, f"{shown}: an equation for it, but the block does not compute it"
+            return _Verdict.DIFFERS, f"{label}: an equation for it, but the block does not compute it"
         if bare is not None:
-            return _Verdict.DIFFERS, f"{shown}: an equation for its rate, but the block has no state {said(bare)}"
+            return _Verdict.DIFFERS, f"{label}: an equation for its rate, but the block has no state {said(bare)}"
         self._value(item.right)
-        return _Verdict.DEFINES, shown
+        return _Verdict.DEFINES, label
 
     def _integral(self, name: Symbol, item: Stated) -> tuple[_Verdict, str]:
         r"""A = \int b of a state a: its rate is b."""
@@ -360,7 +395,7 @@ class _Checker:
 
     def hold(self, read: ReadBlock) -> bool:
         """Hold all equations to a block; True when nothing is left to be shown."""
-        trials = [_Trial(_point(read, seed), self._equations) for seed in range(POINTS)]
+        trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
         fine = set[Stated]()
         for item in self._equations:
             found = [trial.verdict(item) for trial in trials]
@@ -371,17 +406,17 @@ class _Checker:
                 self._told[item] = worst
         self._used |= {said(name) for trial in trials for name in trial.used}
         if not self.tried:
-            self._late = self._not_yet(fine)
+            self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
         self.tried += 1
         return all(item in self._fine for item in self._equations)
 
-    def _not_yet(self, fine: set[Stated]) -> dict[str, Stated]:
+    def _not_yet(self, fine: set[Stated], trial: _Trial) -> dict[str, Stated]:
         """Left sides of which no equation holds for the defaults, each with the first of them."""
         sides = dict[str, list[Stated]]()
         for item in self._equations:
-            if item.displayed and item.left:
-                sides.setdefault(" ".join(item.left), []).append(item)
+            if item.displayed and trial.is_computed(item):
+                sides.setdefault(shown(item.left), []).append(item)
         return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str]]:
@@ -393,5 +428,5 @@ class _Checker:
                     yield item.line, text
             elif verdict is _Verdict.DEFINES and text not in self._used:
                 yield item.line, f"{text}: the block has nothing of this name, and no other equation uses it"
-            elif self._late.get(" ".join(item.left)) is item:
+            elif self._late.get(shown(item.left)) is item:
                 yield item.line, f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"

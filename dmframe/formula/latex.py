@@ -160,7 +160,7 @@ class LatexReader:
         return value
 
     def _group(self) -> list[str]:
-        """What stands in braces, or one word; \\dot q and its like count as one."""
+        r"""What stands in braces, or one word; ``\dot q`` and its like count as one."""
         if self._next() != "{":
             word = self._take()
             if not word:
@@ -192,9 +192,12 @@ class LatexReader:
             return np.array([[float(self._take())]])
         if word in ("(", "[", "\\{"):
             close = {"(": ")", "[": "]", "\\{": "\\}"}[self._take()]
-            value = self.sum()
+            parts = [self.sum()]
+            while self._next() == ",":
+                self._take()
+                parts.append(self.sum())
             self._expect(close)
-            return value
+            return parts[0] if len(parts) == 1 else _stacked(parts)
         if word == "{":
             return self._of(self._group())
         if word in ("\\frac", "\\tfrac", "\\dfrac"):
@@ -223,10 +226,9 @@ class LatexReader:
         elif word.startswith("\\"):
             self._take()
         name = word[1:]
-        if not word.startswith("\\") or name not in _FUNCTIONS or self._next() not in ("(", "{", *LETTERS, "\\"):
-            if not (word.startswith("\\") and name in _FUNCTIONS):
-                self._place = start
-                return None
+        if not word.startswith("\\") or name not in _FUNCTIONS:
+            self._place = start
+            return None
         if self._next() == "(":
             return _FUNCTIONS[name](*self._arguments())
         if self._next() == "{":
@@ -297,7 +299,7 @@ class LatexReader:
             if self._next() == "^" and self._words[self._place + 1 : self._place + 2] not in (["+"], ["*"], ["\\star"]):
                 break
             mark = self._take()
-            index += [mark * (mark == "^") + item for item in _index(self._group())]
+            index += ["^+" if mark == "^" and item in "+*" else item for item in _index(self._group())]
         start = self._words[self._place : self._place + 3] == ["(", "0", ")"]
         if start:
             self._place += 3
@@ -334,7 +336,7 @@ class LatexReader:
         self._place += end
         self._expect("\\end")
         self._group()
-        rows = [[cell for cell in _split(row, "\\cell")] for row in _split(words[:end], "\\\\")]
+        rows = [_split(row, "\\cell") for row in _split(words[:end], "\\\\")]
         blocks = [[self._of(cell) for cell in row] for row in rows]
         return _blocks(blocks)
 
@@ -373,6 +375,13 @@ def _blocks(rows: list[list[Any]]) -> Numbers:
 
 def _sized(item: Any, size: int) -> Numbers:
     return item.scale * np.eye(size) if isinstance(item, Eye) else item
+
+
+def _stacked(parts: Sequence[Any]) -> Numbers:
+    """(a, b): columns above one another."""
+    if len({_matrix(part).shape[1] for part in parts}) != 1:
+        raise UnreadableLatexError("(a, b) stacks columns, and these have different widths")
+    return np.vstack([_matrix(part) for part in parts])
 
 
 def _matrix(value: Any) -> Numbers:

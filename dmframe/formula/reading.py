@@ -144,8 +144,8 @@ class Reading:
             bare = name.replace(START, "_0")
             found[name] = rng.uniform(0.5 if bare in positive else -1.0, 1.5 if bare in positive else 1.0, symbol.shape)
         if signs.robot is not None and self.functions is not None:
-            found |= {CONSTANTS[name]: self.functions.value(name) for name in CONSTANTS}
-            found[_CONSTANTS] = self.functions.values
+            found |= {CONSTANTS[name]: self.functions.value(name).full() for name in CONSTANTS}
+            found[_CONSTANTS] = self.functions.values.full()
         return found
 
     def of_signs(self, signs: Signs, expressions: Sequence[Expression]) -> Evaluated:
@@ -185,7 +185,7 @@ class Evaluated:
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""
         given = [ca.DM(*s.shape) if name in self._zero else ca.DM(values[name]) for name, s in self._symbols.items()]
-        return [np.array(ca.densify(value)) for value in self._function.call(given)]
+        return [value.full() for value in self._function.call(given)]
 
 
 START: Final = "(0)"
