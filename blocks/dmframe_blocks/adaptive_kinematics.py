@@ -112,7 +112,7 @@ class AdaptiveKinematics(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2), or (1), (5) and (6)."""
         J_hat, law, fit = p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat)), adaptation(p), self._fit(u, x, p)
-        gradient = ca.jacobian(J_hat @ u.dq, x.a_k_hat).T @ law.drive(u.e_k)
+        gradient = self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ law.drive(u.e_k)
         gradient = p.Gamma_k * gradient if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
         return Equations(
             outputs={"J_hat": J_hat},
@@ -154,13 +154,18 @@ class AdaptiveKinematics(AbstractBlock):
                 "Gamma_k, and V's is then that of P"
             )
         x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
-        W_k = ca.jacobian(x_hat, x.a_k_hat)
+        W_k = self._columns(p.robot.position_regressor(u.q))
         forgetting, G_k = (None, None) if self.forgetting is None else (p.forgetting, x.G_k)
         return Fit(x_hat - u.x, W_k, p.R, forgetting, G_k)
 
     def _start(self, p: Signals) -> SX:
         """The true translations, wrong by `start_error`."""
         return self._adapted(p.robot.a_k) + p.start_error
+
+    def _columns(self, regressor: SX) -> SX:
+        """Those of the parameters that are adapted."""
+        links = regressor.shape[1] - 3
+        return {"all": regressor, "links": regressor[:, :links], "tool": regressor[:, links:]}[self.adapt]
 
     def _adapted(self, a_k: SX) -> SX:
         """The part of all kinematic parameters that is adapted."""

@@ -40,7 +40,7 @@ class FilteredRegressor(AbstractBlock):
 
     .. math::
 
-        K_\star \epsilon &= Y_f \tilde a_d + K_\star (\tilde w\, Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
+        K_\star \epsilon &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
         h &= Y_f a_d + K K_I q_f - K_\star v_f + K_\star b                                                  \tag{5}
 
     h, of :math:`\dot h = -\lambda h`, is what the filters forget of their start; it is zero here, where they start at

@@ -30,6 +30,12 @@ def law_of_type(block: type[AbstractBlock], **values: Any) -> PrintedLaw | None:
 
 def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
     """A block of a type, read and compared with what runs. Raises `BlockError` where they differ."""
+    return _read(block, tuple(sorted(values.items())))
+
+
+@functools.lru_cache(maxsize=512)
+def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> ReadBlock | None:
+    values = dict(options)
     known = specs(block)
     try:
         given = {
@@ -47,30 +53,33 @@ def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
         model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)
     except (DmframeError, KeyError):  # it needs a graph: a file, a path through points, another option
         return None
-    shapes = {port.name: (*sizes.of(port.shape), 1, 1)[:2] for port in made.truth}
+    shapes = {port.name: sizes.matrix(port.shape) for port in made.truth}
     read = ReadBlock(model, functions, truths=shapes, made=frozenset(shapes))
     certify({model.name: read})
     read.compare()
     return read
 
 
-def variants(block: type[AbstractBlock]) -> Iterator[ReadBlock]:
-    """The block with its options at their defaults, then each option by itself, then all that go together."""
+def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
+    """The block with its options at their defaults, then each option by itself, then all that go together.
+
+    Each with the answer to: are these the defaults?
+    """
     plain = read_type(block)
     if plain is not None:
-        yield plain
+        yield plain, True
     together = dict[str, Any]()
     for _, values in switched(block):
         read = read_type(block, **values)
         if read is not None:
-            yield read
+            yield read, False
         both = {**values, **together}
         if read_type(block, **both) is not None:
             together = both
     if len(together) > 1:
         read = read_type(block, **together)
         if read is not None:
-            yield read
+            yield read, False
 
 
 def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
@@ -102,21 +111,20 @@ def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ..
 def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Each option at another value than its default; one that needs a second comes with it."""
     known = specs(block)
-    free = {name: _some(spec) for name, spec in known.items() if _is_off(block, name) and spec.form not in PAIRS}
-    for name, value in free.items():
-        alone = law_of_type(block, **{name: value})
-        if alone is not None:
-            yield name, {name: value}
-            continue
-        for other, second in free.items():
-            if other != name and law_of_type(block, **{name: value, other: second}) is not None:
-                yield f"{name} with {other}", {name: value, other: second}
-                break
     for name, field in block.model_fields.items():
         if name not in known:
-            yield from (
-                (f"{name}: {_word(choice)}", {name: choice}) for choice in _choices(field.annotation, field.default)
-            )
+            choices = _choices(field.annotation, field.default)
+            yield from ((f"{name}: {_word(choice)}", {name: choice}) for choice in choices)
+    free = {name: _some(spec) for name, spec in known.items() if _is_off(block, name) and spec.form not in PAIRS}
+    for name, value in free.items():
+        if read_type(block, **{name: value}) is not None:
+            yield name, {name: value}
+            continue
+        others = ((other, second) for other, second in free.items() if other != name)
+        for other, second in others:
+            if read_type(block, **{name: value, other: second}) is not None:
+                yield f"{name} with {other}", {name: value, other: second}
+                break
 
 
 def _is_off(block: type[AbstractBlock], name: str) -> bool:

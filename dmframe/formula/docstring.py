@@ -58,8 +58,8 @@ def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
     if not any(item.displayed for item in equations):
         return ()
     checker = _Checker(equations)
-    for read in variants(block):
-        if checker.hold(read):
+    for read, plain in variants(block):
+        if checker.hold(read, plain=plain):
             break
     if not checker.tried:
         return ()
@@ -220,7 +220,7 @@ class _Point:
             function = functions.of_method(methods[0], tuple(parameters))
             # inertial parameters come first in a_d, whatever else it holds
             given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
-            return function(*given, functions.values).full()
+            return np.array(function(*given, functions.values).full())
         except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
             return None
 
@@ -393,7 +393,7 @@ class _Checker:
         self._late = dict[str, Stated]()
         self.tried = 0
 
-    def hold(self, read: ReadBlock) -> bool:
+    def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; True when nothing is left to be shown."""
         trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
         fine = set[Stated]()
@@ -405,7 +405,7 @@ class _Checker:
             if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
                 self._told[item] = worst
         self._used |= {said(name) for trial in trials for name in trial.used}
-        if not self.tried:
+        if plain:
             self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
         self.tried += 1

@@ -64,13 +64,13 @@ Call = Callable[[Symbol, Sequence[Numbers]], Numbers | None]
 """The numbers of a function of the robot, J(q), or None."""
 
 
-def evaluate(words: Sequence[str], look: Look, call: Call) -> Numbers:
+def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
     """The numbers of a formula. Raises `UnreadableLatexError`."""
     reader = LatexReader(words, look, call)
     value = reader.sum()
     if reader.rest():
         raise UnreadableLatexError(f"{reader.rest()} is not understood here")
-    return value
+    return value if isinstance(value, Eye) else _matrix(value)
 
 
 def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:

@@ -68,6 +68,10 @@ class PrintedLaw:
         Its equations; an output that is a state or a parameter as it stands is left out.
     storage, dissipation, excess
         Terms of the certificate, in its order; S is half the sum of the first.
+    driven
+        Of each `Driven` of the certificate, in its order, what is bounded.
+    truths
+        True values that the certificate states for others.
     supply, consumption
         Of the certificate, where there is one.
     definitions
@@ -84,6 +88,8 @@ class PrintedLaw:
     storage: tuple[PrintedTerm, ...] = ()
     dissipation: tuple[PrintedTerm, ...] = ()
     excess: tuple[PrintedTerm, ...] = ()
+    driven: tuple[tuple[Formula, ...], ...] = ()
+    truths: tuple[Line, ...] = ()
     supply: Formula | None = None
     consumption: PrintedTerm | None = None
     definitions: tuple[Line, ...] = ()
@@ -95,7 +101,7 @@ class PrintedLaw:
     def lines(self) -> tuple[Line, ...]:
         """All equations in the order in which they are read."""
         energy = [line for line in (self.S, self.dS) if line is not None]
-        return (*self.outputs, *self.rates, *energy, *self.definitions)
+        return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
 
 
 Reader = Callable[[Any, Any], Node]
@@ -140,6 +146,20 @@ class Energy:
     def terms(self, role: str) -> tuple[PrintedTerm, ...]:
         """The terms of a role."""
         return tuple(term for term, _ in self._nodes[role])
+
+    def driven(self) -> tuple[tuple[Formula, ...], ...]:
+        """What is bounded without standing in S."""
+        pairs = zip(self._certificate.driven, self._scalars.driven, strict=True)
+        return tuple(
+            tuple(Formula(self._reader(*pair)) for pair in zip(mine.bounded, theirs.bounded, strict=True))
+            for mine, theirs in pairs
+        )
+
+    def truths(self) -> tuple[Line, ...]:
+        """True values for other blocks."""
+        stated = self._certificate.truth.items()
+        nodes = {name: self._reader(value, self._scalars.truth[name]) for name, value in stated}
+        return lines([(Name(name, node.shape), node) for name, node in nodes.items()])
 
     def supply(self) -> Node:
         """The supply."""

@@ -11,7 +11,7 @@ from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
 from dmframe.diagram.model import BlockModel
 from dmframe.diagram.wiring import Zero, same_unit
-from dmframe.errors import BlockError, DmframeError
+from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, names_of
 from dmframe.formula.formula import Formula
@@ -31,8 +31,17 @@ def printed(diagram: Diagram, name: str) -> PrintedLaw:
     return laws_of(diagram)[name]
 
 
-def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
-    """The laws of all blocks of a diagram. Raises `BlockError` where what is read is not what runs."""
+def laws_of(diagram: Diagram, *, docstrings: bool = False) -> dict[str, PrintedLaw]:
+    """The laws of all blocks of a diagram.
+
+    Raises `BlockError`, or several, where what is read is not what runs; with `docstrings` also where a block's
+    docstring states another law than its code.
+    """
+    if docstrings:
+        from dmframe.formula.docstring import check_docstring
+
+        kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+        raise_all([fault for kind in kinds for fault in check_docstring(kind)])
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
@@ -63,8 +72,7 @@ def _truths(diagram: Diagram, name: str) -> dict[str, tuple[int, int]]:
     shapes = dict[str, tuple[int, int]]()
     for port in diagram.blocks[name].truth:
         if all(word.isdigit() or word in diagram.sizes.bound for word in port.shape.split()):
-            rows, columns = (*diagram.sizes.of(port.shape), 1, 1)[:2]
-            shapes[port.name] = (rows, columns)
+            shapes[port.name] = diagram.sizes.matrix(port.shape)
     return shapes
 
 
@@ -225,6 +233,8 @@ class ReadBlock:
             storage=energy.terms("storage"),
             dissipation=energy.terms("dissipation"),
             excess=energy.terms("excess"),
+            driven=energy.driven(),
+            truths=energy.truths(),
             supply=Formula(energy.supply()) if claims else None,
             consumption=consumption,
             definitions=tuple(self._definitions()),
