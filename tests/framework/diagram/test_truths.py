@@ -134,7 +134,7 @@ def test_two_certificates_of_one_loop_may_not_state_one_name_with_two_values(lat
     if late == "first":
         blocks = dict(reversed(blocks.items()))
     diagram = Diagram.build(blocks, {"reads.z": "one.z"})
-    with pytest.raises(NotApplicableError, match="the certificates of (one and two|two and one) state different"):
+    with pytest.raises(NotApplicableError, match=r"the certificates of (one and two|two and one) state different"):
         claim_of(diagram)
 
 
