@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import partial
+
+import casadi as ca
 
 from dmframe.certificate import (
     SX,
@@ -27,32 +29,37 @@ from dmframe.certify.stability import common_margin
 from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
-from dmframe.exact.rational import Interval
+from dmframe.exact.rational import as_float
 
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
-    numbers = Numbers(claim, uncertain)
+    checked, assumed = decide(list(_stated(claim)), numbers)
+    checked += _weights(claim, numbers)
+    assumed += dict.fromkeys(_memories(claim))
+    inside, unknown = projection_conditions(claim, numbers)
+    checked, assumed = [*checked, *inside], [*assumed, *unknown]
+    matrices = list(dict.fromkeys(_matrices(claim, numbers)))
+    checked += matrices
+    if any(item.how == "sampled" for item in matrices):
+        assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
+    if claim.cascaded:
+        checked += payment_conditions(claim, numbers)
+    return checked, assumed
+
+
+def decide(stated: Sequence[tuple[str, Condition]], numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """Conditions, each with the block that states it: those that numbers decide, and those that are assumed."""
     checked, assumed = list[Checked](), list[Assumption]()
-    for name, condition in _stated(claim):
+    for name, condition in stated:
         if isinstance(condition, Assumption):
             assumed.append(condition)
         elif isinstance(condition, CommonLyapunov):
             checked.append(_stable(name, condition, numbers))
         else:
             checked.append(_inequality(name, condition, numbers))
-    checked += _weights(claim, numbers)
-    assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = projection_conditions(claim, numbers)
-    checked, assumed = [*checked, *inside], [*assumed, *unknown]
-    matrices = list(_matrices(claim, numbers))
-    checked += matrices
-    if any(item.how == "sampled" for item in matrices):
-        assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
-    if claim.cascaded:
-        checked += payment_conditions(claim, numbers)
     return checked, assumed
 
 
@@ -94,7 +101,9 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
             )
         elif weight.is_column():
-            yield _least(part, f"weight of |{term.of}|^2 in {role} > 0", numbers, weight)
+            strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
+            sign = ">" if strict else ">="
+            yield _least(part, f"weight of |{term.of}|^2 in {role} {sign} 0", numbers, weight, strict=strict)
 
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
@@ -117,6 +126,11 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0"
             yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+    for name, model in claim.diagram.models.items():
+        for inverted in model.inverted if model.robot is not None else ():
+            matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
+            if is_mass_matrix(claim, matrix):
+                yield _mass_matrix(claim, matrix)
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:
@@ -124,7 +138,7 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")

@@ -16,6 +16,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
 from dmframe.diagram.sizes import Sizes
 from dmframe.errors import BlockError, DmframeError, nearest
+from dmframe.linalg import Inverted, inverting
 from dmframe.port import Port, State
 
 
@@ -25,7 +26,7 @@ class BlockModel:
     """A block's equations, evaluated once on symbols.
 
     `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
-    is one of the `parameters` too.
+    is one of the `parameters` too. `inverted` are the matrices that the equations invert.
     """
 
     name: str
@@ -37,6 +38,7 @@ class BlockModel:
     robot: Any
     equations: Equations
     starts: Mapping[str, SX]
+    inverted: tuple[Inverted, ...] = ()
 
     def signals(self) -> tuple[Signals, Signals, Signals]:
         """u, x, p as the block's methods take them."""
@@ -117,7 +119,8 @@ def model_block(
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
     signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
-    outputs, rates = stated_by(name, block, signals, sizes)
+    with inverting() as inverted:
+        outputs, rates = stated_by(name, block, signals, sizes)
     _check_steady(name, (outputs, rates), stated_by(name, block, signals, sizes))
     used = symbols_in([*outputs.values(), *rates.values()])
     for key in states.keys() - rates.keys():
@@ -125,7 +128,9 @@ def model_block(
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
-    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts)
+    return BlockModel(
+        name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)
+    )
 
 
 def stated_by(
