@@ -17,7 +17,7 @@ Only what acts counts: a rate of the controller, or what it commands. The value 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
@@ -134,11 +134,19 @@ def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
     for signal in stated:
         if signal not in restated or symbols_in([restated[signal]]) & hashes(axes):
             yield "axes", signal
-    for group, other in _others(model.robot):
-        restated = _restated(diagram, model, other)
-        for signal, expression in stated.items():
-            if signal not in restated or not same_expression(restated[signal], expression):
-                yield group, signal
+    others = _others(model.robot)
+    if not list(_changed(diagram, model, others.pop("all"))):
+        return
+    for group, other in others.items():
+        yield from ((group, signal) for signal in _changed(diagram, model, other))
+
+
+def _changed(diagram: Diagram, model: BlockModel, robot: Any) -> Iterator[str]:
+    """Outputs and rates that change with another robot's numbers, though the symbols are the same."""
+    restated = _restated(diagram, model, robot)
+    for signal, expression in _signals(model).items():
+        if signal not in restated or not same_expression(restated[signal], expression):
+            yield signal
 
 
 def _signals(model: BlockModel) -> dict[str, SX]:
@@ -165,36 +173,46 @@ def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
     return {**outputs, **rates}
 
 
-def _others(robot: Any) -> Iterator[tuple[str, Any]]:
-    """The same symbols with other numbers behind them, one group at a time; Pinocchio's model has them too."""
+def _others(robot: Any) -> dict[str, Any]:
+    """The same symbols with other numbers behind them, group by group and all; Pinocchio's model has them too."""
     import pinocchio as pin
 
     chain = robot.chain
-    models = {group: chain.model.copy() for group in ("lengths", "axes", "tool", "gravity", "inertia")}
+    models = {group: chain.model.copy() for group in ("lengths", "axes", "tool", "gravity", "inertia", "all")}
+    turn = pin.exp3(np.array([0.1, 0.2, 0.3]))
     for i in range(1, chain.model.njoints):
         place, body = chain.model.jointPlacements[i], chain.model.inertias[i]
-        models["lengths"].jointPlacements[i] = pin.SE3(place.rotation, place.translation * 1.5 + 0.1)
-        models["axes"].jointPlacements[i] = pin.SE3(
-            place.rotation @ pin.exp3(np.array([0.1, 0.2, 0.3])), place.translation
-        )
-        models["inertia"].inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
-    tool = models["tool"].frames[chain.model_tool].placement
-    models["tool"].frames[chain.model_tool].placement = pin.SE3(tool.rotation, tool.translation * 1.5 + 0.1)
-    models["gravity"].gravity.linear = chain.model.gravity.linear * 1.5 + 0.1
-    moved = tuple(replace(joint, translation=_other(joint.translation)) for joint in chain.joints)
-    turned = tuple(
-        replace(joint, axis=_other(joint.axis), rotation=tuple(map(_other, joint.rotation))) for joint in chain.joints
-    )
+        far, turned = place.translation * 1.5 + 0.1, place.rotation @ turn
+        models["lengths"].jointPlacements[i] = pin.SE3(place.rotation, far)
+        models["axes"].jointPlacements[i] = pin.SE3(turned, place.translation)
+        models["all"].jointPlacements[i] = pin.SE3(turned, far)
+        for group in ("inertia", "all"):
+            models[group].inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
+    tool = chain.model.frames[chain.model_tool].placement
+    for group in ("tool", "all"):
+        models[group].frames[chain.model_tool].placement = pin.SE3(tool.rotation, tool.translation * 1.5 + 0.1)
+    for group in ("gravity", "all"):
+        models[group].gravity.linear = chain.model.gravity.linear * 1.5 + 0.1
+    moves = {"translation": lambda joint: _other(joint.translation)}
+    turns = {"axis": lambda joint: _other(joint.axis), "rotation": lambda joint: tuple(map(_other, joint.rotation))}
+
+    def joints(new: Mapping[str, Callable[[Any], Any]]) -> tuple[Any, ...]:
+        return tuple(replace(joint, **{key: made(joint) for key, made in new.items()}) for joint in chain.joints)
+
     changes: dict[str, dict[str, Any]] = {
-        "lengths": {"joints": moved},
-        "axes": {"joints": turned},
+        "lengths": {"joints": joints(moves)},
+        "axes": {"joints": joints(turns)},
         "tool": {"tool": _other(chain.tool)},
         "gravity": {"gravity": _other(chain.gravity)},
         "friction_velocity": {"friction_velocity": chain.friction_velocity * math.pi},
         "inertia": {"inertia": tuple(map(_other, chain.inertia))},
     }
-    for group, change in changes.items():
-        yield group, robot.with_numbers(replace(chain, **change, model=models.get(group, chain.model)))
+    everything = {key: value for change in changes.values() for key, value in change.items()}
+    changes["all"] = everything | {"joints": joints(moves | turns)}
+    return {
+        group: robot.with_numbers(replace(chain, **change, model=models.get(group, chain.model)))
+        for group, change in changes.items()
+    }
 
 
 def _other(values: Sequence[Fraction]) -> tuple[Fraction, ...]:

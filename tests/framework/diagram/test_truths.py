@@ -36,7 +36,7 @@ class Store(AbstractBlock):
         return Equations(outputs={"k": p.k, "y": x.y}, rates={"y": -x.y})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        return Certificate(storage=(Square("y", x.y, ca.SX(1)),), dissipation=(Square("y", x.y, ca.SX(1)),))
+        return Certificate(storage=(Square(x.y, ca.SX(1)),), dissipation=(Square(x.y, ca.SX(1)),))
 
 
 class Needs(AbstractBlock):
@@ -82,7 +82,7 @@ class Reads(AbstractBlock):
         return Equations(rates={"s": -x.s})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        return Certificate(storage=(Square("s", x.s, truth.b),), dissipation=(Square("s", x.s, truth.b),))
+        return Certificate(storage=(Square(x.s, truth.b),), dissipation=(Square(x.s, truth.b),))
 
 
 def pairs(order: Sequence[str], k: Mapping[str, float]) -> Diagram:
