@@ -128,16 +128,9 @@ class AdaptiveKinematics(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4), or (7) and (8)."""
         law, alpha, fit = adaptation(p), truth.task_weight, self._fit(u, x, p)
-        a_k = Estimate(
-            "a_k_hat - a_k",
-            "a_k_hat - a_k_hat(0)",
-            x.a_k_hat,
-            self._adapted(p.robot.a_k),
-            self._start(p),
-            alpha / p.Gamma_k,
-        )
+        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha / p.Gamma_k)
         dx_err = self.equations(u, x, p).outputs["J_hat"] @ u.dq - truth.dx
-        robust = law.terms([a_k], u.e_k, "e_k") + law.idle(u.e_k, -alpha * dx_err, "(J_hat - J) dq")
+        robust = law.terms([a_k], u.e_k) + law.idle(u.e_k, -alpha * dx_err)
         return Certificate(
             storage=(a_k.storage, *(fit.storage(a_k, alpha) if fit else ())),
             dissipation=(*(fit.dissipation(a_k, alpha) if fit else ()), *robust.dissipation),
@@ -162,7 +155,7 @@ class AdaptiveKinematics(AbstractBlock):
         x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
         W_k = ca.jacobian(x_hat, x.a_k_hat)
         forgetting, G_k = (None, None) if self.forgetting is None else (p.forgetting, x.G_k)
-        return Fit(x_hat - u.x, "x_hat - x", W_k, p.R, forgetting, G_k)
+        return Fit(x_hat - u.x, W_k, p.R, forgetting, G_k)
 
     def _start(self, p: Signals) -> SX:
         """The true translations, wrong by `start_error`."""

@@ -54,7 +54,6 @@ class Circle(AbstractBlock):
         m = p.center.numel()
         first, second = ("xyz".index(axis) for axis in self.plane) if m == 3 else (0, 1)
         angle = p.rate * u.t + p.phase
-        x_d = ca.SX(p.center)
-        x_d[first] += p.radius * ca.sin(angle)
-        x_d[second] += p.radius * ca.cos(angle)
+        e = ca.DM.eye(m)
+        x_d = p.center + p.radius * (e[:, first] * ca.sin(angle) + e[:, second] * ca.cos(angle))
         return Equations(outputs={"x_d": x_d})

@@ -93,15 +93,8 @@ class DynamicCompensator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate(
-            "a_d_hat - a_d",
-            "a_d_hat - a_d_hat(0)",
-            x.a_d_hat,
-            truth.a_d,
-            start_of("a_d_hat", p, u.a_d_nominal),
-            1 / p.Gamma,
-        )
-        robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        robust = law.terms([a_d], u.sigma) + law.idle(u.sigma, effect)
         return Certificate(
             storage=(a_d.storage,),
             dissipation=robust.dissipation,

@@ -78,19 +78,12 @@ class FilteredAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        a_d = Estimate(
-            "a_d_hat - a_d",
-            "a_d_hat - a_d_hat(0)",
-            x.a_d_hat,
-            truth.a_d,
-            start_of("a_d_hat", p, u.a_d_nominal),
-            1 / p.Gamma,
-        )
-        robust = adaptation(p).terms([a_d], u.e_f, "e_f")
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        robust = adaptation(p).terms([a_d], u.e_f)
         return Certificate(
             storage=(a_d.storage,),
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
-            truth={"direct": ca.SX(0)},
+            truth={"direct": 0},
         )

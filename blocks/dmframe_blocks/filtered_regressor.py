@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Certificate, Driven, Square
 from dmframe.errors import ValueFault
+from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import Port, State
 
@@ -127,7 +128,7 @@ class FilteredRegressor(AbstractBlock):
                 "Y_z": p.bandwidth * (self._rest(u, p) - Y_f),
                 "v_f": p.bandwidth * (u.dq_c - u.dq - x.v_f),
                 "q_f": p.bandwidth * (u.q - u.q_c - x.q_f),
-                "b_hat": ca.SX.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
+                "b_hat": ca.DM.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
             },
         )
 
@@ -137,7 +138,7 @@ class FilteredRegressor(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(6) and (7)."""
-        K_star, Y_f = truth.K * truth.K_P, self._filtered(u, x, p)
+        K_star, Y_f = named("K_star", truth.K * truth.K_P), self._filtered(u, x, p)
         error = self._error(Y_f, u, x)
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
@@ -145,15 +146,16 @@ class FilteredRegressor(AbstractBlock):
         if not self.bias:
             b_err = x.b_hat - offset / K_star
             h, explained = h + offset, explained - K_star * b_err
-            learned = (Square("b_hat - b", b_err, K_star / p.Gamma_b),)
+            learned = (Square(b_err, K_star / p.Gamma_b),)
         return Certificate(
-            storage=(Square("h", h, p.weight / (p.bandwidth * K_star)), *learned),
+            storage=(Square(h, p.weight / (p.bandwidth * K_star)), *learned),
             dissipation=(
-                Square("epsilon", error, p.weight * K_star / 2),
-                Square("epsilon - h/K_star", error - h / K_star, p.weight * K_star / 2),
-                Square("h", h, p.weight / (2 * K_star)),
+                Square(error, p.weight * K_star / 2),
+                Square(error - h / K_star, p.weight * K_star / 2),
+                Square(h, p.weight / (2 * K_star)),
             ),
             supply=ca.dot(p.weight * error, explained - h),
+            driven=tuple(Driven((ca.vec(f),), ((-p.bandwidth,),), (ca.vec(f),)) for f in (x.v_f, x.q_f, x.Y_z)),
         )
 
     def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:
@@ -166,13 +168,13 @@ class FilteredRegressor(AbstractBlock):
 
     def _momentum(self, u: Signals, p: Signals) -> SX:
         """P of P a_d = M dq."""
-        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        robot, zero = p.robot, ca.DM.zeros(p.robot.n)
         inertial = robot.regressor(u.q, zero, zero, u.dq) - robot.regressor(u.q, zero, zero, zero)
-        return ca.densify(ca.horzcat(inertial, ca.SX(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
+        return ca.densify(ca.horzcat(inertial, ca.DM(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
 
     def _rest(self, u: Signals, p: Signals) -> SX:
         """R of R a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
-        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        robot, zero = p.robot, ca.DM.zeros(p.robot.n)
         energy = self._momentum(u, p)[:, : 10 * robot.n].T @ u.dq / 2
         columns = [robot.regressor(u.q, zero, zero, zero) - ca.jacobian(energy, u.q).T]
         if "viscous" in self.friction:
@@ -180,5 +182,5 @@ class FilteredRegressor(AbstractBlock):
         if "coulomb" in self.friction:
             columns.append(ca.diag(robot.coulomb(u.dq)))
         if self.bias:
-            columns.append(ca.SX.eye(robot.n))
+            columns.append(ca.DM.eye(robot.n))
         return ca.densify(ca.horzcat(*columns))

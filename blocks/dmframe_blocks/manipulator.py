@@ -85,7 +85,7 @@ class Manipulator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         robot = p.robot
-        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n), gravity_share=1 - p.maker_gravity)
+        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), gravity_share=1 - p.maker_gravity)
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
         ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
         return Equations(
@@ -106,17 +106,20 @@ class Manipulator(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
+        robot = p.robot
+        momentum = {"momentum": robot.mass_matrix(x.q) @ x.dq}
         if "sigma" not in truth:
-            return Certificate()
-        robot, sigma = p.robot, truth.sigma
+            return Certificate(truth=momentum)
+        sigma = truth.sigma
         share = 1 - p.maker_gravity
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, gravity_share=share)
         B = self._viscous(p)
         friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
         return Certificate(
-            storage=(Square("sigma", sigma, robot.mass_matrix(x.q)),),
-            dissipation=(Lemma("monotone friction", p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
+            storage=(Square(sigma, robot.mass_matrix(x.q)),),
+            dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
             supply=ca.dot(sigma, p.K * u.u - B * sigma - reference - friction),
+            truth=momentum,
         )
 
     def _viscous(self, p: Signals) -> SX:

@@ -93,7 +93,7 @@ class Regressor(AbstractBlock):
         """(1) and, if asked, (2)."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
         if self.gravity == "apart":
-            still = ca.SX(p.robot.n, 1)
+            still = ca.DM.zeros(p.robot.n)
             weight = p.robot.regressor(u.q, still, still, still)
             columns = [columns[0] - weight, weight[:, _heavy(p.robot.n)]]
         if "viscous" in self.friction:
@@ -101,14 +101,14 @@ class Regressor(AbstractBlock):
         if "coulomb" in self.friction:
             columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
         if self.bias:
-            columns.append(ca.SX.eye(p.robot.n))
+            columns.append(ca.DM.eye(p.robot.n))
         outputs = {"Y_d": ca.densify(ca.horzcat(*columns))}
         if "nominal" in p:
             n, frictions = p.robot.n, len(set(self.friction))
             held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
             heavy = [p.robot.inertia[_heavy(n)]] if self.gravity == "apart" else []
             inertia = p.nominal * ca.vertcat(p.robot.inertia, *heavy)
-            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.SX.zeros(frictions * n), *held)
+            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.DM.zeros(frictions * n), *held)
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar, final
 
-import casadi as ca
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -46,4 +45,4 @@ class Setpoint(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={name: ca.SX(getattr(p, name)) for name in ("x_d", "q_d") if name in p})
+        return Equations(outputs={name: getattr(p, name) for name in ("x_d", "q_d") if name in p})

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
+from dmframe.certify.checked import Numbers, upper
 from dmframe.certify.claim import Claim, Field, Part
-from dmframe.certify.conditions import Numbers, upper
 from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test

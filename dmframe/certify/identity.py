@@ -45,11 +45,11 @@ def equalities(claim: Claim) -> list[Equality]:
     found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
     found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
     found += list(_memories(claim))
-    if claim.cascaded:
-        for part in claim.parts:
-            if part.certificate.sigma:
-                difference = composed(part) - claim.sigma
-                found.append(Equality(part.block, "sigma", difference, ca.fabs(composed(part)) + ca.fabs(claim.sigma)))
+    for consumer, payer in claim.payments:
+        if payer is not None and consumer.certificate.consumes is not None:
+            wanted, paid = consumer.certificate.consumes.vector, payer.composed
+            says = f"what it pays for is what {consumer.block} consumes"
+            found.append(Equality(payer.block, says, paid - wanted, ca.fabs(paid) + ca.fabs(wanted)))
     return found
 
 
@@ -71,19 +71,13 @@ def _same_memory(one: Gathered, other: Gathered) -> bool:
     return all(a.shape == b.shape and ca.is_equal(a, b, 2) for a, b in pairs)
 
 
-def composed(part: Part) -> SX:
-    """Sigma as the paying block composes it of what it dissipates."""
-    vectors = [term.pieces[0] for term in part.paying]
-    return sum((share * vector for share, vector in zip(part.certificate.sigma, vectors, strict=True)), ca.SX(0))
-
-
 def _scale(claim: Claim) -> SX:
     own = sum((ca.fabs(claim.weight(part)) * _own_scale(part) for part in claim.parts), ca.SX(0))
     return own + ca.fabs(claim.consumption)
 
 
 def _own_scale(part: Part) -> SX:
-    terms = (part.rate, part.certificate.supply, part.dissipation, part.excess, part.lemma)
+    terms = (part.rate, part.certificate.supply, part.dissipation, part.consumption, part.excess, part.lemma)
     return sum((ca.fabs(ca.SX(term)) for term in terms), ca.SX(0))
 
 

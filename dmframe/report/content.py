@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from dmframe.certify import Verdict
-from dmframe.certify.conditions import Checked
+from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
 from dmframe.config import Graph
