@@ -21,6 +21,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "graph": name,
         "verdict": verdict.outcome,
         "reason": verdict.reason,
+        "field_hash": None if claim is None else claim.diagram.fingerprint,
         "residual_zero": None if test is None else test.zero,
         "trials": 0 if test is None else test.trials,
         "primes": [] if test is None else [str(prime) for prime in test.primes],
