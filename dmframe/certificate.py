@@ -140,7 +140,7 @@ class NormSquare:
     Parameters
     ----------
     vector, weight, of
-        As of a `Square`, the weight a column or a scalar of parameters.
+        As of a `Square`.
     by
         b, a column of signals.
     by_of

@@ -17,6 +17,7 @@ from dmframe.certificate import (
     Gathered,
     Inequality,
     Lemma,
+    NormSquare,
     Square,
     Stored,
 )
@@ -113,7 +114,7 @@ def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Every weight that is a matrix is positive definite: by its factors, or as the mass matrix of the robot."""
     for part, role, term in _terms(claim):
-        if isinstance(term, Square) and not term.weight.is_column():
+        if isinstance(term, Square | NormSquare) and not term.weight.is_column():
             weight = (term.weight + term.weight.T) / 2
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):
                 yield _mass_matrix(claim, weight)
