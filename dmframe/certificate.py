@@ -22,7 +22,7 @@ SX = Any
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Square:
     r"""The quadratic form :math:`|a|_W^2 = a^\top W a`.
 
@@ -47,7 +47,8 @@ class Square:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Square:
         """The same form of other expressions."""
-        return Square(*pieces, of=self.of)
+        vector, weight = pieces
+        return Square(vector, weight, self.of)
 
     @property
     def value(self) -> SX:
@@ -87,7 +88,7 @@ MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lemma:
     r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
 
@@ -133,7 +134,7 @@ class Lemma:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NormSquare:
     r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
 
@@ -175,7 +176,7 @@ class NormSquare:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gathered:
     r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
 
@@ -225,7 +226,8 @@ class Gathered:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
         """The same form of other expressions."""
-        return Gathered(*pieces, of=self.of)
+        vector, weight, memory, regressor, by, forgetting = pieces
+        return Gathered(vector, weight, memory, regressor, by, forgetting, self.of)
 
 
 def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
@@ -234,7 +236,7 @@ def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clipped:
     r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
 
@@ -261,7 +263,8 @@ class Clipped:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
         """The same term of other expressions."""
-        return Clipped(*pieces, of=self.of)
+        first, width, other = pieces
+        return Clipped(first, width, other, self.of)
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered
@@ -273,7 +276,7 @@ Bounded = Square | NormSquare | Clipped
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Consumed:
     r"""What a cascade takes from the servo level: :math:`c\,|a|^2`; some block there has to pay for it.
 
@@ -295,31 +298,35 @@ class Consumed:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Driven:
     r"""Signals that V does not weigh, and that stay bounded because a stable linear equation drives them.
 
     .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
 
     one such equation a joint. That every remainder r is bounded is decided from the closed loop's equations, and that A
-    is Hurwitz at the graph's numbers. The signals that follow, `bounded`, are the z plus something bounded.
+    is stable at the graph's numbers, also while a state that it holds moves anywhere in its box. The signals that
+    follow, `bounded`, are the z plus something bounded; and where r vanishes, the z do.
 
     Parameters
     ----------
     vectors
         z, columns.
     rates
-        A, row by row: columns or scalars of parameters.
+        A, row by row: columns or scalars of parameters, or of states with a box.
     bounded
         What is bounded with them: columns.
     otherwise
         Conditions that have to take its place where it is not shown.
+    of
+        How a reader writes what is bounded; printed from the expressions.
     """
 
     vectors: tuple[SX, ...]
     rates: tuple[tuple[SX, ...], ...]
     bounded: tuple[SX, ...]
     otherwise: tuple[Condition, ...] = ()
+    of: tuple[str, ...] = ()
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -331,7 +338,7 @@ class Driven:
         left, count = list(pieces), len(self.vectors)
         vectors, left = left[:count], left[count:]
         rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
-        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise)
+        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise, self.of)
 
 
 @final

@@ -8,7 +8,8 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Square
+from dmframe.certificate import Assumption, Certificate, Condition, Driven, Square
+from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
@@ -68,14 +69,16 @@ class ComputedTorque(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4) where the adaptation is direct; the indirect one stores no tracking error."""
+        outputs, q_err = self.equations(u, x, p).outputs, u.q - u.q_d
+        s_star = named("s_star", outputs["s_star"])
+        driven = (Driven((q_err,), ((-p.alpha_bar,),), (q_err,)),)
         if truth.direct.is_zero():
-            return Certificate()
-        outputs = self.equations(u, x, p).outputs
-        s_star = outputs["s_star"]
+            return Certificate(driven=driven)
         return Certificate(
             storage=(Square(s_star),),
             dissipation=(Square(s_star, p.alpha_bar),),
             supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
+            driven=driven,
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Certificate, Driven, Square
 from dmframe.errors import ValueFault
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive, Scalar
@@ -155,6 +155,7 @@ class FilteredRegressor(AbstractBlock):
                 Square(h, p.weight / (2 * K_star)),
             ),
             supply=ca.dot(p.weight * error, explained - h),
+            driven=tuple(Driven((ca.vec(f),), ((-p.bandwidth,),), (ca.vec(f),)) for f in (x.v_f, x.q_f, x.Y_z)),
         )
 
     def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:

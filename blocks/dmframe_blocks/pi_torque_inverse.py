@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Inequality
+from dmframe.certificate import Assumption, Certificate, Condition, Driven, Inequality
 from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
@@ -117,10 +116,11 @@ class PiTorqueInverse(AbstractBlock):
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
+            driven=(Driven((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
             truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )
 
-    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+    def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition
+from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition, Driven
 from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
@@ -120,10 +119,11 @@ class PidTorqueInverse(AbstractBlock):
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect),
+            driven=(Driven((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),),
             truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
 
-    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+    def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """The distance from q to q_c in (1) decays while w_P and w_I move in boxes that keep it so."""
         moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
         if "w_P_box" in p and "w_I_box" in p:

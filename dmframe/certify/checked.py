@@ -47,7 +47,7 @@ class Numbers:
     def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
         self.claim = claim
         values: dict[str, Sequence[Number]] = dict(exact_values(claim.diagram))
-        self.values = values | dict(uncertain)
+        self.values, self.uncertain = values | dict(uncertain), frozenset(uncertain)
         self._p = claim.loop.parameters
 
     @property
@@ -63,6 +63,14 @@ class Numbers:
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise ValueFault(f"expected an expression in parameters alone, found {free}")
         return evaluate(function, [self.values[p.label] for p in self._p])[0]
+
+    def with_states(self, expression: SX, state: SX, values: Sequence[Number]) -> list[Number] | None:
+        """The elements of an expression in parameters and one state, the state anywhere in its intervals."""
+        joined = ca.vec(ca.densify(expression))
+        function = ca.Function("value", [stack([p.symbol]) for p in self._p] + [state], [joined], {"allow_free": True})
+        return (
+            None if function.has_free() else evaluate(function, [*(self.values[p.label] for p in self._p), values])[0]
+        )
 
     def least(self, expression: SX) -> Fraction:
         """The least element; of an interval, its lower end."""

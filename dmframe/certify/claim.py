@@ -14,9 +14,9 @@ symbols.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -153,6 +153,23 @@ class Claim:
         return total(own) - self.consumption
 
 
+def labelled(name: str, certificate: Certificate) -> Certificate:
+    """Interim."""
+
+    def told(role: str, terms: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(replace(term, of=f"{name}.{str(term.pieces[0])[:30]}") for k, term in enumerate(terms))
+
+    return replace(
+        certificate,
+        storage=told("S", certificate.storage),
+        dissipation=told("d", certificate.dissipation),
+        excess=told("e", certificate.excess),
+        driven=tuple(
+            replace(d, of=tuple(f"{name}.driven{k}" for k in range(len(d.bounded)))) for d in certificate.driven
+        ),
+    )
+
+
 def total(items: Sequence[SX]) -> SX:
     """A sum of scalar expressions."""
     return ca.sum1(ca.vertcat(ca.SX(0), *items))
@@ -203,7 +220,7 @@ class Field:
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
         check_form(name, certificate)
-        joined = certificate.mapped(self.loop.joined)
+        joined = labelled(name, certificate.mapped(self.loop.joined))
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
@@ -219,6 +236,13 @@ class Field:
         if not pairs:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
+
+    def second(self, expression: SX) -> SX | None:
+        """The second derivative; None where the first holds a projection's correction, which may jump."""
+        first = self.derivative(expression)
+        if symbols_in([first]) & hashes(stack(item.correction for item in self.loop.projections)):
+            return None
+        return self.derivative(first)
 
     def _projections(self, name: str, storage: SX) -> list[Projection]:
         """Of the block's own states. What another block stores may move with them too, as sigma does through dq_ref:

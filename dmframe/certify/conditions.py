@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import partial
 
@@ -29,28 +29,18 @@ from dmframe.certify.stability import common_margin
 from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
-from dmframe.exact.rational import Interval
-from dmframe.port import Side
 
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
-    numbers = Numbers(claim, uncertain)
-    checked, assumed = list[Checked](), list[Assumption]()
-    for name, condition in _stated(claim):
-        if isinstance(condition, Assumption):
-            assumed.append(condition)
-        elif isinstance(condition, CommonLyapunov):
-            checked.append(_stable(name, condition, numbers))
-        else:
-            checked.append(_inequality(name, condition, numbers))
+    checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
     assumed += dict.fromkeys(_memories(claim))
     inside, unknown = _sets(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
-    matrices = list(_matrices(claim, numbers))
+    matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
         assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
@@ -59,16 +49,28 @@ def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> 
     return checked, assumed
 
 
+def decide(stated: Sequence[tuple[str, Condition]], numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """Conditions, each with the block that states it: those that numbers decide, and those that are assumed."""
+    checked, assumed = list[Checked](), list[Assumption]()
+    for name, condition in stated:
+        if isinstance(condition, Assumption):
+            assumed.append(condition)
+        elif isinstance(condition, CommonLyapunov):
+            checked.append(_stable(name, condition, numbers))
+        else:
+            checked.append(_inequality(name, condition, numbers))
+    return checked, assumed
+
+
 def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
     """The conditions that blocks state. Raises `NotApplicableError` where a block cannot state its own."""
     for name, block in claim.diagram.blocks.items():
-        if block.side is not Side.SOURCE:
-            seen = view(claim.diagram, name, claim.truths)
-            try:
-                with told_by(name, "conditions()"):
-                    yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
-            except BlockError as error:
-                raise NotApplicableError(error.text) from None
+        seen = view(claim.diagram, name, claim.truths)
+        try:
+            with told_by(name, "conditions()"):
+                yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
+        except BlockError as error:
+            raise NotApplicableError(error.text) from None
 
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
@@ -98,7 +100,9 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
             )
         elif weight.is_column():
-            yield _least(part, f"weight of |{term.of}|^2 in {role} > 0", numbers, weight)
+            strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
+            sign = ">" if strict else ">="
+            yield _least(part, f"weight of |{term.of}|^2 in {role} {sign} 0", numbers, weight, strict=strict)
 
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
@@ -121,6 +125,11 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0"
             yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+    for name, model in claim.diagram.models.items():
+        for inverted in model.inverted if model.robot is not None else ():
+            matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
+            if is_mass_matrix(claim, matrix):
+                yield _mass_matrix(claim, matrix)
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:

@@ -56,9 +56,23 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         ],
         "assumptions": [{"text": item.text, "source": item.source} for item in verdict.assumptions],
         "statements": [
-            {"signal": item.signal, "says": item.says, "step": item.step, "assumes": list(item.assumes)}
+            {
+                "signal": item.signal,
+                "says": item.says,
+                "step": item.step,
+                "assumes": list(item.assumes),
+                "concludes": item.concludes,
+            }
             for item in verdict.statements
         ],
+        "states": None
+        if verdict.states is None
+        else {
+            "bounded": list(verdict.states.bounded),
+            "unfelt": list(verdict.states.unfelt),
+            "open": list(verdict.states.open),
+        },
+        "fixed": list(verdict.fixed),
         "mutants": {
             "tried": len(verdict.controls),
             "refuted": sum(control.refuted for control in verdict.controls),

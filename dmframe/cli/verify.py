@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import typer
@@ -72,9 +72,32 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
     if verdict.assumptions:
         parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
+    if verdict.statements:
+        parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
     if verdict.claim is not None:
         parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
+
+
+def _followed(verdict: Verdict) -> Iterator[str]:
+    """What follows: the signals of each kind, and last the conclusions, each with its step."""
+    kinds = dict.fromkeys(item.says for item in verdict.statements)
+    for says in kinds:
+        found = [item for item in verdict.statements if item.says == says and not item.concludes]
+        sure = [item.signal for item in found if not item.assumes]
+        if sure:
+            yield f"{', '.join(dict.fromkeys(sure))}: {says}"
+        for item in found:
+            if item.assumes:
+                yield f"{item.signal}: {says}, if {' and '.join(item.assumes)}"
+    states = verdict.states
+    if states is not None and states.unfelt:
+        yield f"{', '.join(states.unfelt)}: may drift together, which no other signal feels (whole turns)"
+    if states is not None and states.open:
+        yield f"{', '.join(states.open)}: not known to be bounded; this is not the stability of the whole loop"
+    for item in (item for item in verdict.statements if item.concludes):
+        assumed = f"; assumes that {' and '.join(item.assumes)}" if item.assumes else ""
+        yield f"{item.signal} {item.says}: {item.step}{assumed}"
 
 
 def _bounds(verdict: Verdict) -> list[tuple[str, str]]:

@@ -17,6 +17,7 @@ from dmframe.certificate import SX
 from dmframe.diagram.sizes import Sizes
 from dmframe.diagram.symmetric import symmetric_symbol
 from dmframe.errors import BlockError, DmframeError, nearest
+from dmframe.linalg import Inverted, inverting
 from dmframe.parameter import specs
 from dmframe.port import Port, State
 
@@ -27,7 +28,7 @@ class BlockModel:
     """A block's equations, evaluated once on symbols.
 
     `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
-    is one of the `parameters` too.
+    is one of the `parameters` too. `inverted` are the matrices that the equations invert.
     """
 
     name: str
@@ -39,6 +40,7 @@ class BlockModel:
     robot: Any
     equations: Equations
     starts: Mapping[str, SX]
+    inverted: tuple[Inverted, ...] = ()
 
     def signals(self) -> tuple[Signals, Signals, Signals]:
         """u, x, p as the block's methods take them."""
@@ -114,7 +116,7 @@ def model_block(
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    with told_by(name, "equations()"):
+    with told_by(name, "equations()"), inverting() as inverted:
         stated = block.equations(*signals_of(name, inputs, states, {**parameters, **starts}, mine))
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
@@ -126,7 +128,9 @@ def model_block(
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
-    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts)
+    return BlockModel(
+        name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)
+    )
 
 
 def _checked(
