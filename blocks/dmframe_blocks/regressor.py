@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition, Inequality
+from dmframe.certificate import SX, Certificate, Condition, Inequality
 from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Port
 from dmframe.robot.pseudo_inertia import natural_gain
@@ -147,13 +147,21 @@ class Regressor(AbstractBlock):
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """Whatever friction the plant has, the regressor has a column for it."""
         kinds = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
-        return tuple(_lacking(key, name, getattr(truth, of)) for key, name, of in kinds if key not in self.friction)
+        lacking = [kind for kind in kinds if kind[0] not in self.friction and kind[2] in truth]
+        return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
 
 
-def _lacking(key: str, name: str, true: Any) -> Inequality:
-    owners = dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true))
-    text = f"the plant has {name} friction ({', '.join(owners)}), and the regressor has no column for it: add {key} to friction"
-    return Inequality(text, -true * true, "eq. (5)", strict=False)
+def _column_for(key: str, name: str, true: SX) -> Inequality:
+    """No such friction, or a column for it."""
+    owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
+    return Inequality(
+        f"the plant has no {name} friction: {owners} is zero",
+        -true * true,
+        "eq. (5)",
+        strict=False,
+        otherwise=f"the plant has {name} friction ({owners}), and the regressor has no column for it: add {key} to "
+        "friction",
+    )
 
 
 def _heavy(n: int) -> list[int]:
