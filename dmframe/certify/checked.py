@@ -16,7 +16,7 @@ from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes
 from dmframe.errors import ValueFault
-from dmframe.exact.rational import Interval, evaluate
+from dmframe.exact.rational import Interval, as_float, evaluate
 
 
 @final
@@ -101,5 +101,5 @@ def decided(name: str, text: str, source: str, least: Callable[[], Fraction], st
     except ValueFault as error:
         text = f"{text}; undecided: {error.text}"
     else:
-        return Checked(name, text, float(value), value > 0 if strict else value >= 0, source)
+        return Checked(name, text, as_float(value), value > 0 if strict else value >= 0, source)
     return Checked(name, text, None, False, source, "undecided")

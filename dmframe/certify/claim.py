@@ -27,7 +27,8 @@ from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.view import view
+from dmframe.diagram.truths import Stated, conflicts
+from dmframe.diagram.view import owners_of, view
 from dmframe.errors import BlockError
 from dmframe.linalg import times
 from dmframe.port import Side
@@ -95,14 +96,14 @@ class Claim:
     kappa
         The weight of the servo level: a symbol, or 1 without a cascade.
     truths
-        True values of estimates, by name.
+        True values of estimates that certificates state, by block and name.
     """
 
     diagram: Diagram
     loop: ClosedLoop
     parts: tuple[Part, ...]
     kappa: SX
-    truths: Mapping[str, SX]
+    truths: Stated
 
     @property
     def cascaded(self) -> bool:
@@ -266,34 +267,45 @@ class Field:
         )
 
 
-def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], dict[str, SX]]:
-    """Every block's certificate; those that need another block's truth come after it."""
+def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
+    """Every block's certificate, each made of the true values that all the others state."""
     sides = (Side.PLANT, Side.CONTROLLER)  # the plant first, so that the others can read what its certificates say
-    waiting = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
-    found, truths = dict[str, Certificate](), dict[str, SX]()
-    faults = dict[str, str]()
+    everyone = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
+    waiting, rounds = everyone, 0
+    found, stated, read = dict[str, Certificate](), dict[str, Mapping[str, SX]](), dict[str, Mapping[str, str]]()
     while waiting:
-        later = []
+        faults = dict[str, str]()
         for name in waiting:
             try:
-                certificate = _certificate(diagram, name, truths)
+                certificate, read[name] = _certificate(diagram, name, stated)
             except BlockError as error:
                 faults[name] = error.text
-                later.append(name)
                 continue
             if certificate is None:
                 raise NotApplicableError(f"{name}: a {diagram.type_of(name)} has no certificate")
             found[name] = certificate
-            truths |= {key: ca.SX(value) for key, value in certificate.truth.items()}
-        if len(later) == len(waiting):
-            raise NotApplicableError("; ".join(faults[name] for name in later))
-        waiting = later
-    return {name: found[name] for name in diagram.blocks if name in found}, truths
+            stated[name] = {key: ca.SX(value) for key, value in certificate.truth.items()}
+        # who came early may have taken another block's value for its own, which had not stated it yet
+        early = [name for name in everyone if name not in faults and _owners(diagram, name, stated) != read[name]]
+        rounds += 1
+        if list(faults) == waiting or rounds > 2 * len(everyone):
+            raise NotApplicableError("; ".join(faults.values()) or f"the truth of {', '.join(early)} does not settle")
+        waiting = [*faults, *early]
+    for text in conflicts(diagram, stated):
+        raise NotApplicableError(text)
+    return {name: found[name] for name in diagram.blocks if name in found}, stated
 
 
-def _certificate(diagram: Diagram, name: str, truths: Mapping[str, SX]) -> Certificate | None:
+def _owners(diagram: Diagram, name: str, stated: Stated) -> Mapping[str, str]:
+    try:
+        return owners_of(diagram, name, stated)
+    except BlockError as error:
+        raise NotApplicableError(error.text) from None
+
+
+def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certificate | None, Mapping[str, str]]:
     known = len(diagram.resolver.faults)
-    seen = view(diagram, name, truths)
+    seen = view(diagram, name, stated)
     if faults := diagram.resolver.faults[known:]:  # a truth that would need what cannot be had
         del diagram.resolver.faults[known:]
         raise NotApplicableError(f"{name}: {faults[0].text}")
@@ -301,7 +313,7 @@ def _certificate(diagram: Diagram, name: str, truths: Mapping[str, SX]) -> Certi
         certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
     if certificate is not None and not isinstance(certificate, Certificate):
         raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
-    return certificate
+    return certificate, seen.owners
 
 
 __all__ = ["Claim", "Field", "NotApplicableError", "Part", "claim_of", "total"]

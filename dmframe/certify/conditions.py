@@ -26,10 +26,12 @@ from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
 from dmframe.certify.payment import payment_conditions
+from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
-from dmframe.diagram.model import hashes, symbols_in, told_by
+from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
+from dmframe.exact.rational import as_float
 
 SIGNS = "V is positive, dV/dt not"
 
@@ -39,7 +41,7 @@ def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[A
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = _sets(claim, numbers)
+    inside, unknown = projection_conditions(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
@@ -150,52 +152,10 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
-
-
-def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
-    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it.
-
-    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
-    """
-    checked, assumed = list[Checked](), list[Assumption]()
-    for projection in claim.loop.projections:
-        own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
-        for part in claim.parts:
-            for square in part.certificate.storage:
-                if part.block != projection.block or not symbols_in([square.vector]) & own:
-                    continue
-                truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
-                room, rest = _decidable(projection.set.room(truth), numbers)
-                if room.numel():
-                    least = partial(numbers.least, room)
-                    checked.append(decided(text, INSIDE[projection.kind], "Remark 2", least, strict=False))
-                if rest:
-                    at = sorted({row % truth.shape[0] for row in rest})
-                    where = f", at [{', '.join(map(str, at))}]" if projection.kind == "box" else ""
-                    assumed.append(Assumption(f"{text}{where}, where the plant's start decides it", "Remark 2"))
-                askew = projection.set.askew(square.weight)
-                if not askew.is_zero():
-                    checked.append(_normal(projection.name, askew, numbers))
-    return checked, assumed
-
-
-INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
-
-
-def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
-    """The rows that depend on parameters alone, and the positions of the others."""
-    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
-    return room[known], [row for row in range(room.shape[0]) if row not in known]
-
-
-def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
-    text = "weight in V times adaptation gain is one number for all elements"
-    least = partial(numbers.least, ca.vertcat(askew, -askew))
-    return decided(f"{name}: projected in the metric of V", text, "projection lemma", least, strict=False)
 
 
 def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:

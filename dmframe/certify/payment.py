@@ -22,6 +22,7 @@ from dmframe.certificate import SX
 from dmframe.certify.checked import Checked, Numbers, upper
 from dmframe.certify.claim import Claim, Part, total
 from dmframe.errors import ValueFault
+from dmframe.exact.rational import as_float
 
 SOURCE = "composition of storage functions"
 TEXT = "kappa >= c sum_j a_j^2 / W_j"
@@ -58,13 +59,13 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         if payer.cascade:
             text = f"{payer.block} pays for the cascade with the weight 1 that V gives it"
             margin = None if need is None else 1 - need
-            value = None if margin is None else float(margin)
+            value = None if margin is None else as_float(margin)
             yield Checked(text, "1 > c sum_j a_j^2 / W_j", value, margin is not None and margin > 0, SOURCE)
         elif not found:
             found = True
             kappa = payment(claim, numbers)
             text = "the servo level pays for the cascade: some kappa > 0 exists"
-            yield Checked(text, TEXT, float(kappa.least) if kappa else None, kappa is not None, SOURCE)
+            yield Checked(text, TEXT, as_float(kappa.least) if kappa else None, kappa is not None, SOURCE)
 
 
 def _payers(claim: Claim) -> list[tuple[Part, list[Part]]]:

@@ -26,10 +26,9 @@ from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
-from dmframe.exact.rational import Interval
+from dmframe.exact.rational import Interval, as_float
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
-
 
 
 @final
@@ -75,7 +74,7 @@ class Verdict:
     @property
     def residual_bound(self) -> float | None:
         """The most that dV/dt can be above minus the dissipation; None where a signal scales it."""
-        return total_bound(list(self.bounds), float(self.kappa.chosen) if self.kappa else 1.0)
+        return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
 
 
 def verify(

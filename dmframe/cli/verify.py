@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from dmframe.certify import Verdict, verify
+from dmframe.certify.conditions import Checked
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
@@ -65,7 +66,7 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts.append(f"  fewest signals that refute it: {', '.join(verdict.refutation.signals) or 'none'}")
         parts.append("  the exact point is in --json")
     if verdict.conditions:
-        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c.holds)) for c in verdict.conditions]
+        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c)) for c in verdict.conditions]
         parts += ["  conditions, with the least value that must be positive", columns(rows, "    ")]
     if verdict.controls:
         refuted = sum(control.refuted for control in verdict.controls)
@@ -112,5 +113,8 @@ def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
     return rows
 
 
-def _mark(holds: bool) -> str:
-    return "holds" if holds else "FAILS"
+def _mark(condition: Checked) -> str:
+    """What samples show is not said to hold."""
+    if condition.holds:
+        return "sampled, not proved" if condition.how == "sampled" else "holds"
+    return "FAILS"

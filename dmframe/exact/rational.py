@@ -75,7 +75,7 @@ def as_float(value: Fraction | Interval) -> float:
     try:
         return float(exact)
     except OverflowError:
-        return math.copysign(math.inf, exact.numerator)
+        return math.inf if exact > 0 else -math.inf
 
 
 def _exact(constant: float, name: str) -> Fraction:

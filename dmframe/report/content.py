@@ -60,6 +60,11 @@ class Condition:
     how: str
     source: str
 
+    @property
+    def told(self) -> str:
+        """What is said of it where it holds: of samples, no more than that."""
+        return "sampled, not proved" if self.how == "sampled" else "holds"
+
 
 @final
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dmframe.certify.along import Along, along
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.exact.rational import as_float
 from dmframe.report.embed import figure_svg
 from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error
@@ -130,7 +131,7 @@ def _along(verdict: Verdict, run: Run) -> tuple[Along | None, str]:
         return None, "$V$ is not shown, since what the blocks claim about it is false."
     if verdict.claim.cascaded and verdict.kappa is None:
         return None, "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these numbers."
-    return along(verdict.claim, run, float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+    return along(verdict.claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
 
 
 def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
