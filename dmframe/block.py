@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from fractions import Fraction
 from typing import Any, ClassVar, final
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
@@ -104,6 +105,13 @@ class AbstractBlock(BaseModel):
         """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
         del robot
         return {}
+
+    def prior(self, robot: Any, others: Fraction) -> Sequence[Sequence[Fraction]] | None:
+        """How large the errors of the parameters may be that this block models: the gain for which relative errors count
+        alike, exactly; None for a block that models none. `others` is the size of a parameter about which it knows nothing.
+        """
+        del robot, others
+        return None
 
     @abstractmethod
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

@@ -33,6 +33,7 @@ from dmframe.diagram.view import owners_of, view
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.law import PrintedLaw
 from dmframe.formula.laws import laws_of
+from dmframe.linalg import times
 from dmframe.port import Side
 
 
@@ -256,11 +257,11 @@ class Field:
         if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
             (square,) = squares
             slope = ca.jacobian(square.vector, projection.state)
-            if square.weight.is_column() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
-                return ca.sum1(square.weight * square.vector * projection.correction)
+            if slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
+                return ca.dot(times(square.weight, square.vector), projection.correction)
         raise NotApplicableError(
-            f"{name}: {projection.name} is projected, but is not stored as one square of its error with a diagonal "
-            "weight, which the projection lemma needs"
+            f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
+            "projection lemma needs"
         )
 
 

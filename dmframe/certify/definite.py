@@ -14,6 +14,7 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.exact import zero_test
 from dmframe.exact.rational import Interval
+from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 Number = Fraction | Interval
 
@@ -47,13 +48,6 @@ def is_semidefinite(matrix: Sequence[Sequence[Fraction]]) -> bool:
             for row, left in zip(rows[1:], across, strict=True)
         ]
     return True
-
-
-def pseudo_inertia(row: Sequence[Fraction]) -> list[list[Fraction]]:
-    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
-    m, x, y, z, xx, xy, yy, xz, yz, zz = row
-    half = (xx + yy + zz) / 2
-    return [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
 
 
 def least_body_pivot(robot: Any) -> Fraction:
