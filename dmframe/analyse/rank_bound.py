@@ -50,13 +50,15 @@ class MatrixBound:
 
         J(q, a) X - I \in J(q_m, a_m) X - I + \sum_v [\partial_v J] X\, (v - v_m) = E,
 
-    the derivatives enclosed over the whole box. Where :math:`|E| < 1`, J has full row rank, and
+    the derivatives enclosed over the whole box. Of E only the symmetric part :math:`E_s` counts, since
+    :math:`y^\top J X y \ge (1 - |E_s|) |y|^2` for every y: where :math:`|E_s| < 1`, J has full row rank, and
 
     .. math::
 
-        \sigma_{min}(J) \ge (1 - |E|) / |X|.
+        \sigma_{min}(J) \ge (1 - |E_s|) / |X|.
 
-    The sum over v is taken after the product with X, so that what moves several columns of J together counts once.
+    The sum over v is taken after the product with X, so that what moves several columns of J together counts once; and
+    what only turns the task, as a robot's first joint does, counts little, its part of E being antisymmetric.
 
     Parameters
     ----------
@@ -103,9 +105,10 @@ class MatrixBound:
             turned = np.swapaxes(Vt, 1, 2) / s[:, None, :]
             X = np.ascontiguousarray(np.moveaxis(turned @ np.swapaxes(U, 1, 2), 0, 2))
             U = np.ascontiguousarray(np.moveaxis(U, 0, 2))
-            doubt = _times(slopes, X).magnitude
+            doubt = _symmetric(_times(slopes, X)).magnitude
             moved = up(around[:, None, None, :] * doubt[: self.n])
-            error = up((_times(J, X) - np.eye(self.rows)[:, :, None]).magnitude[0] + _sum(moved))
+            middles = _symmetric(_times(J, X)) - np.eye(self.rows)[:, :, None]
+            error = up(middles.magnitude[0] + _sum(moved))
             error = up(error + _spread(doubt[self.n :], half, shape))
             least = down(down(1 - _norm(error)) / _size(X, U))
         # X that is no number would make every comparison false, which is right; a zero would not be.
@@ -128,6 +131,12 @@ def _times(matrices: Enclosure, X: Array) -> Enclosure:
         column = Enclosure(matrices.lower[:, :, j, None], matrices.upper[:, :, j, None])
         total = Enclosure.of(row) * column + total
     return total
+
+
+def _symmetric(matrices: Enclosure) -> Enclosure:
+    """Half the sum of each matrix (v, m, m, N) and its transpose."""
+    other = Enclosure(matrices.lower.swapaxes(1, 2), matrices.upper.swapaxes(1, 2))
+    return (matrices + other) * 0.5
 
 
 def _sum(parts: Array) -> Array:

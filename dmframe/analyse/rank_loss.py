@@ -12,8 +12,9 @@ from dmframe.analyse.rank_bound import MatrixBound, Shape
 
 Array = NDArray[np.float64]
 
-_ROUNDS: Final = 6
-_MOST: Final = 400
+_LEAPS: Final = 6
+_STEPS: Final = 14
+_MOST: Final = 200
 """Poses that the search begins from."""
 
 
@@ -50,26 +51,34 @@ def witness(
 ) -> Witness | None:
     """The worst point found within the tube about the poses and the set of parameters; None where none is below `least`.
 
-    Each round goes to the corner where the least singular value would be smallest if it were linear. Floating-point
-    numbers and no completeness: it refutes a bound, it never proves one.
+    Where the least singular value falls as if it were linear, the first rounds leap towards the corner where it would be
+    smallest, as far as it would then be zero; the others step down its slope, within the set. Floating-point numbers and
+    no completeness: it refutes a bound, it never proves one.
     """
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MOST)).astype(int))
     begin = np.hstack([poses[chosen], np.tile(middle, (len(chosen), 1))])
     at, value = begin, np.full(len(chosen), np.inf)
-    best, sign = begin.copy(), None
-    for _ in range(_ROUNDS):
+    width = np.concatenate([np.full(bound.n, tube), half])
+    best, sign = begin.copy(), None  # of the determinant, at the first round
+    for k in range(_LEAPS + _STEPS):
         U, s, Vt = np.linalg.svd(_values(bound, at, p), full_matrices=False)
-        now = s[:, -1]
-        if bound.rows == bound.columns:
-            turn = np.sign(np.linalg.det(U @ Vt))
-            sign = turn if sign is None else sign
-            now = np.where(turn == sign, now, 0.0)
+        turn = np.sign(np.linalg.det(U @ Vt)) if bound.rows == bound.columns else np.ones(len(at))
+        sign = turn if sign is None else sign
+        signed = s[:, -1] * turn * sign
+        now = np.maximum(signed, 0.0)
         best[now < value] = at[now < value]
         value = np.minimum(now, value)
         if value.min() < least:
             break
-        pull = np.einsum("ki,kvij,kj->kv", U[:, :, -1], _slopes(bound, at, p), Vt[:, -1])
-        at = begin - _corner(pull, tube, half, shape)
+        pull = np.einsum("ki,kvij,kj->kv", U[:, :, -1], _slopes(bound, at, p), Vt[:, -1]) * width
+        if k < _LEAPS:
+            corner = _corner(pull, bound.n, shape)
+            falls = np.maximum(np.sum(pull * corner, axis=1), 1e-300)
+            missing = signed - np.sum(pull * (at - begin) / np.where(width > 0, width, 1.0), axis=1)
+            at = begin - width * corner * np.clip(missing / falls, 0.0, 1.0)[:, None]
+        else:
+            step = pull * (signed / np.maximum(np.sum(pull**2, axis=1), 1e-300))[:, None]
+            at = begin + width * _pulled((at - begin) / np.where(width > 0, width, 1.0) - step, bound.n, shape)
     place = int(np.argmin(value))
     if not value[place] < least:
         return None
@@ -77,14 +86,20 @@ def witness(
     return Witness(int(chosen[place]), q, a, float(value[place]))
 
 
-def _corner(pull: Array, tube: float, half: Array, shape: Shape) -> Array:
-    """The step to the point of the tube and of the set at which a linear function with this slope is largest."""
-    n = pull.shape[1] - len(half)
-    joints, numbers = tube * np.sign(pull[:, :n]), half * np.sign(pull[:, n:])
-    if shape == "ball":
-        scaled = pull[:, n:] * half
-        numbers = half * scaled / np.maximum(np.linalg.norm(scaled, axis=1, keepdims=True), 1e-300)
-    return np.hstack([joints, numbers])
+def _corner(pull: Array, n: int, shape: Shape) -> Array:
+    """Where in the tube and the set, both scaled to 1, a linear function with this slope is largest."""
+    joints, numbers = np.sign(pull[:, :n]), pull[:, n:]
+    if shape == "box":
+        return np.hstack([joints, np.sign(numbers)])
+    return np.hstack([joints, numbers / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1e-300)])
+
+
+def _pulled(x: Array, n: int, shape: Shape) -> Array:
+    """Back into the tube and the set, both scaled to 1."""
+    joints, numbers = np.clip(x[:, :n], -1, 1), x[:, n:]
+    if shape == "box":
+        return np.hstack([joints, np.clip(numbers, -1, 1)])
+    return np.hstack([joints, numbers / np.maximum(np.linalg.norm(numbers, axis=1, keepdims=True), 1.0)])
 
 
 def _values(bound: MatrixBound, at: Array, p: Array) -> Array:

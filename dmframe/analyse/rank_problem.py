@@ -160,9 +160,10 @@ def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> di
         "names": tuple(f"{place} {axis}" for place in (*diagram.robot.joint_names, "tool") for axis in "xyz"),
     }
     pose = np.random.default_rng(0).uniform(-1, 1, joints.symbol.numel())
-    own = ca.Function("own", [joints.symbol, a, found["p"]], [expression])(pose, found["centre"], found["values"])
+    given = ca.Function("own", [joints.symbol, a, found["p"]], [expression])
+    own = given(pose, found["centre"], found["values"]).full()
     used = ca.Function("used", [joints.symbol, diagram.loop.p], [matrix], {"allow_free": True})
-    if used.has_free() or not np.allclose(used(pose, diagram.loop.p_values), own, atol=1e-9):
+    if used.has_free() or not np.allclose(used(pose, diagram.loop.p_values).full(), own, atol=1e-9):
         text = f"{signal.label}: expected the robot's own Jacobian where no block estimates it"
         raise MissingError(f"{text}, found another matrix")
     return found

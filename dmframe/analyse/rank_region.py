@@ -189,7 +189,7 @@ def rank_region(
     ValueFault
         An argument is out of its range.
     """
-    _check(tube=tube, duration=duration, boxes=boxes, least=least)
+    _check(tube=tube, duration=duration, boxes=boxes, least=least, shape=shape, centre=centre)
     tell = progress or (lambda text: None)
     problem = rank_problem(diagram, start or {}, centre)
     weights = _weights(scale, problem.centre)
@@ -306,7 +306,10 @@ def _weights(scale: str | Sequence[float], centre: Array) -> Array:
     return np.asarray(weights / np.max(weights))
 
 
-def _check(*, tube: float, duration: float, boxes: int, least: float | None) -> None:
+def _check(*, tube: float, duration: float, boxes: int, least: float | None, shape: str, centre: str) -> None:
+    for name, found, choices in (("shape", shape, ("box", "ball")), ("centre", centre, ("truth", "start"))):
+        if found not in choices:
+            raise ValueFault(f"{name}: expected {' or '.join(choices)}, found {found}")
     if not (np.isfinite(tube) and tube >= 0):
         raise ValueFault(f"tube: expected an angle of at least 0 rad, found {tube:g}")
     if not (np.isfinite(duration) and duration >= 0):

@@ -1,7 +1,7 @@
 r"""Intervals with floating-point ends, many at once: each result encloses the true one, whatever was rounded.
 
-NumPy's sums, products and quotients are those of IEEE 754: the nearest number to the true one. The next number outward
-is therefore an end that encloses it. Its sine and cosine promise no such thing, so they are summed here, as series with
+NumPy's sums, products and quotients are those of IEEE 754: the nearest number to the true one. The next number outward,
+or one behind it, is therefore an end that encloses it. Its sine and cosine promise no such thing, so they are summed here, as series with
 the error that is left out.
 """
 
@@ -22,14 +22,19 @@ from dmframe.errors import ValueFault
 Numbers = NDArray[np.float64]
 
 
+_STEP: Final = 2.0**-53 * (1 + 2.0**-52)
+_LEAST: Final = 5e-324
+"""With these a sum reaches the next number, for every finite one [Rump2009]_; ten times as fast as `nextafter`."""
+
+
 def down(values: Any) -> Numbers:
-    """The next numbers below."""
-    return np.asarray(np.nextafter(values, -np.inf))
+    """At most the next numbers below."""
+    return np.asarray(values - (np.abs(values) * _STEP + _LEAST))
 
 
 def up(values: Any) -> Numbers:
-    """The next numbers above."""
-    return np.asarray(np.nextafter(values, np.inf))
+    """At least the next numbers above."""
+    return np.asarray(values + (np.abs(values) * _STEP + _LEAST))
 
 
 @final
@@ -37,8 +42,7 @@ def up(values: Any) -> Numbers:
 class Enclosure:
     """For each place of two arrays, all numbers from `lower` to `upper`.
 
-    An end that overflowed is infinite, one that is not a number encloses nothing that can be told: comparisons with it
-    are false, so that nothing follows from it.
+    Where an operation overflowed, an end is no number: comparisons with it are false, so that nothing follows from it.
     """
 
     lower: Numbers
@@ -97,13 +101,11 @@ class Enclosure:
         """The largest absolute values."""
         return np.asarray(np.maximum(np.abs(self.lower), np.abs(self.upper)))
 
-    def sin(self) -> Enclosure:
-        """The sine [rad]."""
-        return _wave(self, 0, top=_QUARTER, bottom=-_QUARTER)
-
-    def cos(self) -> Enclosure:
-        """The cosine [rad]."""
-        return _wave(self, 1, top=Enclosure.of(0.0), bottom=-_HALF)
+    def sin_cos(self) -> tuple[Enclosure, Enclosure]:
+        """Sine and cosine [rad]: the values at both ends, and 1 or -1 where a top or a bottom lies between them."""
+        first, last = _sin_cos(self.lower), _sin_cos(self.upper)
+        sine = _hull(first[0], last[0], _passes(self, -_QUARTER), _passes(self, _QUARTER))
+        return sine, _hull(first[1], last[1], _passes(self, _HALF), _passes(self, Enclosure.of(0.0)))
 
 
 _PI: Final = Enclosure(np.asarray(math.pi), up(math.pi))
@@ -123,11 +125,9 @@ _REST: Final = up(1 / math.factorial(2 * _TERMS))
 """The terms alternate and fall for |y| <= 1, so what is left out is less than the first term left out."""
 
 
-def _wave(angle: Enclosure, shift: int, *, top: Enclosure, bottom: Enclosure) -> Enclosure:
-    """Sine (shift 0) or cosine (1): the values at both ends, and 1 or -1 where the angle passes a top or a bottom."""
-    first, last = _at(angle.lower, shift), _at(angle.upper, shift)
-    lower = np.where(_passes(angle, bottom), -1.0, np.minimum(first.lower, last.lower))
-    upper = np.where(_passes(angle, top), 1.0, np.maximum(first.upper, last.upper))
+def _hull(first: Enclosure, last: Enclosure, bottom: NDArray[np.bool_], top: NDArray[np.bool_]) -> Enclosure:
+    lower = np.where(bottom, -1.0, np.minimum(first.lower, last.lower))
+    upper = np.where(top, 1.0, np.maximum(first.upper, last.upper))
     return Enclosure(np.maximum(lower, -1.0), np.minimum(upper, 1.0))
 
 
@@ -137,19 +137,23 @@ def _passes(angle: Enclosure, place: Enclosure) -> NDArray[np.bool_]:
     return np.asarray(~(np.floor(turns.upper) < np.ceil(turns.lower)))
 
 
-def _at(angle: Numbers, shift: int) -> Enclosure:
-    """The sine or cosine of exact angles, by the series about the nearest quarter turn."""
-    near = np.where(np.abs(angle) <= _FARTHEST, angle, 0.0)
+def _sin_cos(angle: Numbers) -> tuple[Enclosure, Enclosure]:
+    """Of exact angles, by the series about the nearest quarter turn."""
+    known = np.abs(angle) <= _FARTHEST
+    near = np.where(known, angle, 0.0)
     quarter = np.rint(near / (math.pi / 2))
     rest = Enclosure.of(near) - Enclosure.of(quarter) * _QUARTER
-    square = rest.square()
-    sine, cosine = _series(_SINE, square) * rest, _series(_COSINE, square)
-    left_out = Enclosure(-_REST, _REST)
-    place = (quarter.astype(int) + shift) % 4
-    even, odd = sine + left_out, cosine + left_out
-    lower = np.choose(place, [even.lower, odd.lower, -even.upper, -odd.upper])
-    upper = np.choose(place, [even.upper, odd.upper, -even.lower, -odd.lower])
-    known = (np.abs(angle) <= _FARTHEST) & (rest.magnitude <= 1)
+    known &= rest.magnitude <= 1
+    square, left_out = rest.square(), Enclosure(-_REST, _REST)
+    sine, cosine = _series(_SINE, square) * rest + left_out, _series(_COSINE, square) + left_out
+    place = quarter.astype(int) % 4
+    return _turned(sine, cosine, place, known), _turned(sine, cosine, (place + 1) % 4, known)
+
+
+def _turned(sine: Enclosure, cosine: Enclosure, quarters: NDArray[np.int_], known: NDArray[np.bool_]) -> Enclosure:
+    """The sine of an angle so many quarter turns ahead; from -1 to 1 where it is not known."""
+    lower = np.choose(quarters, [sine.lower, cosine.lower, -sine.upper, -cosine.upper])
+    upper = np.choose(quarters, [sine.upper, cosine.upper, -sine.lower, -cosine.lower])
     return Enclosure(np.where(known, lower, -1.0), np.where(known, upper, 1.0))
 
 
@@ -174,6 +178,7 @@ class Enclosing:
     def __call__(self, inputs: Sequence[Sequence[Any]]) -> list[list[Enclosure]]:
         """The stored elements of each output; an input is a list of its elements, numbers or enclosures."""
         register: dict[int, Enclosure] = {}
+        angles: dict[int, tuple[Enclosure, Enclosure, Enclosure]] = {}  # with the angle, so that its id stays its own
         outputs = [[Enclosure.of(0.0)] * pattern.nnz() for pattern in self.sparsity]
         with np.errstate(invalid="ignore", over="ignore"):
             for code, arguments, targets, constant in self._steps:
@@ -183,6 +188,11 @@ class Enclosing:
                     register[targets[0]] = Enclosure.of(inputs[arguments[0]][arguments[1]])
                 elif code == ca.OP_CONST:
                     register[targets[0]] = Enclosure.of(constant)
+                elif code in (ca.OP_SIN, ca.OP_COS):
+                    angle = register[arguments[0]]
+                    if id(angle) not in angles:
+                        angles[id(angle)] = (angle, *angle.sin_cos())
+                    register[targets[0]] = angles[id(angle)][1 if code == ca.OP_SIN else 2]
                 else:
                     register[targets[0]] = _operate(code, [register[a] for a in arguments])
         return outputs
@@ -223,8 +233,4 @@ def _operate(code: int, values: list[Enclosure]) -> Enclosure:
             return first + first
         case ca.OP_INV:
             return Enclosure.of(1.0) / first
-        case ca.OP_SIN:
-            return first.sin()
-        case ca.OP_COS:
-            return first.cos()
     return first  # an assignment
