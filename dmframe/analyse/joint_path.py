@@ -26,6 +26,7 @@ CLOSED: Final = 1e-6
 
 _LEAST_STEP: Final = 1e-9
 _NEWTON: Final = 12
+_SEEDS: Final = 12
 _MOST_POSES: Final = 20_000
 _LARGEST_DENOMINATOR: Final = 64
 
@@ -38,22 +39,21 @@ class Leave:
     Parameters
     ----------
     time
-        [s]; 0 on the way from the start onto the path.
+        [s].
     q
         (n,) the last pose found.
-    goal
-        Where the tool should be.
+    later, goal
+        A time soon after [s], and where the tool should then be.
     distance
-        How far from there the nearest pose that Newton's method finds leaves it [m].
-    approach
-        True on the way from the start onto the path.
+        From there to the nearest point that any pose found reaches [m]; about 0 where poses reach it, but none near `q`:
+        the way there passes a singularity.
     """
 
     time: float
     q: Array
+    later: float
     goal: Array
     distance: float
-    approach: bool
 
 
 @final
@@ -81,6 +81,18 @@ class JointPath:
     span: float
     period: float | None
     leave: Leave | None
+
+    @property
+    def hulls(self) -> tuple[Array, Array]:
+        """The smallest and largest joint positions of each straight line, (N - 1, n) each; of the pose where it is one."""
+        first, last = (self.poses[:-1], self.poses[1:]) if len(self.poses) > 1 else (self.poses, self.poses)
+        return np.minimum(first, last), np.maximum(first, last)
+
+    def distance(self, q: Array) -> Array:
+        """How wide a tube must be to hold each of the poses q (k, n), a run's for example: (k,) [rad]."""
+        low, high = self.hulls
+        outside = (np.max(np.maximum(low - pose, pose - high), axis=1) for pose in q)
+        return np.maximum([np.min(away) for away in outside], 0.0)
 
 
 @final
@@ -115,23 +127,33 @@ def joint_path(
     ValueFault
         The path has too many poses.
     """
-    first, onto = reach.actual(start), reach.goal(0.0)
-    times, poses, leave = [0.0], [start], None
-    if np.linalg.norm(first - onto) > REACHED:
-        _, poses, leave = _follow(reach, lambda share: first + share * (onto - first), start, 1.0, stride, None)
-        times = [0.0] * len(poses)
-        if leave is not None:
-            leave = Leave(0.0, leave.q, leave.goal, leave.distance, True)
+    poses, leave = _approach(reach, start, stride)
+    times = [0.0] * len(poses)
     span = duration if period is None else min(period, duration)
     if leave is None and span > 0:
         begin = poses[-1]
         more, further, leave = _follow(reach, reach.goal, begin, span, stride, progress)
-        if period is not None and span < duration and leave is None:
-            if np.max(np.abs(further[-1] - begin)) > CLOSED:  # a redundant robot, or another branch
-                period, span = None, duration
-                more, further, leave = _follow(reach, reach.goal, begin, span, stride, progress)
+        opens = leave is None and span < duration and np.max(np.abs(further[-1] - begin)) > CLOSED
+        if opens:  # a redundant robot, or another branch
+            period, span = None, duration
+            more, further, leave = _follow(reach, reach.goal, begin, span, stride, progress)
         times, poses = times + more[1:], poses + further[1:]
     return JointPath(np.array(times), np.array(poses), span, period, leave)
+
+
+def _approach(reach: Reach, start: Array, stride: float) -> tuple[list[Array], Leave | None]:
+    """From the start onto the path: the tool on a straight line, or, where that passes a singularity, the joints."""
+    first, onto = reach.actual(start), reach.goal(0.0)
+    if np.linalg.norm(first - onto) <= REACHED:
+        return [start], None
+    _, poses, leave = _follow(reach, lambda share: first + share * (onto - first), start, 1.0, stride, None)
+    if leave is None:
+        return poses, None
+    there, distance = _nearest(reach, start, onto)
+    if distance > REACHED:
+        return poses, Leave(0.0, poses[-1], 0.0, onto, distance)
+    count = int(np.ceil(np.max(np.abs(there - start)) / stride)) + 1
+    return list(np.linspace(start, there, count)), None
 
 
 def _follow(
@@ -154,7 +176,9 @@ def _follow(
         elif step > _LEAST_STEP * end:
             step /= 2
         else:
-            return times, poses, Leave(times[-1], poses[-1], curve(then), distance, False)
+            later = min(times[-1] + end / 100, end)
+            _, distance = _nearest(reach, poses[-1], curve(later))
+            return times, poses, Leave(times[-1], poses[-1], later, curve(later), distance)
     return times, poses, None
 
 
@@ -169,6 +193,21 @@ def _newton(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
         if least <= REACHED * 1e-3:
             break
         q = q + np.linalg.lstsq(reach.slope(q), missing, rcond=None)[0]
+    return best, least
+
+
+def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
+    """The pose found whose tool is nearest to the goal, first from q, then from anywhere; and the distance."""
+    from scipy.optimize import least_squares
+
+    rng, best, least = np.random.default_rng(0), q, math.inf
+    for seed in (q, *rng.uniform(-np.pi, np.pi, (_SEEDS, len(q)))):
+        found = least_squares(lambda x: reach.actual(x) - goal, seed, jac=reach.slope, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        pose, distance = _newton(reach, np.asarray(found.x), goal)
+        if distance < least:
+            best, least = pose, distance
+        if least <= REACHED:
+            break
     return best, least
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analyse.joint_path import JointPath, joint_path
+from dmframe.analyse.joint_path import REACHED, JointPath, joint_path
 from dmframe.analyse.rank_bound import Shape
 from dmframe.analyse.rank_problem import Centre, RankProblem, rank_problem
 from dmframe.analyse.rank_search import LARGEST, Cover, RankSearch
@@ -241,11 +241,13 @@ def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> Rank
     if leave is None:
         return None
     goal = ", ".join(f"{number:.4g}" for number in leave.goal)
-    way = " on the way from the start onto the path" if leave.approach else ""
+    away = f"at t = {leave.later:.6g} s it is at [{goal}], {leave.distance:.3g} m from the nearest point in reach"
     text = (
-        f"the path leaves the workspace at t = {leave.time:.6g} s{way}: no pose near the last one reaches [{goal}], and "
-        f"there the least singular value of {problem.matrix} is {singular:.3g} {problem.unit}"
+        f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
+        if leave.distance > REACHED
+        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last one reaches it"
     )
+    text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
     return RankLoss("unreachable", leave.time, leave.q, singular, text)
 
 

@@ -92,9 +92,8 @@ class RankSearch:
 
     def segments(self) -> Cover:
         """A box about each piece of the path, wider by the tube."""
-        poses = self.path.poses
-        first, last = (poses[:-1], poses[1:]) if len(poses) > 1 else (poses, poses)
-        low, high = down(np.minimum(first, last) - self.tube), up(np.maximum(first, last) + self.tube)
+        low, high = self.path.hulls
+        low, high = down(low - self.tube), up(high + self.tube)
         return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
 
     def cover(self, radius: float, least: float, begin: Cover) -> tuple[bool, Cover]:

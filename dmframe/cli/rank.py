@@ -47,7 +47,7 @@ def page(graph: Graph, region: RankRegion) -> str:
     parts += [
         *textwrap.wrap(
             f"{J} {J}' >= c^2 I with c = {region.certified:.4g} {region.unit}, for every {region.parameters} in the "
-            f"{region.shape} below and every q within {plain(region.tube, 'rad')}, in each joint, of the joint path",
+            f"{region.shape} below and every q within {region.tube:.4g} rad, in each joint, of the joint path",
             110,
         ),
         "",

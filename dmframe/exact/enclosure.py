@@ -8,6 +8,7 @@ the error that is left out.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -23,8 +24,11 @@ Numbers = NDArray[np.float64]
 
 
 _STEP: Final = 2.0**-53 * (1 + 2.0**-52)
-_LEAST: Final = 5e-324
-"""With these a sum reaches the next number, for every finite one [Rump2009]_; ten times as fast as `nextafter`."""
+_LEAST: Final = sys.float_info.min
+"""With these a sum reaches the next number, for every finite one [Rump2009]_; ten times as fast as `nextafter`.
+
+The least is the smallest normal number, larger than needed: so it holds too where subnormal ones are flushed to zero.
+"""
 
 
 def down(values: Any) -> Numbers:
@@ -83,10 +87,9 @@ class Enclosure:
         """A quotient; everything where the divisor holds zero."""
         other = Enclosure.of(other)
         through = (other.lower <= 0) & (other.upper >= 0)
-        with np.errstate(divide="ignore"):
-            lower, upper = down(1 / other.upper), up(1 / other.lower)
-        inverse = Enclosure(np.where(through, -np.inf, lower), np.where(through, np.inf, upper))
-        found = self * inverse
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            inverse = Enclosure(down(1 / other.upper), up(1 / other.lower))
+            found = self * inverse
         return Enclosure(np.where(through, -np.inf, found.lower), np.where(through, np.inf, found.upper))
 
     def square(self) -> Enclosure:
