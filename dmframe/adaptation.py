@@ -120,30 +120,26 @@ class Estimate:
 
     Parameters
     ----------
-    error, start
-        How a reader writes the estimate minus the truth, and minus its start: ``"w - 1/K_star"``, ``"w - w(0)"``.
     value, truth, nominal
         The estimate, what it estimates, and where it starts.
     weight
         W: S is half of |value - truth|_W^2.
     """
 
-    error: str
-    start: str
     value: SX
     truth: SX
     nominal: SX
     weight: SX
 
     @property
-    def away(self) -> str:
-        """How a reader writes the truth minus the start, from the other two."""
-        return " - ".join(name.split(" - ", 1)[1] for name in (self.error, self.start))
+    def error(self) -> SX:
+        """The estimate minus the truth."""
+        return self.value - self.truth
 
     @property
     def storage(self) -> Square:
         """|estimate - truth|^2_W; S is half of it."""
-        return Square(self.error, self.value - self.truth, self.weight)
+        return Square(self.error, self.weight)
 
 
 def start_of(state: str, p: Any, nominal: SX) -> SX:
@@ -183,7 +179,7 @@ class Adaptation:
             gradient = gradient - self.error_leak * norm(error) * (value - nominal)
         return gradient
 
-    def terms(self, estimates: Sequence[Estimate], error: SX, error_of: str) -> Terms:
+    def terms(self, estimates: Sequence[Estimate], error: SX) -> Terms:
         """What the leaks of a block's estimates dissipate, and what they leave."""
         found = Terms()
         for estimate in estimates:
@@ -192,16 +188,16 @@ class Adaptation:
             if self.error_leak is not None:
                 plain = _leaked(estimate, self.error_leak)
                 found += Terms(
-                    tuple(_by(term, error, error_of) for term in plain.dissipation),
-                    tuple(_by(term, error, error_of) for term in plain.excess),
+                    tuple(_by(term, error) for term in plain.dissipation),
+                    tuple(_by(term, error) for term in plain.excess),
                 )
         return found
 
-    def idle(self, error: SX, effect: SX, effect_of: str) -> Terms:
-        """What the dead zone leaves of s'b: b, by its name, is what the errors of the block's estimates do."""
+    def idle(self, error: SX, effect: SX) -> Terms:
+        """What the dead zone leaves of s'b: b is what the errors of the block's estimates do."""
         if self.width is None:
             return Terms()
-        return Terms(excess=(Clipped(effect_of, error, self.width, effect),))
+        return Terms(excess=(Clipped(error, self.width, effect),))
 
 
 @final
@@ -211,8 +207,8 @@ class Fit:
 
     Parameters
     ----------
-    error, error_of
-        e, a column, and how a reader writes it.
+    error
+        e, a column.
     regressor
         W of e = W (estimate - truth).
     by
@@ -224,7 +220,6 @@ class Fit:
     """
 
     error: SX
-    error_of: str
     regressor: SX
     by: SX
     forgetting: SX | None = None
@@ -254,8 +249,8 @@ class Fit:
     def dissipation(self, estimate: Estimate, c: SX) -> tuple[Dissipated, ...]:
         """What the fit spends, c being a constant."""
         if self.forgetting is None:
-            return (Square(self.error_of, self.error, c * self.by),)
-        spent = Square(self.error_of, self.error, c * self.by / 2)
+            return (Square(self.error, c * self.by),)
+        spent = Square(self.error, c * self.by / 2)
         return (spent, self._gathered(estimate, c * self.forgetting / 2))
 
     @property
@@ -265,8 +260,7 @@ class Fit:
         return (self.state + self.state.T) / 2
 
     def _gathered(self, estimate: Estimate, weight: SX) -> Gathered:
-        vector = estimate.value - estimate.truth
-        return Gathered(estimate.error, vector, weight, self._memory, self.regressor, self.by, self.forgetting)
+        return Gathered(estimate.error, weight, self._memory, self.regressor, self.by, self.forgetting)
 
 
 def adaptation(p: Any) -> Adaptation:
@@ -283,16 +277,16 @@ def _leaked(estimate: Estimate, rate: SX) -> Terms:
     away = estimate.truth - estimate.nominal
     return Terms(
         (
-            Square(estimate.error, estimate.value - estimate.truth, half),
-            Square(estimate.start, estimate.value - estimate.nominal, half),
+            Square(estimate.error, half),
+            Square(estimate.value - estimate.nominal, half),
         ),
-        (Square(estimate.away, away, half),),
+        (Square(away, half),),
     )
 
 
-def _by(term: Dissipated | Bounded, error: SX, error_of: str) -> NormSquare:
+def _by(term: Dissipated | Bounded, error: SX) -> NormSquare:
     assert isinstance(term, Square)
-    return NormSquare(term.of, term.vector, term.weight, error, error_of)
+    return NormSquare(term.vector, term.weight, error)
 
 
 __all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation", "start_of"]

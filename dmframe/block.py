@@ -27,7 +27,7 @@ from dmframe.errors import (
     raise_all,
 )
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import Port, Side, State
+from dmframe.port import TIME, Port, Side, State
 from dmframe.units import compatible
 
 
@@ -155,7 +155,27 @@ def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
             of = port.derivative_of
             if of and of not in known:
                 yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    yield from _source_breaches(block)
     yield from _parameter_breaches(block)
+
+
+def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """A proof leaves a trajectory and all its derivatives free: that is right of a function of time alone."""
+    if not isinstance(block.side, Side):
+        yield f"expected its side to be a Side, found {block.side!r}"
+    if block.side is not Side.SOURCE:
+        return
+    why = "a source is a function of time alone"
+    yield from (f"has the state {state.name}; {why}, so state it as a controller or a plant" for state in block.states)
+    yield from (
+        f"has the input {port.name}; {why}, and its one input is t, as dmframe.port.TIME"
+        for port in block.inputs
+        if port != TIME
+    )
+    yield from (f"reads the truth {port.name}; {why}, and there is nothing to prove of it" for port in block.truth)
+    for method in ("certificate", "start"):
+        if getattr(block, method) is not getattr(AbstractBlock, method):
+            yield f"has a {method} of its own; {why}: it has no states, so leave {method}() out"
 
 
 def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, final
+from types import MappingProxyType
+from typing import Any, Final, final
 
 import casadi as ca
 
@@ -21,23 +22,23 @@ SX = Any
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Square:
     r"""The quadratic form :math:`|a|_W^2 = a^\top W a`.
 
     Parameters
     ----------
-    of
-        How a reader writes a: ``"w - 1/K_star"``.
     vector
         a, a column.
     weight
         W: a matrix, or a column or scalar that stands for a diagonal.
+    of
+        How a reader writes a; the framework prints it from the expression, and no author says it.
     """
 
-    of: str
     vector: SX
-    weight: SX
+    weight: SX = 1
+    of: str = ""
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -46,13 +47,14 @@ class Square:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Square:
         """The same form of other expressions."""
-        return Square(self.of, *pieces)
+        vector, weight = pieces
+        return Square(vector, weight, self.of)
 
     @property
     def value(self) -> SX:
         """The form as one scalar expression."""
-        if self.weight.is_column():
-            return ca.sum1(self.weight * self.vector * self.vector)
+        if isinstance(self.weight, int | float) or self.weight.is_column():
+            return ca.dot(self.vector, self.weight * self.vector)
         return ca.dot(self.vector, self.weight @ self.vector)
 
 
@@ -79,17 +81,14 @@ def _beyond(x: SX) -> SX:
     return x - ca.fmin(ca.fmax(x, -1), 1)
 
 
-MONOTONE: Mapping[str, Callable[[SX], SX]] = {
-    "tanh": ca.tanh,
-    "sign": ca.sign,
-    "atan": ca.atan,
-    "dead_zone": _beyond,
-}
+MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
+    {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan, "dead_zone": _beyond}
+)
 """Functions that never decrease, by the name that a `Lemma` gives; the dead zone is that of width 1."""
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lemma:
     r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
 
@@ -99,8 +98,6 @@ class Lemma:
 
     Parameters
     ----------
-    of
-        How a reader names it: ``"monotone friction"``.
     weight
         w, a column or a scalar of parameters.
     first, second
@@ -111,12 +108,12 @@ class Lemma:
         A name of `MONOTONE`.
     """
 
-    of: str
     weight: SX
     first: SX
     second: SX
     scale: SX
     phi: str = "tanh"
+    of: str = ""
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -133,29 +130,29 @@ class Lemma:
     def with_pieces(self, pieces: Sequence[SX]) -> Lemma:
         """The same term of other expressions."""
         weight, first, second, scale = pieces
-        return Lemma(self.of, weight, first, second, scale, self.phi)
+        return Lemma(weight, first, second, scale, self.phi, self.of)
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class NormSquare:
     r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
 
     Parameters
     ----------
-    of, vector, weight
+    vector, weight, of
         As of a `Square`, the weight a column or a scalar of parameters.
     by
         b, a column of signals.
     by_of
-        How a reader writes b: ``"sigma"``.
+        How a reader writes b; printed from the expression too.
     """
 
-    of: str
     vector: SX
     weight: SX
     by: SX
-    by_of: str
+    of: str = ""
+    by_of: str = ""
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -170,16 +167,16 @@ class NormSquare:
     @property
     def square(self) -> Square:
         """The form without the norm."""
-        return Square(self.of, self.vector, self.weight)
+        return Square(self.vector, self.weight, self.of)
 
     def with_pieces(self, pieces: Sequence[SX]) -> NormSquare:
         """The same form of other expressions."""
         vector, weight, by = pieces
-        return NormSquare(self.of, vector, weight, by, self.by_of)
+        return NormSquare(vector, weight, by, self.of, self.by_of)
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gathered:
     r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
 
@@ -190,8 +187,6 @@ class Gathered:
 
     Parameters
     ----------
-    of
-        How a reader writes a.
     vector
         a, a column.
     weight
@@ -206,13 +201,13 @@ class Gathered:
         :math:`\lambda`, a scalar of parameters.
     """
 
-    of: str
     vector: SX
     weight: SX
     memory: SX
     regressor: SX
     by: SX
     forgetting: SX
+    of: str = ""
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -231,7 +226,8 @@ class Gathered:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
         """The same form of other expressions."""
-        return Gathered(self.of, *pieces)
+        vector, weight, memory, regressor, by, forgetting = pieces
+        return Gathered(vector, weight, memory, regressor, by, forgetting, self.of)
 
 
 def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
@@ -240,22 +236,20 @@ def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Clipped:
     r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
 
     Parameters
     ----------
-    of
-        How a reader writes b.
     first, width, other
         s, v and b: columns, the width of parameters above zero.
     """
 
-    of: str
     first: SX
     width: SX
     other: SX
+    of: str = ""
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -269,7 +263,8 @@ class Clipped:
 
     def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
         """The same term of other expressions."""
-        return Clipped(self.of, *pieces)
+        first, width, other = pieces
+        return Clipped(first, width, other, self.of)
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered
@@ -278,6 +273,72 @@ Stored = Square | Gathered
 """A term of which V is made; a square alone is also positive."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Consumed:
+    r"""What a cascade takes from the servo level: :math:`c\,|a|^2`; some block there has to pay for it.
+
+    Parameters
+    ----------
+    vector
+        a, a column: the error with which the servo level follows the cascade's reference.
+    c
+        A scalar of parameters.
+    """
+
+    vector: SX
+    c: SX
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        return self.c * ca.dot(self.vector, self.vector)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Driven:
+    r"""Signals that V does not weigh, and that stay bounded because a stable linear equation drives them.
+
+    .. math:: \dot z_j = \sum_k A_{jk} z_k + r_j, \quad j, k = 1 \dots N
+
+    one such equation a joint. That every remainder r is bounded is decided from the closed loop's equations, and that A
+    is stable at the graph's numbers, also while a state that it holds moves anywhere in its box. The signals that
+    follow, `bounded`, are the z plus something bounded; and where r vanishes, the z do.
+
+    Parameters
+    ----------
+    vectors
+        z, columns.
+    rates
+        A, row by row: columns or scalars of parameters, or of states with a box.
+    bounded
+        What is bounded with them: columns.
+    otherwise
+        Conditions that have to take its place where it is not shown.
+    of
+        How a reader writes what is bounded; printed from the expressions.
+    """
+
+    vectors: tuple[SX, ...]
+    rates: tuple[tuple[SX, ...], ...]
+    bounded: tuple[SX, ...]
+    otherwise: tuple[Condition, ...] = ()
+    of: tuple[str, ...] = ()
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return (*self.vectors, *(rate for row in self.rates for rate in row), *self.bounded)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Driven:
+        """The same equations of other expressions."""
+        left, count = list(pieces), len(self.vectors)
+        vectors, left = left[:count], left[count:]
+        rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
+        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise, self.of)
 
 
 @final
@@ -292,12 +353,12 @@ class Certificate:
     dissipation
         What is lost, each term non-negative.
     supply
-        What flows in from the other blocks.
+        What flows in from the other blocks, beside what the block consumes.
     consumes
-        c, for a cascade: its supply is c |sigma|^2, and the servo level has to pay for it.
-    sigma
-        For the block that pays: coefficients with which sigma is composed of the first dissipated squares' vectors,
-        elementwise; none for a block that does not pay.
+        For a cascade: what the servo level pays for.
+    pays
+        For the block that pays: coefficients with which the consumed vector is composed of the first dissipated
+        squares' vectors, elementwise; none for a block that does not pay.
     task
         The block stands on the task level: its storage has the weight 1 where the servo level has kappa.
     truth
@@ -305,23 +366,26 @@ class Certificate:
     excess
         What dS/dt may have above minus the dissipation: terms that are not dissipated but bounded, such as a leak
         leaves behind. A claim with one is proved up to a bounded residual.
+    driven
+        Signals that stay bounded although V does not weigh them.
     """
 
     storage: tuple[Stored, ...] = ()
     dissipation: tuple[Dissipated, ...] = ()
     supply: SX = 0
-    consumes: SX | None = None
-    sigma: tuple[SX, ...] = ()
+    consumes: Consumed | None = None
+    pays: tuple[SX, ...] = ()
     task: bool = False
     truth: Mapping[str, SX] = field(default_factory=dict)
     excess: tuple[Bounded, ...] = ()
+    driven: tuple[Driven, ...] = ()
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
-        terms = (*self.storage, *self.dissipation, *self.excess)
+        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven)
         pieces = [ca.SX(piece) for term in terms for piece in term.pieces]
-        consumes = [] if self.consumes is None else [self.consumes]
-        done = iter(transform([*pieces, ca.SX(self.supply), *consumes, *self.sigma]))
+        consumed = [] if self.consumes is None else [ca.SX(self.consumes.vector), ca.SX(self.consumes.c)]
+        done = iter(transform([*pieces, ca.SX(self.supply), *consumed, *map(ca.SX, self.pays)]))
 
         def rebuilt(term: Any) -> Any:
             return term.with_pieces([next(done) for _ in term.pieces])
@@ -330,9 +394,10 @@ class Certificate:
             storage=tuple(rebuilt(term) for term in self.storage),
             dissipation=tuple(rebuilt(term) for term in self.dissipation),
             excess=tuple(rebuilt(term) for term in self.excess),
+            driven=tuple(rebuilt(term) for term in self.driven),
             supply=next(done),
-            consumes=next(done) if consumes else None,
-            sigma=tuple(done),
+            consumes=Consumed(next(done), next(done)) if consumed else None,
+            pays=tuple(done),
             task=self.task,
             truth=self.truth,
         )

@@ -2,9 +2,38 @@ r"""Symmetric linear systems in field operations only, so that exact arithmetic 
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, final
 
 import casadi as ca
+
+from dmframe.naming import operation
+
+
+@final
+@dataclass(frozen=True)
+class Inverted:
+    """A symmetric matrix that has been inverted, and the pivots by which it was: all divisors of `solve_spd`."""
+
+    matrix: Any
+    pivots: tuple[Any, ...]
+
+
+_inverted: ContextVar[list[Inverted] | None] = ContextVar("inverted", default=None)
+
+
+@contextmanager
+def inverting() -> Iterator[list[Inverted]]:
+    """Collect the matrices that are inverted meanwhile: each has to stay positive definite."""
+    found = list[Inverted]()
+    token = _inverted.set(found)
+    try:
+        yield found
+    finally:
+        _inverted.reset(token)
 
 
 def ldl(A: Any) -> tuple[Any, list[Any]]:
@@ -32,6 +61,7 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     return L, d
 
 
+@operation
 def solve_spd(A: Any, b: Any) -> Any:
     r"""Solve :math:`A x = b` for a symmetric positive definite A, by :math:`L D L^\top` without a square root.
 
@@ -42,6 +72,9 @@ def solve_spd(A: Any, b: Any) -> Any:
     b : SX (n, columns)
     """
     L, d = ldl(A)
+    inverted = _inverted.get()
+    if inverted is not None:
+        inverted.append(Inverted(A, tuple(d)))
     n = A.shape[0]
     x = ca.SX(b)
     for i in range(n):

@@ -17,9 +17,10 @@ class Circle(AbstractBlock):
 
     .. math::
 
-        x_d(t) = c + r\,(e_1 \sin(\omega t + \varphi) + e_2 \cos(\omega t + \varphi))   \tag{1}
+        x_d = c + r\, (\sin(\omega t + \varphi),\, \cos(\omega t + \varphi))   \tag{1}
 
-    with :math:`e_1, e_2` the two axes of `plane`; a task of two coordinates has only the one plane.
+    with :math:`c = \mathrm{center}`, :math:`r = \mathrm{radius}`, :math:`\omega = \mathrm{rate}` and
+    :math:`\varphi = \mathrm{phase}`, in the two axes of `plane`; a task of two coordinates has only the one plane.
 
     Parameters
     ----------
@@ -54,7 +55,6 @@ class Circle(AbstractBlock):
         m = p.center.numel()
         first, second = ("xyz".index(axis) for axis in self.plane) if m == 3 else (0, 1)
         angle = p.rate * u.t + p.phase
-        x_d = ca.SX(p.center)
-        x_d[first] += p.radius * ca.sin(angle)
-        x_d[second] += p.radius * ca.cos(angle)
+        e = ca.DM.eye(m)
+        x_d = p.center + p.radius * (e[:, first] * ca.sin(angle) + e[:, second] * ca.cos(angle))
         return Equations(outputs={"x_d": x_d})

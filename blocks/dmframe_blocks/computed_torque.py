@@ -8,7 +8,8 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Square
+from dmframe.certificate import Assumption, Certificate, Condition, Driven, Square
+from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
@@ -19,19 +20,19 @@ class ComputedTorque(AbstractBlock):
 
     .. math::
 
-        \ddot q_{ref} &= \ddot q_d - 2 \bar\alpha\, \Delta\dot q - \bar\alpha^2 \Delta q   \tag{1} \\
-        s^\star       &= \Delta\dot q + \bar\alpha\, \Delta q                             \tag{2}
+        \ddot q_{ref} &= \ddot q_d - 2 \bar\alpha\, (\dot q - \dot q_d) - \bar\alpha^2 \Delta q   \tag{1} \\
+        s^\star       &= \dot q - \dot q_d + \bar\alpha\, \Delta q                           \tag{2}
 
     with :math:`\Delta q = q - q_d`, and :math:`\dot q_{ref} = \dot q` for the regressor:
 
     .. math::
 
         S &= \tfrac12 |s^\star|^2                                                                       \tag{3} \\
-        \dot S &= -\bar\alpha |s^\star|^2 + s^{\star\top} (\ddot q - \ddot q_{ref})                     \tag{4}
+        \dot S &= -\bar\alpha |s^\star|^2 + {s^\star}^\top (\ddot q - \ddot q_{ref})                     \tag{4}
 
     Parameters
     ----------
-    alpha : scalar, 1/s, > 0
+    alpha_bar : scalar, 1/s, > 0
         Rate at which the error decays once the estimates fit. Larger asks for more torque.
 
     References
@@ -53,7 +54,7 @@ class ComputedTorque(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("ddq", "n", "rad/s^2"), Port("direct"))
 
-    alpha: Scalar = Positive("", "1/s")
+    alpha_bar: Scalar = Positive("", "1/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
@@ -61,21 +62,23 @@ class ComputedTorque(AbstractBlock):
         return Equations(
             outputs={
                 "dq_ref": u.dq,
-                "ddq_ref": u.ddq_d - 2 * p.alpha * dq_err - p.alpha * p.alpha * q_err,
-                "s_star": dq_err + p.alpha * q_err,
+                "ddq_ref": u.ddq_d - 2 * p.alpha_bar * dq_err - p.alpha_bar * p.alpha_bar * q_err,
+                "s_star": dq_err + p.alpha_bar * q_err,
             }
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4) where the adaptation is direct; the indirect one stores no tracking error."""
+        outputs, q_err = self.equations(u, x, p).outputs, u.q - u.q_d
+        s_star = named("s_star", outputs["s_star"])
+        driven = (Driven((q_err,), ((-p.alpha_bar,),), (q_err,)),)
         if truth.direct.is_zero():
-            return Certificate()
-        outputs = self.equations(u, x, p).outputs
-        s_star = outputs["s_star"]
+            return Certificate(driven=driven)
         return Certificate(
-            storage=(Square("s_star", s_star, ca.SX(1)),),
-            dissipation=(Square("s_star", s_star, p.alpha),),
+            storage=(Square(s_star),),
+            dissipation=(Square(s_star, p.alpha_bar),),
             supply=ca.dot(s_star, truth.ddq - outputs["ddq_ref"]),
+            driven=driven,
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

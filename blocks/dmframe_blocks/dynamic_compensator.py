@@ -21,14 +21,14 @@ class DynamicCompensator(AbstractBlock):
     .. math::
 
         \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
+        \dot{\hat a}_d &= -\Gamma (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
     The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
     :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
-        S &= \tfrac12 \tilde a_d^\top \Gamma_d^{-1} \tilde a_d   \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}   \tag{3} \\
         \dot S &= -\sigma^\top Y_d \tilde a_d - e_f^\top Y_f \tilde a_d   \tag{4}
 
     Parameters
@@ -93,15 +93,8 @@ class DynamicCompensator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate(
-            "a_d_hat - a_d",
-            "a_d_hat - a_d_hat(0)",
-            x.a_d_hat,
-            truth.a_d,
-            start_of("a_d_hat", p, u.a_d_nominal),
-            1 / p.Gamma,
-        )
-        robust = law.terms([a_d], u.sigma, "sigma") + law.idle(u.sigma, effect, "Y_d (a_d_hat - a_d)")
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        robust = law.terms([a_d], u.sigma) + law.idle(u.sigma, effect)
         return Certificate(
             storage=(a_d.storage,),
             dissipation=robust.dissipation,

@@ -20,13 +20,13 @@ class FilteredAdaptation(AbstractBlock):
 
     .. math::
 
-        \dot{\hat a}_d = -\Gamma_d Y_f^\top e_f                  \tag{1}
+        \dot{\hat a}_d = -\Gamma Y_f^\top e_f                  \tag{1}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}              \tag{2} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}              \tag{2} \\
         \dot S &= -e_f^\top Y_f \tilde a_d                        \tag{3}
 
     Parameters
@@ -78,19 +78,12 @@ class FilteredAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        a_d = Estimate(
-            "a_d_hat - a_d",
-            "a_d_hat - a_d_hat(0)",
-            x.a_d_hat,
-            truth.a_d,
-            start_of("a_d_hat", p, u.a_d_nominal),
-            1 / p.Gamma,
-        )
-        robust = adaptation(p).terms([a_d], u.e_f, "e_f")
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        robust = adaptation(p).terms([a_d], u.e_f)
         return Certificate(
             storage=(a_d.storage,),
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.e_f, u.Y_f @ (x.a_d_hat - truth.a_d)),
-            truth={"direct": ca.SX(0)},
+            truth={"direct": 0},
         )

@@ -8,8 +8,9 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Certificate, Driven, Square
 from dmframe.errors import ValueFault
+from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import Port, State
 
@@ -18,30 +19,32 @@ from dmframe.port import Port, State
 class FilteredRegressor(AbstractBlock):
     r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
 
-    Both sides of the dynamics, divided by the servo's stiffness, pass the filter :math:`F = \lambda / (s + \lambda)`.
-    The acceleration goes by parts: with :math:`P a_d = M \dot q`, and :math:`C^\top \dot q = \partial(\tfrac12
-    \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
-    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`:
+    Both sides of the dynamics, divided by the servo's stiffness, pass a filter of first order, of the rate
+    :math:`\lambda = \mathrm{bandwidth}`. The acceleration goes by parts: with :math:`P a_d = M \dot q`, and
+    :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
+    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`.
+    Filtered, its regressor is :math:`Y_f = \lambda P + Y_z` with :math:`\dot Y_z = \lambda (R - Y_f)`, and with
+    :math:`W = \mathrm{weight}`:
 
     .. math::
 
-        Y_f &= F[Y_d(q, \dot q, \dot q, \ddot q)] = \lambda P + Y_z, \quad
-        \dot Y_z = \lambda (R - Y_f)                                                        \tag{1} \\
         \dot v_f &= \lambda (\dot q_c - \dot q - v_f), \quad
-        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{2} \\
-        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{3} \\
-        \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{4}
+        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{1} \\
+        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{2} \\
+        \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{3}
 
     products element by element. No torque is measured, and nothing is divided by an estimate: with
-    :math:`K_\star = K K_P` and :math:`b = K_I (i - q + q_c) / K_P`, the constant offset of the servo's integrator,
+    :math:`K_\star = K K_P`, the constant offset of the servo's integrator :math:`b = K_I (i - q + q_c) / K_P`, and the
+    errors :math:`\tilde a_d = \hat a_d - a_d`, :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P` and
+    :math:`\tilde b = \hat b - b`,
 
     .. math::
 
-        K_\star \epsilon = Y_f \tilde a_d + K_\star (\tilde w\, Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h,
-        \quad \dot h = -\lambda h                                                          \tag{5}
+        K_\star \epsilon &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
+        h &= Y_f a_d + K K_I q_f - K_\star v_f + K_\star b                                                  \tag{5}
 
-    h is what the filters forget of their start; it is zero here, where they start at rest. With a_d_hat, w and w_I
-    adapted by e_f and the regressors of (5):
+    h, of :math:`\dot h = -\lambda h`, is what the filters forget of their start; it is zero here, where they start at
+    rest. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
 
     .. math::
 
@@ -113,7 +116,7 @@ class FilteredRegressor(AbstractBlock):
         return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
+        """(1) to (3)."""
         if self.bias == (self.Gamma_b is not None):
             raise ValueFault(
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
@@ -127,7 +130,7 @@ class FilteredRegressor(AbstractBlock):
                 "Y_z": p.bandwidth * (self._rest(u, p) - Y_f),
                 "v_f": p.bandwidth * (u.dq_c - u.dq - x.v_f),
                 "q_f": p.bandwidth * (u.q - u.q_c - x.q_f),
-                "b_hat": ca.SX.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
+                "b_hat": ca.DM.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
             },
         )
 
@@ -137,7 +140,7 @@ class FilteredRegressor(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(6) and (7)."""
-        K_star, Y_f = truth.K * truth.K_P, self._filtered(u, x, p)
+        K_star, Y_f = named("K_star", truth.K * truth.K_P), self._filtered(u, x, p)
         error = self._error(Y_f, u, x)
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
@@ -145,15 +148,16 @@ class FilteredRegressor(AbstractBlock):
         if not self.bias:
             b_err = x.b_hat - offset / K_star
             h, explained = h + offset, explained - K_star * b_err
-            learned = (Square("b_hat - b", b_err, K_star / p.Gamma_b),)
+            learned = (Square(b_err, K_star / p.Gamma_b),)
         return Certificate(
-            storage=(Square("h", h, p.weight / (p.bandwidth * K_star)), *learned),
+            storage=(Square(h, p.weight / (p.bandwidth * K_star)), *learned),
             dissipation=(
-                Square("epsilon", error, p.weight * K_star / 2),
-                Square("epsilon - h/K_star", error - h / K_star, p.weight * K_star / 2),
-                Square("h", h, p.weight / (2 * K_star)),
+                Square(error, p.weight * K_star / 2),
+                Square(error - h / K_star, p.weight * K_star / 2),
+                Square(h, p.weight / (2 * K_star)),
             ),
             supply=ca.dot(p.weight * error, explained - h),
+            driven=tuple(Driven((ca.vec(f),), ((-p.bandwidth,),), (ca.vec(f),)) for f in (x.v_f, x.q_f, x.Y_z)),
         )
 
     def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:
@@ -166,13 +170,13 @@ class FilteredRegressor(AbstractBlock):
 
     def _momentum(self, u: Signals, p: Signals) -> SX:
         """P of P a_d = M dq."""
-        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        robot, zero = p.robot, ca.DM.zeros(p.robot.n)
         inertial = robot.regressor(u.q, zero, zero, u.dq) - robot.regressor(u.q, zero, zero, zero)
-        return ca.densify(ca.horzcat(inertial, ca.SX(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
+        return ca.densify(ca.horzcat(inertial, ca.DM(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
 
     def _rest(self, u: Signals, p: Signals) -> SX:
         """R of R a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
-        robot, zero = p.robot, ca.SX.zeros(p.robot.n)
+        robot, zero = p.robot, ca.DM.zeros(p.robot.n)
         energy = self._momentum(u, p)[:, : 10 * robot.n].T @ u.dq / 2
         columns = [robot.regressor(u.q, zero, zero, zero) - ca.jacobian(energy, u.q).T]
         if "viscous" in self.friction:
@@ -180,5 +184,5 @@ class FilteredRegressor(AbstractBlock):
         if "coulomb" in self.friction:
             columns.append(ca.diag(robot.coulomb(u.dq)))
         if self.bias:
-            columns.append(ca.SX.eye(robot.n))
+            columns.append(ca.DM.eye(robot.n))
         return ca.densify(ca.horzcat(*columns))

@@ -18,7 +18,7 @@ class FilteredRegulation(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} &= -K_2 y, \quad \sigma = \dot q - \dot q_{ref}      \tag{1} \\
+        \dot q_r     &= -K_2 y                                           \tag{1} \\
         \tau_{task}  &= -\alpha \hat J^\top \Delta x                      \tag{2} \\
         e_k          &= \Delta x = x - x_d                                \tag{3}
 
@@ -38,7 +38,8 @@ class FilteredRegulation(AbstractBlock):
 
     Notes
     -----
-    Not for: a goal that moves; see `observed_tracking`.
+    Not for: a goal that moves; see `observed_tracking`. A `pid_inverse` behind it ties the position, not the velocity:
+    its energy balance needs :math:`\dot q_{ref} = -K_2 y`.
 
     References
     ----------
@@ -50,11 +51,9 @@ class FilteredRegulation(AbstractBlock):
         Port("x", "m", "m"),
         Port("x_d", "m", "m"),
         Port("J_hat", "m n", "m/rad"),
-        Port("dq", "n", "rad/s"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
+        Port("dq_r", "n", "rad/s"),
         Port("tau_task", "n", "N m"),
         Port("e_k", "m", "m"),
     )
@@ -65,21 +64,14 @@ class FilteredRegulation(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), (2) and (3)."""
-        dq_ref, e_k = -p.K_2 * u.y, u.x - u.x_d
-        return Equations(
-            outputs={
-                "dq_ref": dq_ref,
-                "sigma": u.dq - dq_ref,
-                "tau_task": -p.alpha * (u.J_hat.T @ e_k),
-                "e_k": e_k,
-            }
-        )
+        e_k = u.x - u.x_d
+        return Equations(outputs={"dq_r": -p.K_2 * u.y, "tau_task": -p.alpha * (u.J_hat.T @ e_k), "e_k": e_k})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5)."""
         x_err = u.x - u.x_d
         return Certificate(
-            storage=(Square("x - x_d", x_err, p.alpha),),
+            storage=(Square(x_err, p.alpha),),
             supply=p.alpha * ca.dot(x_err, truth.dx),
             task=True,
             truth={"task_weight": p.alpha, "K_2": p.K_2},

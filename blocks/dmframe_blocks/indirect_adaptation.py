@@ -20,14 +20,14 @@ class IndirectAdaptation(AbstractBlock):
 
     .. math::
 
-        \epsilon &= Y_d(q, \dot q, \dot q, \ddot q)\, \hat a_d - \tau_d    \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d^\top \epsilon                      \tag{2}
+        \epsilon &= Y_d \hat a_d - \tau_d                \tag{1} \\
+        \dot{\hat a}_d &= -\Gamma Y_d^\top \epsilon    \tag{2}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}                                       \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}                                       \tag{3} \\
         \dot S &= -|\epsilon|^2 + \epsilon^\top (\epsilon - Y_d \tilde a_d)                \tag{4}
 
     Parameters
@@ -94,24 +94,17 @@ class IndirectAdaptation(AbstractBlock):
         """(3) and (4)."""
         law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
         epsilon = law.drive(error)
-        a_d = Estimate(
-            "a_d_hat - a_d",
-            "a_d_hat - a_d_hat(0)",
-            x.a_d_hat,
-            truth.a_d,
-            start_of("a_d_hat", p, u.a_d_nominal),
-            1 / p.Gamma,
-        )
-        robust = law.terms([a_d], error, "epsilon")
-        spent = Square("epsilon", error, ca.SX(1)) if law.width is None else self._beyond(error, law.width)
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        robust = law.terms([a_d], error)
+        spent = Square(error) if law.width is None else self._beyond(error, law.width)
         return Certificate(
             storage=(a_d.storage,),
             dissipation=(spent, *robust.dissipation),
             excess=robust.excess,
             supply=ca.dot(epsilon, error - u.Y_d @ (x.a_d_hat - truth.a_d)),
-            truth={"direct": ca.SX(0)},
+            truth={"direct": 0},
         )
 
     def _beyond(self, error: SX, width: SX) -> Lemma:
         """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
-        return Lemma("epsilon", width, error, ca.SX.zeros(error.shape[0]), width, "dead_zone")
+        return Lemma(width, error, ca.DM.zeros(error.shape[0]), width, "dead_zone")

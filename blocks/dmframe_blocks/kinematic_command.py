@@ -14,7 +14,7 @@ class KinematicCommand(AbstractBlock):
 
     .. math::
 
-        \dot q_c = \dot q_{ref}   \tag{1}
+        \dot q_c = \dot q_r   \tag{1}
 
     It has no certificate: that the servo follows is what it assumes.
 
@@ -31,9 +31,9 @@ class KinematicCommand(AbstractBlock):
     [WangTAC2020]_ Section V, the comparison.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"),)
+    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={"dq_c": u.dq_ref})
+        return Equations(outputs={"dq_c": u.dq_r})

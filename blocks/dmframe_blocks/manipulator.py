@@ -21,20 +21,22 @@ class Manipulator(AbstractBlock):
 
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + (1 - c)\, g(q) = K u, \quad x = f(q) \tag{1}
 
-    A maker's servo may already compensate a share c of gravity, and viscous friction :math:`B_m` of the joints' own
-    :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g` and :math:`B = B_0 - B_m`.
+    A maker's servo may already compensate a share :math:`c = \mathrm{maker\_gravity}` of gravity, and viscous friction
+    :math:`B_m` of the joints' own :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g`
+    and :math:`B = B_0 - B_m`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
-    is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
+    is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`, and the torque along the reference
+    :math:`\tau_r = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref} + D\, \phi(\dot q_{ref})
+    + (1 - c)\, g(q)`, which is :math:`Y_d a_d`:
 
     .. math::
 
-        S &= \tfrac12 \sigma^\top M \sigma   \tag{2} \\
-        \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
-                  - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
+        S &= \tfrac12 |\sigma|^2_{M(q)}   \tag{2} \\
+        \dot S &= \sigma^\top (K u - B \sigma - \tau_r)
+                  - (\dot q - \dot q_{ref})^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the
-    last term of (3) is not positive, since the friction does not decrease with velocity.
+    The last term of (3) is not positive, since the friction does not decrease with velocity.
 
     Parameters
     ----------
@@ -85,7 +87,7 @@ class Manipulator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         robot = p.robot
-        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.SX.zeros(robot.n), gravity_share=1 - p.maker_gravity)
+        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), gravity_share=1 - p.maker_gravity)
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
         ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
         return Equations(
@@ -106,17 +108,20 @@ class Manipulator(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
+        robot = p.robot
+        momentum = {"momentum": robot.mass_matrix(x.q) @ x.dq}
         if "sigma" not in truth:
-            return Certificate()
-        robot, sigma = p.robot, truth.sigma
+            return Certificate(truth=momentum)
+        sigma = truth.sigma
         share = 1 - p.maker_gravity
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, gravity_share=share)
         B = self._viscous(p)
         friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
         return Certificate(
-            storage=(Square("sigma", sigma, robot.mass_matrix(x.q)),),
-            dissipation=(Lemma("monotone friction", p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
+            storage=(Square(sigma, robot.mass_matrix(x.q)),),
+            dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
             supply=ca.dot(sigma, p.K * u.u - B * sigma - reference - friction),
+            truth=momentum,
         )
 
     def _viscous(self, p: Signals) -> SX:

@@ -17,10 +17,11 @@ class NullSpacePosture(AbstractBlock):
 
     .. math::
 
-        z = -k (q - q_0)   \tag{1}
+        \dot q_{null} = -k (q - q_0)   \tag{1}
 
-    The generator adds :math:`(I - \hat J^+ \hat J) z` to its reference velocity. With a scalar k that goes down the
-    slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not depend on z.
+    The generator adds :math:`(I - \hat J^+ \hat J) \dot q_{null}` to its reference velocity. With a scalar
+    k that goes down the slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not depend
+    on it.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ class NullSpacePosture(AbstractBlock):
 
     Notes
     -----
-    Not for: a robot with as many joints as task coordinates; it has no self-motion, and z has no effect.
+    Not for: a robot with as many joints as task coordinates; it has no self-motion, and this has no effect.
 
     References
     ----------
@@ -39,14 +40,14 @@ class NullSpacePosture(AbstractBlock):
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("z", "n", "rad/s"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_null", "n", "rad/s"),)
 
     k: Diagonal = Positive("n", "1/s")
     q_0: Diagonal = Real("n", "rad")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={"z": -p.k * (u.q - p.q_0)})
+        return Equations(outputs={"dq_null": -p.k * (u.q - p.q_0)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored: V does not see the self-motion."""

@@ -8,8 +8,9 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Condition, Inequality, Square
+from dmframe.certificate import Certificate, Condition, Consumed, Inequality, Square
 from dmframe.linalg import solve_spd
+from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
@@ -20,20 +21,21 @@ class ObservedTracking(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} &= \hat J^+ \dot x_d - \gamma \hat J^\top (x_o - x_d) + (I - \hat J^+ \hat J)\, z, \quad
-        \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}, \quad \sigma = \dot q - \dot q_{ref}     \tag{1} \\
+        \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top (x_o - x_d) + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
+        \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}                                   \tag{1} \\
         e_k &= \Delta x - \Delta x_o, \quad \Delta x = x - x_d, \quad \Delta x_o = x_o - x         \tag{2}
 
-    A redundant robot may move by :math:`z` as far as the observer does not notice: see `null_space_posture`. Nobody
-    needs to drive z.
+    A redundant robot may move by :math:`\dot q_{null}` as far as the observer does not notice: see
+    `null_space_posture`. Nobody needs to drive it.
 
-    With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x` it is a cascade on the servo level:
+    With :math:`a = \hat J^\top \Delta x_o`, :math:`b = \hat J^\top \Delta x`, :math:`s = \dot q - \dot q_r` it is a
+    cascade on the servo level:
 
     .. math::
 
         S &= \tfrac12 |\Delta x|^2   \tag{3} \\
         \dot S &= -(\tfrac34 \beta |a|^2 + \gamma a^\top b + \tfrac34 \gamma |b|^2)
-                  - \gamma |\tfrac12 b - \sigma/\gamma|^2 + \tfrac34 \beta |a|^2 + \tfrac1\gamma |\sigma|^2
+                  - \gamma |\tfrac12 b - s/\gamma|^2 + \tfrac34 \beta |a|^2 + \tfrac1\gamma |s|^2
                   - \Delta x^\top (\hat J \dot q - \dot x)   \tag{4}
 
     Parameters
@@ -52,42 +54,40 @@ class ObservedTracking(AbstractBlock):
         Port("x_d", "m", "m"),
         Port("dx_d", "m", "m/s", derivative_of="x_d"),
         Port("J_hat", "m n", "m/rad"),
+        Port("dq_null", "n", "rad/s", optional=True),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"), Port("e_k", "m", "m"))
+    truth: ClassVar[tuple[Port, ...]] = (
         Port("dq", "n", "rad/s"),
-        Port("z", "n", "rad/s", optional=True),
+        Port("dx", "m", "m/s"),
+        Port("beta", "", "rad^2/(m^2 s)"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
-        Port("e_k", "m", "m"),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("beta", "", "rad^2/(m^2 s)"))
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
-        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.z)
-        dq_ref = u.J_hat.T @ (forward - p.gamma * (u.x_o - u.x_d)) + u.z
-        return Equations(
-            outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref, "e_k": (u.x - u.x_d) - (u.x_o - u.x)},
-        )
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.dq_null)
+        dq_r = u.J_hat.T @ (forward - p.gamma * (u.x_o - u.x_d)) + u.dq_null
+        return Equations(outputs={"dq_r": dq_r, "e_k": (u.x - u.x_d) - (u.x_o - u.x)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        x_err, sigma = u.x - u.x_d, self.equations(u, x, p).outputs["sigma"]
+        x_err = u.x - u.x_d
+        s = named("s", truth.dq - self.equations(u, x, p).outputs["dq_r"])
         a, b = u.J_hat.T @ (u.x_o - u.x), u.J_hat.T @ x_err
-        one = ca.SX.eye(a.numel())
+        one = ca.DM.eye(a.numel())
         Q = ca.blockcat([[3 * truth.beta / 4 * one, p.gamma / 2 * one], [p.gamma / 2 * one, 3 * p.gamma / 4 * one]])
-        exchange = 3 * truth.beta / 4 * ca.dot(a, a) - ca.dot(x_err, u.J_hat @ u.dq - truth.dx)
+        exchange = 3 * truth.beta / 4 * ca.dot(a, a) - ca.dot(x_err, u.J_hat @ truth.dq - truth.dx)
         return Certificate(
-            storage=(Square("x - x_d", x_err, ca.SX(1)),),
+            storage=(Square(x_err),),
             dissipation=(
-                Square("(J_hat'(x_o - x), J_hat'(x - x_d))", ca.vertcat(a, b), Q),
-                Square("J_hat'(x - x_d)/2 - sigma/gamma", b / 2 - sigma / p.gamma, p.gamma),
+                Square(ca.vertcat(a, b), Q),
+                Square(b / 2 - s / p.gamma, p.gamma),
             ),
-            supply=ca.dot(sigma, sigma) / p.gamma + exchange,
-            consumes=1 / p.gamma,
-            truth={"task_weight": ca.SX(1)},
+            supply=exchange,
+            consumes=Consumed(s, 1 / p.gamma),
+            truth={"task_weight": 1},
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:

@@ -20,7 +20,7 @@ class PassiveFilter(AbstractBlock):
 
         \dot y = -K_1 y + K_1 \hat J^\top \Delta x, \quad \Delta x = x - x_d   \tag{1}
 
-    With :math:`K_2, \alpha` of `filtered_regulation`:
+    With :math:`K_2` and :math:`\alpha = \mathrm{task\_weight}` of `filtered_regulation`:
 
     .. math::
 
@@ -56,8 +56,8 @@ class PassiveFilter(AbstractBlock):
         """(2) and (3)."""
         alpha, K_2 = truth.task_weight, truth.K_2
         return Certificate(
-            storage=(Square("y", x.y, alpha * K_2 / p.K_1),),
-            dissipation=(Square("y", x.y, alpha * K_2),),
+            storage=(Square(x.y, alpha * K_2 / p.K_1),),
+            dissipation=(Square(x.y, alpha * K_2),),
             supply=alpha * ca.dot(x.y, K_2 * (u.J_hat.T @ (u.x - u.x_d))),
             task=True,
         )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Inequality
+from dmframe.certificate import Assumption, Certificate, Condition, Driven, Inequality
+from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -24,10 +24,10 @@ class PiTorqueInverse(AbstractBlock):
         \dot w   &= -\Lambda (\tau_d\, \epsilon + \tau_f e_f)         \tag{2} \\
         \dot w_I &= -\Lambda_I ((q - q_c)\, \epsilon + q_f e_f)       \tag{3}
 
-    products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a
-    `filtered_regressor`. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. The
-    servo's integrator starts anywhere; its constant offset :math:`i - (q - q_c)` acts as the torque
-    :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
+    products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a `filtered_regressor`.
+    Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P`, with
+    :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset :math:`i - (q - q_c)` acts as
+    the torque :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
 
     .. math::
 
@@ -102,24 +102,25 @@ class PiTorqueInverse(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5)."""
-        K_star = truth.K * truth.K_P
-        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_I = Estimate("w_I - K_I/K_P", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
+        K_star = named("K_star", truth.K * truth.K_P)
+        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_I = Estimate(x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
         w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
         effect = K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))
         filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
         law = adaptation(p)
-        robust = law.terms([w, w_I], u.epsilon, "epsilon")
-        robust += law.idle(u.epsilon, effect, "the inverse's torque error")
+        robust = law.terms([w, w_I], u.epsilon)
+        robust += law.idle(u.epsilon, effect)
         return Certificate(
             storage=(w.storage, w_I.storage),
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
+            driven=(Driven((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
             truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )
 
-    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+    def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """The distance from q to q_c in (1) decays while w_I stays above zero, which a box guarantees."""
         if "w_I_box" in p:
             return (Inequality("w_I_box: lower end > 0", p.w_I_box[:, 0], "Section IV, K_I-hat uniformly positive"),)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, final
+from typing import ClassVar, Literal, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Inequality, Square
+from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Driven, Inequality, Square
+from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -18,15 +19,21 @@ from dmframe.port import Access, Port, State
 class PidInverse(AbstractBlock):
     r"""Turns a reference velocity and a torque into the velocity command of a PID servo that nobody can open.
 
-    With :math:`e = q - q_r` and :math:`z = \int (q_c - q_r)`, products element by element:
+    With :math:`e = q - q_r` and :math:`\dot z = q_c - q_r`, products element by element:
 
     .. math::
 
-        \dot q_c &= \dot q_{ref} + w_P q_r + w \tau_{dc} - w_P q_c - w_I z, \quad
-        \dot q_r = \dot q_{ref} + K_c e                                   \tag{1} \\
-        \dot w   &= -\Lambda\, \tau_{dc} \sigma                           \tag{2} \\
-        \dot w_P &= \Lambda_P (q_c - q_r) \sigma                          \tag{3} \\
-        \dot w_I &= \Lambda_I z \sigma                                    \tag{4}
+        \dot q_{ref} &= \dot q_r - K_c e, \quad \sigma = \dot q - \dot q_{ref}                \tag{1} \\
+        \dot q_c &= \dot q_{ref} + w_P q_r + w \tau_{dc} - w_P q_c - w_I z              \tag{2} \\
+        \dot w   &= -\Lambda\, \tau_{dc} \sigma                           \tag{3} \\
+        \dot w_P &= \Lambda_P (q_c - q_r) \sigma                          \tag{4} \\
+        \dot w_I &= \Lambda_I z \sigma                                    \tag{5}
+
+    So the velocity reference is tied to the robot, eq. (32): what Section V runs, and what a cascade such as
+    `task_tracking` asks for, which then consumes :math:`|s|^2, s = \dot q - \dot q_r`. With ``tie: position`` the
+    reference position is tied instead, eq. (34), under a name of its own: :math:`\dot q_{ref} = \dot q_r` and
+    :math:`\dot q_{tie} = \dot q_r + K_c (q - q_{tie})` stands for :math:`q_r` everywhere. A passive filter
+    needs that one.
 
     True values: :math:`1/K_\star`, :math:`K_P/K_D`, :math:`K_I/K_D`, with :math:`K_\star = K K_D`. With the servo's
     integrator i, :math:`E = i + z`, :math:`s = \sigma - K_c e` and
@@ -37,14 +44,21 @@ class PidInverse(AbstractBlock):
         S &= \tfrac12 |e + K_c E|^2_{K K_I/K_c} + \tfrac12 |e|^2_{K \bar M + K K_c K_D + K_c B}
              + \tfrac12 |w - 1/K_\star|^2_{K_\star/\Lambda} \\
           &\quad + \tfrac12 |w_P - K_P/K_D|^2_{K_\star/\Lambda_P}
-             + \tfrac12 |w_I - K_I/K_D|^2_{K_\star/\Lambda_I}             \tag{5} \\
+             + \tfrac12 |w_I - K_I/K_D|^2_{K_\star/\Lambda_I}             \tag{6} \\
         \dot S &= -s^\top (K_\star + B) s - e^\top K \bar M K_c e
-             - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{6}
+             - \sigma^\top (K u - \tau_{dc} - B \sigma)                   \tag{7}
+
+    S does not weigh the command. With :math:`z_2 = q_c - q_r - M \dot q / K_\star`, the true gains drive
+
+    :math:`\dot z = z_2 + r_1` and :math:`\dot z_2 = -(K_I / K_D)\, z - (K_P / K_D)\, z_2 + r_2`,
+    and what is left, r, is bounded; so are :math:`z` and :math:`q_c - q_r`, whatever w_P and w_I do.
 
     Parameters
     ----------
     K_c : diagonal (n,), 1/s, > 0
-        Ties the reference to the measured pose. It must make M-bar positive; larger is safer and noisier.
+        Ties the reference to the measured pose. It must make M-bar positive, or zero; larger is safer and noisier.
+    tie : velocity or position
+        What is tied: the reference velocity, eq. (32), or the reference position, eq. (34).
     Lambda : diagonal (n,), > 0
         Adaptation gain of the scale w. Larger learns the servo's stiffness faster and passes more velocity noise.
     Lambda_P, Lambda_I : diagonal (n,), > 0
@@ -68,14 +82,19 @@ class PidInverse(AbstractBlock):
 
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
         Port("q_c", "n", "rad"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
+        Port("dq_r", "n", "rad/s"),
         Port("tau_dc", "n", "N m"),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("dq_ref", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+    )
     states: ClassVar[tuple[State, ...]] = (
-        State("q_r", "n", "rad"),
+        State("q_r", "n", "rad", optional=True),
+        State("q_tie", "n", "rad", optional=True),
         State("z", "n", "rad s"),
         State("w", "n", "rad/(N m s)", box="w_box"),
         State("w_P", "n", "1/s", box="w_P_box"),
@@ -89,9 +108,11 @@ class PidInverse(AbstractBlock):
         Port("B", "n", "N m s/rad"),
         Port("i", "n", "rad s"),
         Port("u", "n", "V"),
+        Port("momentum", "n", "N m s"),
     )
 
     K_c: Diagonal = Positive("n", "1/s")
+    tie: Literal["velocity", "position"] = "velocity"
     Lambda: Diagonal = Positive("n", "rad^2/(N^2 m^2 s)")
     Lambda_P: Diagonal = Positive("n", "1/(rad^2 s)")
     Lambda_I: Diagonal = Positive("n", "1/(rad^2 s^3)")
@@ -106,63 +127,80 @@ class PidInverse(AbstractBlock):
     dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
-        dq_c = u.dq_ref + x.w_P * x.q_r + x.w * u.tau_dc - x.w_P * u.q_c - x.w_I * x.z
-        law = adaptation(p)
-        sigma = law.drive(u.sigma)
+        """(1) to (5)."""
+        name, q_r, dq_ref = self._reference(u, x, p)
+        sigma, law = u.dq - dq_ref, adaptation(p)
+        drive = law.drive(sigma)
         return Equations(
-            outputs={"dq_c": dq_c},
+            outputs={
+                "dq_c": dq_ref + x.w_P * q_r + x.w * u.tau_dc - x.w_P * u.q_c - x.w_I * x.z,
+                "dq_ref": dq_ref,
+                "sigma": sigma,
+            },
             rates={
-                "q_r": u.dq_ref + p.K_c * (u.q - x.q_r),
-                "z": u.q_c - x.q_r,
-                "w": law.rate(-p.Lambda * u.tau_dc * sigma, x.w, p.w_0, u.sigma),
-                "w_P": law.rate(p.Lambda_P * (u.q_c - x.q_r) * sigma, x.w_P, p.w_P_0, u.sigma),
-                "w_I": law.rate(p.Lambda_I * x.z * sigma, x.w_I, p.w_I_0, u.sigma),
+                name: u.dq_r if self.tie == "velocity" else u.dq_r + p.K_c * (u.q - x.q_tie),
+                "z": u.q_c - q_r,
+                "w": law.rate(-p.Lambda * u.tau_dc * drive, x.w, p.w_0, sigma),
+                "w_P": law.rate(p.Lambda_P * (u.q_c - q_r) * drive, x.w_P, p.w_P_0, sigma),
+                "w_I": law.rate(p.Lambda_I * x.z * drive, x.w_I, p.w_I_0, sigma),
             },
         )
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The reference starts at the measured pose."""
-        return {"q_r": u.q}
+        return {"q_r" if self.tie == "velocity" else "q_tie": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(5) and (6)."""
+        """(6), (7) and (8)."""
         K, K_D, K_P, K_I, B = truth.K, truth.K_D, truth.K_P, truth.K_I, truth.B
-        K_star, M_bar = K * K_D, self._M_bar(p, truth)
-        e = u.q - x.q_r
-        E, s = truth.i + x.z, u.sigma - p.K_c * e
-        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_P = Estimate("w_P - K_P/K_D", "w_P - w_P(0)", x.w_P, K_P / K_D, p.w_P_0, K_star / p.Lambda_P)
-        w_I = Estimate("w_I - K_I/K_D", "w_I - w_I(0)", x.w_I, K_I / K_D, p.w_I_0, K_star / p.Lambda_I)
-        off = (w_P.value - w_P.truth) * (u.q_c - x.q_r) + (w_I.value - w_I.truth) * x.z
-        effect = K_star * ((w.value - w.truth) * u.tau_dc - off)
+        K_star, M_bar = named("K_star", K * K_D), self._M_bar(p, truth)
+        _, q_r, dq_ref = self._reference(u, x, p)
+        e, sigma, h = u.q - q_r, named("sigma", u.dq - dq_ref), u.q_c - q_r
+        s = named("s", u.dq - u.dq_r) if self.tie == "velocity" else sigma - p.K_c * e
+        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_P = Estimate(x.w_P, K_P / K_D, p.w_P_0, K_star / p.Lambda_P)
+        w_I = Estimate(x.w_I, K_I / K_D, p.w_I_0, K_star / p.Lambda_I)
+        effect = K_star * (w.error * u.tau_dc - w_P.error * h - w_I.error * x.z)
         law = adaptation(p)
-        robust = law.terms([w, w_P, w_I], u.sigma, "sigma") + law.idle(u.sigma, effect, "the inverse's torque error")
+        robust = law.terms([w, w_P, w_I], sigma) + law.idle(sigma, effect)
         return Certificate(
             storage=(
-                Square("q - q_r + K_c (i + z)", e + p.K_c * E, K * K_I / p.K_c),
-                Square("q - q_r", e, K * M_bar + K * p.K_c * K_D + p.K_c * B),
+                Square(e + p.K_c * (truth.i + x.z), K * K_I / p.K_c),
+                Square(e, K * M_bar + K * p.K_c * K_D + p.K_c * B),
                 w.storage,
                 w_P.storage,
                 w_I.storage,
             ),
-            dissipation=(
-                Square("dq - dq_r", s, K_star + B),
-                Square("q - q_r", e, K * M_bar * p.K_c),
-                *robust.dissipation,
-            ),
+            dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c), *robust.dissipation),
             excess=robust.excess,
-            sigma=(ca.SX(1), p.K_c),
-            supply=-ca.dot(u.sigma, K * truth.u - u.tau_dc - B * u.sigma),
+            pays=(1,) if self.tie == "velocity" else (1, p.K_c),
+            supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
+            driven=(
+                Driven(
+                    vectors=(x.z, h - truth.momentum / K_star),
+                    rates=((0, 1), (-K_I / K_D, -K_P / K_D)),
+                    bounded=(x.z, h),
+                    otherwise=self._otherwise(p),
+                ),
+            ),
         )
 
     def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """M-bar > 0, strictly, so that a cascade on top can be paid for; and (1) stable while w_P and w_I move."""
-        M_bar = Inequality("M_bar > 0", self._M_bar(p, truth), "Theorem 4 and Remark 5; strict for a cascade")
+        """M-bar is not negative; a cascade on a tied position asks for more, which its payment shows."""
+        return (Inequality("M_bar >= 0", self._M_bar(p, truth), "Theorem 4 and Remark 5", strict=False),)
+
+    def _reference(self, u: Signals, x: Signals, p: Signals) -> tuple[str, SX, SX]:
+        """The state that is the reference position, its value, and dq_ref."""
+        if self.tie == "velocity":
+            return "q_r", x.q_r, u.dq_r - p.K_c * (u.q - x.q_r)
+        return "q_tie", x.q_tie, u.dq_r
+
+    def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
+        """(2) itself is stable while w_P and w_I move in boxes that keep it so."""
         moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
         if "w_P_box" in p and "w_I_box" in p:
-            return (M_bar, CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"))
-        return (M_bar, Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"))
+            return (CommonLyapunov(moving, p.w_P_box, p.w_I_box, "eq. (43)"),)
+        return (Assumption(f"{moving} (give w_P_box and w_I_box to have it checked)", "eq. (43)"),)
 
     def _M_bar(self, p: Signals, truth: Signals) -> SX:
-        return (truth.K_D + truth.B / truth.K) * p.K_c + truth.K_P - truth.K_I / p.K_c
+        return named("M_bar", (truth.K_D + truth.B / truth.K) * p.K_c + truth.K_P - truth.K_I / p.K_c)

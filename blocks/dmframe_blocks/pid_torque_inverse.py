@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition
+from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition, Driven
+from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
 from dmframe.port import Access, Port, State
 
@@ -27,7 +27,8 @@ class PidTorqueInverse(AbstractBlock):
         \dot w_P &= \Lambda_P (q_c - q)\, \epsilon               \tag{3} \\
         \dot w_I &= \Lambda_I z\, \epsilon                       \tag{4}
 
-    True values: :math:`1/K_\star`, :math:`K_P/K_D`, :math:`K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
+    Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_P = w_P - K_P/K_D`,
+    :math:`\tilde w_I = w_I - K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
     integrator starts anywhere; its constant offset i + z acts as the torque :math:`-K K_I (i + z)`, which the
     regressor's bias column takes up.
 
@@ -105,24 +106,25 @@ class PidTorqueInverse(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""
-        K_star = truth.K * truth.K_D
-        w = Estimate("w - 1/K_star", "w - w(0)", x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_P = Estimate("w_P - K_P/K_D", "w_P - w_P(0)", x.w_P, truth.K_P / truth.K_D, p.w_P_0, K_star / p.Lambda_P)
-        w_I = Estimate("w_I - K_I/K_D", "w_I - w_I(0)", x.w_I, truth.K_I / truth.K_D, p.w_I_0, K_star / p.Lambda_I)
+        K_star = named("K_star", truth.K * truth.K_D)
+        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
+        w_P = Estimate(x.w_P, truth.K_P / truth.K_D, p.w_P_0, K_star / p.Lambda_P)
+        w_I = Estimate(x.w_I, truth.K_I / truth.K_D, p.w_I_0, K_star / p.Lambda_I)
         off = (w_P.value - w_P.truth) * (u.q - u.q_c) - (w_I.value - w_I.truth) * x.z
         effect = K_star * ((w.value - w.truth) * u.tau_d + off)
         law = adaptation(p)
-        robust = law.terms([w, w_P, w_I], u.epsilon, "epsilon")
-        robust += law.idle(u.epsilon, effect, "the inverse's torque error")
+        robust = law.terms([w, w_P, w_I], u.epsilon)
+        robust += law.idle(u.epsilon, effect)
         return Certificate(
             storage=(w.storage, w_P.storage, w_I.storage),
             dissipation=robust.dissipation,
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect),
+            driven=(Driven((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),),
             truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
 
-    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+    def _otherwise(self, p: Signals) -> tuple[Condition, ...]:
         """The distance from q to q_c in (1) decays while w_P and w_I move in boxes that keep it so."""
         moving = "z'' + w_P z' + w_I z = 0 stays exponentially stable"
         if "w_P_box" in p and "w_I_box" in p:

@@ -25,19 +25,13 @@ class Regressor(AbstractBlock):
         Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
 
-    The estimates may start at
-
-    .. math::
-
-        a_d^\ast = (\nu\, a_{inertia},\, 0,\, -\nu\, g(q))   \tag{2}
-
-    with the share :math:`\nu` that `nominal` says; the friction is unknown, and the bias is the gravity that the servo
-    holds at rest.
+    The estimates may start at the share `nominal` of the model's inertial parameters; the friction is unknown, and the
+    bias starts at the gravity that the servo holds at rest.
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes
-    the servo to compensate nothing.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; the start then
+    takes the servo to compensate nothing.
 
     Parameters
     ----------
@@ -93,7 +87,7 @@ class Regressor(AbstractBlock):
         """(1) and, if asked, (2)."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
         if self.gravity == "apart":
-            still = ca.SX(p.robot.n, 1)
+            still = ca.DM.zeros(p.robot.n)
             weight = p.robot.regressor(u.q, still, still, still)
             columns = [columns[0] - weight, weight[:, _heavy(p.robot.n)]]
         if "viscous" in self.friction:
@@ -101,14 +95,14 @@ class Regressor(AbstractBlock):
         if "coulomb" in self.friction:
             columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
         if self.bias:
-            columns.append(ca.SX.eye(p.robot.n))
+            columns.append(ca.DM.eye(p.robot.n))
         outputs = {"Y_d": ca.densify(ca.horzcat(*columns))}
         if "nominal" in p:
             n, frictions = p.robot.n, len(set(self.friction))
             held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
             heavy = [p.robot.inertia[_heavy(n)]] if self.gravity == "apart" else []
             inertia = p.nominal * ca.vertcat(p.robot.inertia, *heavy)
-            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.SX.zeros(frictions * n), *held)
+            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.DM.zeros(frictions * n), *held)
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

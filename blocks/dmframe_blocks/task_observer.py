@@ -8,7 +8,8 @@ from typing import ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Certificate, Consumed, Square
+from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port, State
 
@@ -19,15 +20,15 @@ class TaskObserver(AbstractBlock):
 
     .. math::
 
-        \dot x_o = \hat J \dot q_{ref} - \beta \hat J \hat J^\top \Delta x_o, \quad \Delta x_o = x_o - x   \tag{1}
+        \dot x_o = \hat J \dot q_r - \beta \hat J \hat J^\top \Delta x_o, \quad \Delta x_o = x_o - x   \tag{1}
 
-    With :math:`a = \hat J^\top \Delta x_o` it is a cascade, of which it consumes :math:`|\sigma|^2/\beta`; the part
-    :math:`\tfrac34 \beta |a|^2` of its dissipation is handed to the reference generator:
+    With :math:`a = \hat J^\top \Delta x_o` and :math:`s = \dot q - \dot q_r` it is a cascade, of which it consumes
+    :math:`|s|^2/\beta`; the part :math:`\tfrac34 \beta |a|^2` of its dissipation is handed to the reference generator:
 
     .. math::
 
         S &= \tfrac12 |\Delta x_o|^2   \tag{2} \\
-        \dot S &= -\beta |\tfrac12 a + \sigma/\beta|^2 - \tfrac34 \beta |a|^2 + \tfrac1\beta |\sigma|^2
+        \dot S &= -\beta |\tfrac12 a + s/\beta|^2 - \tfrac34 \beta |a|^2 + \tfrac1\beta |s|^2
                   + \Delta x_o^\top (\hat J \dot q - \dot x)   \tag{3}
 
     Parameters
@@ -43,22 +44,18 @@ class TaskObserver(AbstractBlock):
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("x", "m", "m"),
         Port("J_hat", "m n", "m/rad"),
-        Port("dq_ref", "n", "rad/s"),
+        Port("dq_r", "n", "rad/s"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("x_o", "m", "m"),)
     states: ClassVar[tuple[State, ...]] = (State("x_o", "m", "m"),)
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("dx", "m", "m/s"),
-        Port("dq", "n", "rad/s"),
-        Port("sigma", "n", "rad/s"),
-    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("dq", "n", "rad/s"))
 
     beta: Scalar = Positive("", "rad^2/(m^2 s)")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         back = u.J_hat.T @ (x.x_o - u.x)
-        return Equations(outputs={"x_o": x.x_o}, rates={"x_o": u.J_hat @ (u.dq_ref - p.beta * back)})
+        return Equations(outputs={"x_o": x.x_o}, rates={"x_o": u.J_hat @ (u.dq_r - p.beta * back)})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The measured position."""
@@ -66,13 +63,13 @@ class TaskObserver(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        x_o_err = x.x_o - u.x
-        a, sigma = u.J_hat.T @ x_o_err, truth.sigma
+        x_o_err, s = x.x_o - u.x, named("s", truth.dq - u.dq_r)
+        a = u.J_hat.T @ x_o_err
         exchange = ca.dot(x_o_err, u.J_hat @ truth.dq - truth.dx) - 3 * p.beta / 4 * ca.dot(a, a)
         return Certificate(
-            storage=(Square("x_o - x", x_o_err, ca.SX(1)),),
-            dissipation=(Square("J_hat'(x_o - x)/2 + sigma/beta", a / 2 + sigma / p.beta, p.beta),),
-            supply=ca.dot(sigma, sigma) / p.beta + exchange,
-            consumes=1 / p.beta,
+            storage=(Square(x_o_err),),
+            dissipation=(Square(a / 2 + s / p.beta, p.beta),),
+            supply=exchange,
+            consumes=Consumed(s, 1 / p.beta),
             truth={"beta": p.beta},
         )

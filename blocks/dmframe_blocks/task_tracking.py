@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import ClassVar, final
 
-import casadi as ca
-
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Square
+from dmframe.certificate import Certificate, Consumed, Square
 from dmframe.linalg import solve_spd
+from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
@@ -20,20 +18,19 @@ class TaskTracking(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} &= J^+ \dot x_d - \gamma J^\top (x - x_d) + (I - J^+ J)\, z, \quad
-                        J^+ = J^\top (J J^\top)^{-1}                                \tag{1} \\
-        \sigma       &= \dot q - \dot q_{ref}                                       \tag{2}
+        \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top (x - x_d) + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
+                    \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}           \tag{1}
 
-    A redundant robot may move by :math:`z` as far as its tool does not notice, :math:`J (I - J^+ J) = 0`: see
-    `null_space_posture`. Nobody needs to drive z.
+    A redundant robot may move by :math:`\dot q_{null}` as far as its tool does not notice,
+    :math:`\hat J (I - \hat J^+ \hat J) = 0`: see `null_space_posture`. Nobody needs to drive it.
 
-    With :math:`\Delta x = x - x_d` and :math:`b = J^\top \Delta x` it is a cascade on the servo level, of which it
-    consumes :math:`|\sigma|^2 / \gamma`:
+    With :math:`\Delta x = x - x_d`, :math:`b = \hat J^\top \Delta x` and :math:`s = \dot q - \dot q_r` it is a cascade
+    on the servo level, of which it consumes :math:`|s|^2 / \gamma`:
 
     .. math::
 
-        S &= \tfrac12 |\Delta x|^2   \tag{3} \\
-        \dot S &= - \tfrac34 \gamma |b|^2 - \gamma |\tfrac12 b - \sigma / \gamma|^2 + \tfrac1\gamma |\sigma|^2 \tag{4}
+        S &= \tfrac12 |\Delta x|^2   \tag{2} \\
+        \dot S &= - \tfrac34 \gamma |b|^2 - \gamma |\tfrac12 b - s / \gamma|^2 + \tfrac1\gamma |s|^2 \tag{3}
 
     Parameters
     ----------
@@ -54,34 +51,28 @@ class TaskTracking(AbstractBlock):
         Port("x_d", "m", "m"),
         Port("dx_d", "m", "m/s", derivative_of="x_d"),
         Port("J_hat", "m n", "m/rad"),
-        Port("dq", "n", "rad/s"),
-        Port("z", "n", "rad/s", optional=True),
+        Port("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_ref", "n", "rad/s"), Port("sigma", "n", "rad/s"))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
-        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.z)
-        dq_ref = u.J_hat.T @ (forward - p.gamma * (u.x - u.x_d)) + u.z
-        return Equations(outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref})
+        """(1)."""
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.dq_null)
+        return Equations(outputs={"dq_r": u.J_hat.T @ (forward - p.gamma * (u.x - u.x_d)) + u.dq_null})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(3) and (4); of the supply, dx is J dq."""
+        """(2) and (3); dx is J dq."""
         x_err = u.x - u.x_d
-        sigma = self.equations(u, x, p).outputs["sigma"]
+        s = named("s", truth.dq - self.equations(u, x, p).outputs["dq_r"])
         b = u.J_hat.T @ x_err
         return Certificate(
-            storage=(Square("x - x_d", x_err, ca.SX(1)),),
+            storage=(Square(x_err),),
             dissipation=(
-                Square("J'(x - x_d)", b, 3 * p.gamma / 4),
-                Square("J'(x - x_d)/2 - sigma/gamma", b / 2 - sigma / p.gamma, p.gamma),
+                Square(b, 3 * p.gamma / 4),
+                Square(b / 2 - s / p.gamma, p.gamma),
             ),
-            supply=ca.dot(sigma, sigma) / p.gamma,
-            consumes=1 / p.gamma,
+            consumes=Consumed(s, 1 / p.gamma),
         )
-
-    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
-        """(1) needs the inverse of J J'."""
-        return (Assumption("the Jacobian keeps full row rank along the motion, uniformly", "eq. (30)"),)

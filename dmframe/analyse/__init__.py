@@ -1,4 +1,4 @@
-"""Linear analysis: the servo as transfer functions, poles of the loop, and how slow its clock may be."""
+"""Linear analysis: the servo as transfer functions, poles of the loop, how slow its clock may be, the least K_c."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from dmframe.analyse.rational import Passivity, Rational, passivity, transfer
 from dmframe.analyse.servo import JointLoop, Margins, margins, servo_transfer
 from dmframe.analyse.set_point import equilibrium, frozen, true_values
 from dmframe.analyse.summary import Analysis, analyse, summary
+from dmframe.analyse.tie import TieGain, least_K_c, tie_gains
 
 __all__ = [
     "Analysis",
@@ -23,11 +24,13 @@ __all__ = [
     "RankRegion",
     "Rational",
     "StablePeriods",
+    "TieGain",
     "analyse",
     "bode_svg",
     "equilibrium",
     "frozen",
     "largest_stable_period",
+    "least_K_c",
     "linearise",
     "linearised_period",
     "margins",
@@ -40,6 +43,7 @@ __all__ = [
     "simulated_period",
     "summary",
     "tick_jacobian",
+    "tie_gains",
     "transfer",
     "true_values",
 ]

@@ -23,6 +23,9 @@ from dmframe.port import Access, Side
 
 Array = NDArray[np.float64]
 
+TORQUE: Final = "tau_dc"
+FREE: Final = "dq_r"
+REFERENCE: Final = "dq_ref"
 SPEED: Final = "dq"
 COMMAND: Final = "dq_c"
 VOLTAGE: Final = "u"
@@ -164,7 +167,7 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
 def _inverse(diagram: Diagram, servo: str) -> str | None:
     """The controller's block that commands the servo, if it adapts to it and takes a sliding variable's torque.
 
-    The inverse of a user's torque, in the torque-based framework, has no port (sigma, tau_dc) to be passive at.
+    The inverse of a user's torque, in the torque-based framework, has no sliding variable to be passive at.
     """
     source = diagram.sources[servo, COMMAND]
     if not isinstance(source, Wire):
@@ -172,7 +175,8 @@ def _inverse(diagram: Diagram, servo: str) -> str | None:
     block: AbstractBlock = diagram.blocks[source.block]
     commands = any(port.name == source.port and port.access is Access.COMMANDED for port in block.outputs)
     adapts = any(label.startswith(f"{source.block}.") for label in true_values(diagram))
-    passive = {"tau_dc", "sigma"} <= diagram.models[source.block].inputs.keys()
+    model = diagram.models[source.block]
+    passive = {TORQUE, FREE} <= model.inputs.keys() and REFERENCE in model.equations.outputs
     return source.block if commands and adapts and passive else None
 
 
@@ -228,7 +232,7 @@ def _system(
 def _inverse_transfer(diagram: Diagram, inverse: str, j: int) -> Rational:
     """dq_c for tau_dc, q_c being the integral of dq_c, as every servo here reports it."""
     moving, truth = _inverse_states(diagram, inverse)
-    part = _system(diagram.models[inverse], ["q_c", "tau_dc"], [COMMAND], moving, truth, j)
+    part = _system(diagram.models[inverse], ["q_c", TORQUE], [COMMAND], moving, truth, j)
     size = len(moving) + 1
     A = np.block([[part.A, part.B[:, :1]], [part.C, part.D[:, :1]]])
     b = np.concatenate([part.B[:, 1], part.D[0, 1:]])
@@ -247,7 +251,7 @@ def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, visc
     moving, truth = _inverse_states(diagram, inverse)
     model, plant = diagram.models[inverse], diagram.models[servo]
     maker = list(plant.states)
-    top = _system(model, ["q", "q_c"], [COMMAND], moving, truth, j)
+    top = _held(_system(model, ["q", "q_c", FREE], [COMMAND, REFERENCE], moving, truth, j))
     low = _system(plant, ["q", SPEED, COMMAND], [VOLTAGE], maker, {}, j)
     n, m = len(moving), len(maker)
     size = n + m + 1  # the inverse's states, the servo's, q
@@ -264,6 +268,18 @@ def _port(diagram: Diagram, servo: str, inverse: str, j: int, motor: float, visc
     c = (_rows(low.C, n, size) + low.D[:, :1] * q + low.D[:, 2:] @ command)[0]
     H = transfer(A, b, c, float(low.D[0, 1])).scaled(-motor)
     return Rational(np.asarray(np.polyadd(H.num, viscous * H.den), dtype=float), H.den)
+
+
+def _held(free: _System) -> _System:
+    """The system with its last output held at zero by its last input."""
+    share = -1 / free.D[-1, -1]
+    row, feed = share * free.C[-1:], share * free.D[-1:, :-1]
+    return _System(
+        free.A + free.B[:, -1:] @ row,
+        free.B[:, :-1] + free.B[:, -1:] @ feed,
+        free.C[:-1] + free.D[:-1, -1:] @ row,
+        free.D[:-1, :-1] + free.D[:-1, -1:] @ feed,
+    )
 
 
 def _rows(block: Array, first: int, size: int) -> Array:

@@ -149,8 +149,15 @@ def rates(loop: ClosedLoop) -> Any:
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
-    """An expression of the loop as a function of (state, p), the trajectories frozen, the projections acting."""
+    """An expression of the loop as a function of (state, p), the trajectories frozen, the projections acting.
+
+    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
+    """
     (joined,) = project(loop, loop.joined([expression]))
     leaves = stack(leaf.symbol for leaf in loop.trajectories)
     held = ca.substitute(joined, leaves, stack(leaf.expression for leaf in loop.trajectories))
+    if symbols_in([held]) & hashes(loop.time):
+        reads = [v.label for v in variables(loop) if symbols_in(loop.joined([v.rate])) & hashes(loop.time)]
+        where = ", ".join(f"d {label}/dt" for label in reads) or name
+        raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
     return ca.Function(name, [loop.state, loop.p], [ca.cse(held)])

@@ -3,45 +3,34 @@ r"""What a diagram claims: V, dV/dt, and the residual that must vanish identical
 The blocks on the servo level have the weight kappa, a cascade on top of them the weight 1:
 
     V = kappa (S_1 + S_2 + ...) + S_cascade,
-    dV/dt = -kappa (d_1 + d_2 + ...) - d_cascade + c |sigma|^2 + (terms of the projection lemma)
+    dV/dt = -kappa (d_1 + d_2 + ...) - d_cascade + c |a|^2 + (terms of the projection lemma)
             + (bounded terms that a robust adaptation leaves),
 
-with kappa a free symbol; without a cascade kappa is 1. dV/dt is differentiated along the rates of the same
-`ClosedLoop` that a run integrates; the desired trajectories and all their derivatives are free symbols.
+with a what the cascade consumes and kappa a free symbol; without a cascade kappa is 1. dV/dt is differentiated along
+the rates of the same `ClosedLoop` that a run integrates; the desired trajectories and all their derivatives are free
+symbols.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, final
 
 import casadi as ca
+import numpy as np
 
-from dmframe.certificate import (
-    MONOTONE,
-    SX,
-    Certificate,
-    Clipped,
-    Dissipated,
-    Gathered,
-    Lemma,
-    NormSquare,
-    Square,
-    Stored,
-)
+from dmframe.certificate import SX, Certificate, Dissipated
+from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.view import view
-from dmframe.errors import BlockError, DmframeError, nearest
+from dmframe.diagram.truths import Stated, conflicts
+from dmframe.diagram.view import owners_of, view
+from dmframe.errors import BlockError
 from dmframe.port import Side
-
-
-@final
-class NotApplicableError(DmframeError):
-    """A diagram that makes no claim: a block without a certificate, or a truth that nobody knows."""
 
 
 @final
@@ -68,8 +57,19 @@ class Part:
 
     @property
     def paying(self) -> tuple[Dissipated, ...]:
-        """The dissipated squares of which sigma is composed, in the block that pays for a cascade."""
-        return self.certificate.dissipation[: len(self.certificate.sigma)]
+        """The dissipated squares with which the block pays for a cascade."""
+        return self.certificate.dissipation[: len(self.certificate.pays)]
+
+    @property
+    def composed(self) -> SX:
+        """What the block pays for, composed of what it dissipates."""
+        shares = zip(self.certificate.pays, self.paying, strict=True)
+        return sum((share * term.pieces[0] for share, term in shares), ca.SX(0))
+
+    @property
+    def consumption(self) -> SX:
+        """C |a|^2, which the servo level pays."""
+        return ca.SX(0) if self.certificate.consumes is None else self.certificate.consumes.value
 
     @property
     def excess(self) -> SX:
@@ -78,8 +78,9 @@ class Part:
 
     @property
     def residual(self) -> SX:
-        """dS/dt - supply + dissipation - excess - lemma: what the block's own claim says is zero."""
-        return self.rate - self.certificate.supply + self.dissipation - self.excess - self.lemma
+        """dS/dt - supply + dissipation - consumption - excess - lemma: zero, as the block claims."""
+        gained = self.certificate.supply + self.consumption + self.excess + self.lemma
+        return self.rate + self.dissipation - gained
 
 
 @final
@@ -93,18 +94,15 @@ class Claim:
         The blocks with a certificate, in the order of the graph.
     kappa
         The weight of the servo level: a symbol, or 1 without a cascade.
-    sigma
-        The sliding variable, where a cascade consumes.
     truths
-        True values of estimates, by name.
+        True values of estimates that certificates state, by block and name.
     """
 
     diagram: Diagram
     loop: ClosedLoop
     parts: tuple[Part, ...]
     kappa: SX
-    sigma: SX
-    truths: Mapping[str, SX]
+    truths: Stated
 
     @property
     def cascaded(self) -> bool:
@@ -127,15 +125,49 @@ class Claim:
 
     @property
     def consumption(self) -> SX:
-        """C |sigma|^2, which the servo level pays."""
-        c = [part.certificate.consumes for part in self.parts if part.certificate.consumes is not None]
-        return total(c) * ca.dot(self.sigma, self.sigma)
+        """What all cascades consume together."""
+        return total([part.consumption for part in self.parts])
+
+    @cached_property
+    def payments(self) -> tuple[tuple[Part, Part | None], ...]:
+        """Each block that consumes, with the one that pays for it; none where nobody could."""
+        return tuple((part, self._payer(part)) for part in self.parts if part.certificate.consumes is not None)
+
+    def _payer(self, consumer: Part) -> Part | None:
+        """Of several that might pay, the one that composes what is consumed; the exact test has the last word."""
+        assert consumer.certificate.consumes is not None
+        wanted = consumer.certificate.consumes.vector
+        able = [part for part in self.parts if part.certificate.pays and part.composed.shape == wanted.shape]
+        if len(able) < 2:
+            return able[0] if able else None
+        differences = [ca.norm_inf(part.composed - wanted) for part in able]
+        symbols = stack(ca.symvar(ca.vertcat(*differences)))
+        point = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
+        sizes = ca.Function("differences", [symbols], [ca.vertcat(*differences)])(point).full().ravel()
+        return able[int(np.nanargmin(sizes))]
 
     @property
     def residual(self) -> SX:
         """dV/dt + dissipation - excess - consumption - lemma terms: zero, if the claim is true."""
         own = [self.weight(part) * (part.rate + part.dissipation - part.excess - part.lemma) for part in self.parts]
         return total(own) - self.consumption
+
+
+def labelled(name: str, certificate: Certificate) -> Certificate:
+    """Interim."""
+
+    def told(role: str, terms: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(replace(term, of=f"{name}.{str(term.pieces[0])[:30]}") for k, term in enumerate(terms))
+
+    return replace(
+        certificate,
+        storage=told("S", certificate.storage),
+        dissipation=told("d", certificate.dissipation),
+        excess=told("e", certificate.excess),
+        driven=tuple(
+            replace(d, of=tuple(f"{name}.driven{k}" for k in range(len(d.bounded)))) for d in certificate.driven
+        ),
+    )
 
 
 def total(items: Sequence[SX]) -> SX:
@@ -157,7 +189,7 @@ def claim_of(diagram: Diagram) -> Claim:
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, _sigma(diagram, loop) if cascades else ca.SX(0), truths)
+    return Claim(diagram, loop, parts, kappa, truths)
 
 
 @final
@@ -187,8 +219,8 @@ class Field:
 
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
-        _check_form(name, certificate)
-        joined = certificate.mapped(self.loop.joined)
+        check_form(name, certificate)
+        joined = labelled(name, certificate.mapped(self.loop.joined))
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
@@ -204,6 +236,13 @@ class Field:
         if not pairs:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
+
+    def second(self, expression: SX) -> SX | None:
+        """The second derivative; None where the first holds a projection's correction, which may jump."""
+        first = self.derivative(expression)
+        if symbols_in([first]) & hashes(stack(item.correction for item in self.loop.projections)):
+            return None
+        return self.derivative(first)
 
     def _projections(self, name: str, storage: SX) -> list[Projection]:
         """Of the block's own states. What another block stores may move with them too, as sigma does through dq_ref:
@@ -227,33 +266,45 @@ class Field:
         )
 
 
-def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], dict[str, SX]]:
-    """Every block's certificate; those that need another block's truth come after it."""
-    waiting = [name for name, block in diagram.blocks.items() if block.side is not Side.SOURCE]
-    found, truths = dict[str, Certificate](), dict[str, SX]()
-    faults = dict[str, str]()
+def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
+    """Every block's certificate, each made of the true values that all the others state."""
+    sides = (Side.PLANT, Side.CONTROLLER)  # the plant first, so that the others can read what its certificates say
+    everyone = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
+    waiting, rounds = everyone, 0
+    found, stated, read = dict[str, Certificate](), dict[str, Mapping[str, SX]](), dict[str, Mapping[str, str]]()
     while waiting:
-        later = []
+        faults = dict[str, str]()
         for name in waiting:
             try:
-                certificate = _certificate(diagram, name, truths)
+                certificate, read[name] = _certificate(diagram, name, stated)
             except BlockError as error:
                 faults[name] = error.text
-                later.append(name)
                 continue
             if certificate is None:
                 raise NotApplicableError(f"{name}: a {diagram.type_of(name)} has no certificate")
             found[name] = certificate
-            truths |= certificate.truth
-        if len(later) == len(waiting):
-            raise NotApplicableError("; ".join(faults[name] for name in later))
-        waiting = later
-    return {name: found[name] for name in diagram.blocks if name in found}, truths
+            stated[name] = {key: ca.SX(value) for key, value in certificate.truth.items()}
+        # who came early may have taken another block's value for its own, which had not stated it yet
+        early = [name for name in everyone if name not in faults and _owners(diagram, name, stated) != read[name]]
+        rounds += 1
+        if list(faults) == waiting or rounds > 2 * len(everyone):
+            raise NotApplicableError("; ".join(faults.values()) or f"the truth of {', '.join(early)} does not settle")
+        waiting = [*faults, *early]
+    for text in conflicts(diagram, stated):
+        raise NotApplicableError(text)
+    return {name: found[name] for name in diagram.blocks if name in found}, stated
 
 
-def _certificate(diagram: Diagram, name: str, truths: Mapping[str, SX]) -> Certificate | None:
+def _owners(diagram: Diagram, name: str, stated: Stated) -> Mapping[str, str]:
+    try:
+        return owners_of(diagram, name, stated)
+    except BlockError as error:
+        raise NotApplicableError(error.text) from None
+
+
+def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certificate | None, Mapping[str, str]]:
     known = len(diagram.resolver.faults)
-    seen = view(diagram, name, truths)
+    seen = view(diagram, name, stated)
     if faults := diagram.resolver.faults[known:]:  # a truth that would need what cannot be had
         del diagram.resolver.faults[known:]
         raise NotApplicableError(f"{name}: {faults[0].text}")
@@ -261,64 +312,7 @@ def _certificate(diagram: Diagram, name: str, truths: Mapping[str, SX]) -> Certi
         certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
     if certificate is not None and not isinstance(certificate, Certificate):
         raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
-    return certificate
+    return certificate, seen.owners
 
 
-def _check_form(name: str, certificate: Certificate) -> None:
-    """Hold a certificate to the shapes that the conditions decide on; raises `NotApplicableError`."""
-    for text in _ill_formed(certificate):
-        raise NotApplicableError(f"{name}: {text}")
-
-
-def _ill_formed(certificate: Certificate) -> Iterator[str]:
-    terms = certificate.dissipation
-    if not all(isinstance(term, Stored) for term in certificate.storage):
-        yield "expected each term of the storage to be a Square or Gathered; nothing else is known to be positive"
-    if not all(isinstance(term, Dissipated) for term in terms):
-        yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
-    if not all(isinstance(term, Square | NormSquare | Clipped) for term in certificate.excess):
-        yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
-    for term in (*certificate.storage, *terms, *certificate.excess):
-        pieces = [ca.SX(piece) for piece in term.pieces]
-        if isinstance(term, Lemma) and term.phi not in MONOTONE:
-            yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
-        if not _fits(term, pieces):
-            yield f"{term.of}: expected columns of one length, or a square matrix of weights, found other shapes"
-    for what, value in (("supply", certificate.supply), ("consumes", certificate.consumes)):
-        if value is not None and not ca.SX(value).is_scalar():
-            yield f"expected a scalar {what}, found {ca.SX(value).shape[0]} x {ca.SX(value).shape[1]}"
-    if certificate.sigma:
-        if certificate.consumes is not None:
-            yield "a cascade consumes and cannot pay; expected one of consumes and sigma"
-        paying = terms[: len(certificate.sigma)]
-        if len(certificate.sigma) > len(terms):
-            yield f"sigma has {len(certificate.sigma)} shares, expected one for each of {len(terms)} dissipated squares"
-        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
-            yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
-
-
-def _fits(term: object, pieces: Sequence[SX]) -> bool:
-    """Columns of one length or scalars; some terms have a matrix of weights, or a vector of another length."""
-    if isinstance(term, Gathered):
-        vector, weight, memory, regressor, by, forgetting = pieces
-        rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
-        fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
-        return bool(scalars and fits)
-    if isinstance(term, NormSquare):
-        return pieces[2].is_column() and _columns(pieces[:2])
-    if isinstance(term, Square):
-        rows = pieces[0].shape[0]
-        return pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
-    return _columns(pieces)
-
-
-def _columns(pieces: Sequence[SX]) -> bool:
-    rows = max(piece.shape[0] for piece in pieces)
-    return all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)
-
-
-def _sigma(diagram: Diagram, loop: ClosedLoop) -> SX:
-    for signal in loop.outputs:
-        if signal.name == "sigma":
-            return loop.joined([signal.expression])[0]
-    raise NotApplicableError("a cascade consumes |sigma|^2, and no block has an output sigma")
+__all__ = ["Claim", "Field", "NotApplicableError", "Part", "claim_of", "total"]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import partial
-from typing import final
 
 import casadi as ca
 
@@ -22,147 +20,64 @@ from dmframe.certificate import (
     Square,
     Stored,
 )
-from dmframe.certify.claim import Claim, NotApplicableError, Part, total
-from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled, pivots
+from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
+from dmframe.certify.claim import Claim, NotApplicableError, Part
+from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
+from dmframe.certify.payment import payment_conditions
+from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
-from dmframe.certify.symbols import exact_values
-from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in, told_by
+from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, ValueFault
-from dmframe.exact.rational import Interval, evaluate
-from dmframe.port import Side
+from dmframe.errors import BlockError
+from dmframe.exact.rational import as_float
 
 SIGNS = "V is positive, dV/dt not"
 
 
-@final
-@dataclass(frozen=True)
-class Checked:
-    """A condition with its margin.
-
-    Parameters
-    ----------
-    value
-        The least value that must be positive; the margin. None where it could not be computed.
-    how
-        How it was decided: ``exact``; ``sampled``; or ``undecided``, which never holds.
-    """
-
-    name: str
-    expression: str
-    value: float | None
-    holds: bool
-    source: str
-    how: str = "exact"
-
-
-@final
-@dataclass(frozen=True)
-class Kappa:
-    """The weight of the servo level: above `least`, the servo level pays for the cascade; `chosen` is twice that."""
-
-    least: Fraction
-    chosen: Fraction
-
-
-def conditions_of(claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
-    numbers = Numbers(claim, uncertain)
+    checked, assumed = decide(list(_stated(claim)), numbers)
+    checked += _weights(claim, numbers)
+    assumed += dict.fromkeys(_memories(claim))
+    inside, unknown = projection_conditions(claim, numbers)
+    checked, assumed = [*checked, *inside], [*assumed, *unknown]
+    matrices = list(dict.fromkeys(_matrices(claim, numbers)))
+    checked += matrices
+    if any(item.how == "sampled" for item in matrices):
+        assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
+    if claim.cascaded:
+        checked += payment_conditions(claim, numbers)
+    return checked, assumed
+
+
+def decide(stated: Sequence[tuple[str, Condition]], numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """Conditions, each with the block that states it: those that numbers decide, and those that are assumed."""
     checked, assumed = list[Checked](), list[Assumption]()
-    for name, condition in _stated(claim):
+    for name, condition in stated:
         if isinstance(condition, Assumption):
             assumed.append(condition)
         elif isinstance(condition, CommonLyapunov):
             checked.append(_stable(name, condition, numbers))
         else:
             checked.append(_inequality(name, condition, numbers))
-    checked += _weights(claim, numbers)
-    assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = _sets(claim, numbers)
-    checked, assumed = [*checked, *inside], [*assumed, *unknown]
-    matrices = list(_matrices(claim, numbers))
-    checked += matrices
-    if any(item.how == "sampled" for item in matrices):
-        assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
-    if claim.cascaded:
-        checked.append(_payment(claim, numbers))
     return checked, assumed
 
 
 def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
     """The conditions that blocks state. Raises `NotApplicableError` where a block cannot state its own."""
     for name, block in claim.diagram.blocks.items():
-        if block.side is not Side.SOURCE:
-            seen = view(claim.diagram, name, claim.truths)
-            try:
-                with told_by(name, "conditions()"):
-                    yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
-            except BlockError as error:
-                raise NotApplicableError(error.text) from None
-
-
-@final
-class Numbers:
-    """Exact values of expressions in parameters alone, at the graph's numbers or over its intervals."""
-
-    def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
-        self.claim = claim
-        values: dict[str, Sequence[Number]] = dict(exact_values(claim.diagram))
-        self.values = values | dict(uncertain)
-        self._p = claim.loop.parameters
-
-    @property
-    def known(self) -> set[int]:
-        """Identities of the parameters' symbols."""
-        return hashes(stack(p.symbol for p in self._p))
-
-    def of(self, expression: SX) -> list[Number]:
-        """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
-        joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
-        function = ca.Function("value", [stack([p.symbol]) for p in self._p], [joined], {"allow_free": True})
-        if function.has_free():
-            free = ", ".join(str(symbol) for symbol in function.get_free())
-            raise ValueFault(f"expected an expression in parameters alone, found {free}")
-        return evaluate(function, [self.values[p.label] for p in self._p])[0]
-
-    def least(self, expression: SX) -> Fraction:
-        """The least element; of an interval, its lower end."""
-        return min((lower(value) for value in self.of(expression)), default=Fraction(1))
-
-    def least_pivot(self, matrix: SX) -> Fraction:
-        """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""
-        values, n = self.of(matrix), matrix.shape[0]
-        return min(pivots([values[column * n : (column + 1) * n] for column in range(n)]))
-
-
-def lower(value: Number) -> Fraction:
-    """The least that a number can be."""
-    return value.lower if isinstance(value, Interval) else value
-
-
-def upper(value: Number) -> Fraction:
-    """The most that a number can be."""
-    return value.upper if isinstance(value, Interval) else value
-
-
-def _decided(name: str, text: str, source: str, least: Callable[[], Fraction], strict: bool = True) -> Checked:
-    """A condition from the least value that must be positive; undecided, which is not holding, where there is none."""
-    try:
-        value = least()
-    except ZeroDivisionError:
-        text = f"{text}; undecided: a divisor is zero, or its interval holds zero"
-    except ValueFault as error:
-        text = f"{text}; undecided: {error.text}"
-    else:
-        return Checked(name, text, float(value), value > 0 if strict else value >= 0, source)
-    return Checked(name, text, None, False, source, "undecided")
+        seen = view(claim.diagram, name, claim.truths)
+        try:
+            with told_by(name, "conditions()"):
+                yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
+        except BlockError as error:
+            raise NotApplicableError(error.text) from None
 
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     text = condition.name
     least = partial(numbers.least, condition.expression)
-    return _decided(f"{name}: {text}", text, condition.source, least, condition.strict)
+    return decided(f"{name}: {text}", text, condition.source, least, condition.strict)
 
 
 def _terms(claim: Claim) -> Iterator[tuple[Part, str, Stored | Dissipated]]:
@@ -186,7 +101,9 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
             )
         elif weight.is_column():
-            yield _least(part, f"weight of |{term.of}|^2 in {role} > 0", numbers, weight)
+            strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
+            sign = ">" if strict else ">="
+            yield _least(part, f"weight of |{term.of}|^2 in {role} {sign} 0", numbers, weight, strict=strict)
 
 
 def _memories(claim: Claim) -> Iterator[Assumption]:
@@ -196,7 +113,7 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
 
 
 def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
-    return _decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict)
+    return decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict)
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -208,7 +125,12 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, weight)
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0"
-            yield _decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+    for name, model in claim.diagram.models.items():
+        for inverted in model.inverted if model.robot is not None else ():
+            matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
+            if is_mass_matrix(claim, matrix):
+                yield _mass_matrix(claim, matrix)
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:
@@ -216,78 +138,10 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
-
-
-def _sets(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
-    """The projection lemma needs the true value in the box or ball, and a correction that is normal to it.
-
-    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume.
-    """
-    checked, assumed = list[Checked](), list[Assumption]()
-    for projection in claim.loop.projections:
-        own, text = hashes(projection.state), f"{projection.name}: true value inside the {projection.kind}"
-        for part in claim.parts:
-            for square in part.certificate.storage:
-                if part.block != projection.block or not symbols_in([square.vector]) & own:
-                    continue
-                truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
-                room, rest = _decidable(projection.set.room(truth), numbers)
-                if room.numel():
-                    least = partial(numbers.least, room)
-                    checked.append(_decided(text, INSIDE[projection.kind], "Remark 2", least, strict=False))
-                if rest:
-                    at = sorted({row % truth.shape[0] for row in rest})
-                    where = f", at [{', '.join(map(str, at))}]" if projection.kind == "box" else ""
-                    assumed.append(Assumption(f"{text}{where}, where the plant's start decides it", "Remark 2"))
-                askew = projection.set.askew(square.weight)
-                if not askew.is_zero():
-                    checked.append(_normal(projection.name, askew, numbers))
-    return checked, assumed
-
-
-INSIDE = {"box": "lower <= true value <= upper", "ball": "1 - |(true value - centre) / radius|^2 >= 0"}
-
-
-def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
-    """The rows that depend on parameters alone, and the positions of the others."""
-    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
-    return room[known], [row for row in range(room.shape[0]) if row not in known]
-
-
-def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
-    text = "weight in V times adaptation gain is one number for all elements"
-    least = partial(numbers.least, ca.vertcat(askew, -askew))
-    return _decided(f"{name}: projected in the metric of V", text, "projection lemma", least, strict=False)
-
-
-def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
-    """Kappa from c |sigma|^2 <= kappa (|v_1|^2_W1 + ...) with sigma = a_1 v_1 + ...: c sum a_j^2 / W_j, by Cauchy."""
-    payers = [part for part in claim.parts if part.certificate.sigma]
-    if len(payers) != 1:
-        return None
-    (part,) = payers
-    weights = [term.weight for term in part.paying]
-    c = total([other.certificate.consumes for other in claim.parts if other.certificate.consumes is not None])
-    ones = ca.SX.ones(claim.sigma.shape[0])
-    shares = list(zip(part.certificate.sigma, weights, strict=True))
-    need = c * sum((share * share * ones / weight for share, weight in shares), ca.SX(0))
-    try:
-        least = max(upper(value) for value in numbers.of(need))
-        positive = min(numbers.least(weight) for weight in weights) > 0
-    except (ZeroDivisionError, ValueFault):
-        return None
-    return Kappa(least, 2 * least if least > 0 else Fraction(1)) if positive else None
-
-
-def _payment(claim: Claim, numbers: Numbers) -> Checked:
-    kappa = payment(claim, numbers)
-    name = "the servo level pays for the cascade: some kappa > 0 exists"
-    value = float(kappa.least) if kappa else None
-    return Checked(name, "kappa >= c sum_j a_j^2 / W_j", value, kappa is not None, "composition of storage functions")
 
 
 def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
@@ -296,7 +150,7 @@ def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
         return min(common_margin(corners, rates) for corners, rates in zip(a, b, strict=True))
 
     text = "A'P + P A < 0 at the four corners of the box, one P > 0"
-    return _decided(f"{name}: {condition.name}", text, condition.source, least)
+    return decided(f"{name}: {condition.name}", text, condition.source, least)
 
 
 def _rows(values: Sequence[Number], rows: int) -> list[tuple[Fraction, Fraction]]:

@@ -43,7 +43,10 @@ def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Con
     """Faults that must be refuted: each rate's sign flipped, each term dropped, each gain changed in one place.
 
     The faults stand in the field, in V and in the dissipation, and all of it is differentiated and evaluated anew. A
-    term that is identically zero (friction that the plant has not) and a gain that V does not hold are no faults.
+    term that is identically zero (friction that the plant has not) and a gain that V does not hold are no faults; nor
+    is a gain whose change leaves the rates of all that V holds as they are, identically, such as that of a regressor
+    that is zero for this robot. This is read from the rates, never from the residual: a change of the rates that the
+    residual does not show is a fault that was missed.
     """
     gains = _gains(claim, symbols)
     copies = [ca.SX.sym(f"{gain.label}.changed", gain.symbol.shape) for gain in gains]
@@ -53,7 +56,8 @@ def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Con
     faults, residual = _faulty(claim, field)
     factors = [fault.factor for fault in faults]
     # evaluated once a fault, so that it is worth finding what it holds twice
-    tape = Tape.from_function(symbols.function("controls", [ca.cse(residual)], [*copies, *factors]))
+    residual, moves = ca.cse([residual, field.derivative(stack(ca.symvar(claim.V)))])
+    tape = Tape.from_function(symbols.function("controls", [residual, moves], [*copies, *factors]))
     terms = Tape.from_function(symbols.function("terms", [fault.matters for fault in faults]))
     point = _Point(tape, symbols, gains, len(faults), random.Random(seed + 1))
     found = [
@@ -61,7 +65,11 @@ def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Con
         for k, (fault, (weight,)) in enumerate(zip(faults, point.values(terms), strict=True))
         if weight
     ]
-    found += [Control(f"{gain.label} changed in the equations only", point.refutes(gain.label)) for gain in gains]
+    found += [
+        Control(f"{gain.label} changed in the equations only", point.refutes(gain.label))
+        for gain in gains
+        if point.moves_otherwise(gain.label)
+    ]
     return tuple(found)
 
 
@@ -120,11 +128,12 @@ class _Point:
 
     def __init__(self, tape: Tape, symbols: Symbols, gains: Sequence[Group], factors: int, rng: random.Random) -> None:
         self._tape, self._gains, self._factors = tape, gains, factors
+        self._others = dict[str, list[int]]()
         for _ in range(ATTEMPTS):
             self._trial = Trial(random_prime(rng), rng)
             try:
                 self._own = {group.label: residues(self._trial, group) for group in symbols.groups}
-                self.refutes(None)
+                _, self._moves = self._at(None)
             except ZeroDivision:
                 continue
             return
@@ -132,12 +141,22 @@ class _Point:
 
     def refutes(self, gain: str | None, fault: int | None = None, value: int = 1) -> bool:
         """Is the residual not zero with this gain changed, and this factor at this value?"""
-        copies = [
-            [self._trial.random() for _ in self._own[g.label]] if g.label == gain else self._own[g.label]
-            for g in self._gains
-        ]
+        return self._at(gain, fault, value)[0] != [0]
+
+    def moves_otherwise(self, gain: str) -> bool:
+        """Does any rate of what V holds differ with this gain changed?"""
+        return self._at(gain)[1] != self._moves
+
+    def _at(self, gain: str | None, fault: int | None = None, value: int = 1) -> list[list[int]]:
+        """The residual, and the rates."""
+        copies = [self._changed(g.label) if g.label == gain else self._own[g.label] for g in self._gains]
         factors = [[value % self._trial.prime] if k == fault else [1] for k in range(self._factors)]
-        return self._tape.evaluate([*self._own.values(), *copies, *factors], self._trial)[0][0] != 0
+        return self._tape.evaluate([*self._own.values(), *copies, *factors], self._trial)
+
+    def _changed(self, label: str) -> list[int]:
+        if label not in self._others:
+            self._others[label] = [self._trial.random() for _ in self._own[label]]
+        return self._others[label]
 
     def values(self, tape: Tape) -> list[list[int]]:
         """The outputs of another tape at the same point."""

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import final
 
-from dmframe.certificate import SX, Bounded, Clipped, NormSquare
+from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
+from dmframe.certify.checked import Numbers, upper
 from dmframe.certify.claim import Claim, Field, Part
-from dmframe.certify.conditions import Numbers, upper
 from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test
+from dmframe.exact.rational import as_float
 
 
 @final
@@ -47,21 +48,42 @@ class Bound:
 
 
 def bounds_of(claim: Claim, numbers: Numbers, symbols: Symbols) -> list[Bound]:
-    """Each term of the excess with its bound."""
+    """Each term of the excess with its bound.
+
+    A clipped term has one only if its width is made of parameters and above zero: `clip` with a negative width, or with
+    one that moves, is not held between any two numbers that are known.
+    """
     return list(_bounds(claim, numbers, symbols))
 
 
 def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]:
     for part in claim.parts:
         for term in part.certificate.excess:
-            expression = term.square.value if isinstance(term, NormSquare) else term.value
-            expression = term.width if isinstance(term, Clipped) else expression
-            value, constant = None, False
-            try:
-                value = float(max(upper(number) for number in numbers.of(expression)))
-            except (ValueFault, ZeroDivisionError):
-                constant = _stands_still(claim, expression, symbols)
+            value, constant = (
+                _width(term, numbers) if isinstance(term, Clipped) else _size(claim, term, numbers, symbols)
+            )
             yield Bound(part.block, term.of, value, _times(term), _weight(claim, part), constant)
+
+
+def _width(term: Clipped, numbers: Numbers) -> tuple[float | None, bool]:
+    """The largest width, where every width is above zero."""
+    try:
+        return (_most(term.width, numbers) if numbers.least(term.width) > 0 else None), False
+    except (ValueFault, ZeroDivisionError):
+        return None, False
+
+
+def _size(claim: Claim, term: Square | NormSquare, numbers: Numbers, symbols: Symbols) -> tuple[float | None, bool]:
+    """The value of the square in parameters alone; without one, whether it at least keeps its value."""
+    expression = term.square.value if isinstance(term, NormSquare) else term.value
+    try:
+        return _most(expression, numbers), False
+    except (ValueFault, ZeroDivisionError):
+        return None, _stands_still(claim, expression, symbols)
+
+
+def _most(expression: SX, numbers: Numbers) -> float:
+    return as_float(max(upper(number) for number in numbers.of(expression)))
 
 
 def _stands_still(claim: Claim, expression: SX, symbols: Symbols) -> bool:

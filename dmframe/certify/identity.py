@@ -6,10 +6,9 @@ import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, final
+from typing import final
 
 import casadi as ca
-import numpy as np
 
 from dmframe.certificate import SX, Gathered, NormSquare, Square
 from dmframe.certify.claim import Claim, Field, Part
@@ -21,12 +20,6 @@ ATTEMPTS = 20
 
 BITS = 149
 """Of the random primes: five digits of Python's integers hold them, as they hold 127 bits, at the same speed."""
-
-POINTS = 4
-"""Real points at which a doubtful refutation is looked at again."""
-
-ROUNDING = 1e-9
-"""What rounding may leave of a residual that is zero, in proportion to its terms."""
 
 
 @final
@@ -52,11 +45,11 @@ def equalities(claim: Claim) -> list[Equality]:
     found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
     found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
     found += list(_memories(claim))
-    if claim.cascaded:
-        for part in claim.parts:
-            if part.certificate.sigma:
-                difference = composed(part) - claim.sigma
-                found.append(Equality(part.block, "sigma", difference, ca.fabs(composed(part)) + ca.fabs(claim.sigma)))
+    for consumer, payer in claim.payments:
+        if payer is not None and consumer.certificate.consumes is not None:
+            wanted, paid = consumer.certificate.consumes.vector, payer.composed
+            says = f"what it pays for is what {consumer.block} consumes"
+            found.append(Equality(payer.block, says, paid - wanted, ca.fabs(paid) + ca.fabs(wanted)))
     return found
 
 
@@ -78,19 +71,13 @@ def _same_memory(one: Gathered, other: Gathered) -> bool:
     return all(a.shape == b.shape and ca.is_equal(a, b, 2) for a, b in pairs)
 
 
-def composed(part: Part) -> SX:
-    """Sigma as the paying block composes it of what it dissipates."""
-    vectors = [term.pieces[0] for term in part.paying]
-    return sum((share * vector for share, vector in zip(part.certificate.sigma, vectors, strict=True)), ca.SX(0))
-
-
 def _scale(claim: Claim) -> SX:
     own = sum((ca.fabs(claim.weight(part)) * _own_scale(part) for part in claim.parts), ca.SX(0))
     return own + ca.fabs(claim.consumption)
 
 
 def _own_scale(part: Part) -> SX:
-    terms = (part.rate, part.certificate.supply, part.dissipation, part.excess, part.lemma)
+    terms = (part.rate, part.certificate.supply, part.dissipation, part.consumption, part.excess, part.lemma)
     return sum((ca.fabs(ca.SX(term)) for term in terms), ca.SX(0))
 
 
@@ -135,34 +122,3 @@ def residues(trial: Trial, group: Group, known: Mapping[str, Sequence[Fraction]]
     if values is None:
         return [trial.random() for _ in range(group.symbol.numel())]
     return [trial.residue(value) for value in values]
-
-
-def holds_in_reals(claim: Claim, symbols: Symbols, seed: int) -> bool:
-    """Does all of it vanish to rounding at real points, though not for free values of tanh, sqrt and the like?
-
-    Then the exact test lacks a property of such a function, and neither proves nor refutes.
-    """
-    stated = equalities(claim)
-    function = symbols.function("residual", [e.expression for e in stated] + [e.scale for e in stated])
-    rng = np.random.default_rng(seed)
-    vanishes = all(_vanishes(function, _real_point(symbols, rng), len(stated)) for _ in range(POINTS))
-    return vanishes and Tape.from_function(function).has_opaque
-
-
-def _vanishes(function: Any, point: Sequence[np.ndarray], count: int) -> bool:
-    values = [np.ravel(value.full()) for value in function.call([ca.DM(x) for x in point])]
-    left, scale = values[:count], values[count:]
-    return all(bool(np.all(np.abs(x) <= ROUNDING * (s + 1e-6))) for x, s in zip(left, scale, strict=True))
-
-
-def _real_point(symbols: Symbols, rng: np.random.Generator) -> list[np.ndarray]:
-    """Signals of both signs, parameters above zero."""
-    point = []
-    for group in symbols.groups:
-        if group.values is not None:
-            point.append(np.array([float(value) for value in group.values]))
-        elif group.kind == "parameter":
-            point.append(rng.uniform(0.5, 2, group.symbol.numel()))
-        else:
-            point.append(rng.uniform(-1.5, 1.5, group.symbol.numel()))
-    return point

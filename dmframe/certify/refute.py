@@ -11,7 +11,7 @@ from typing import final
 from dmframe.certify.claim import Claim
 from dmframe.certify.identity import ATTEMPTS, Equality, equalities, residues
 from dmframe.certify.symbols import Symbols
-from dmframe.exact import Tape, Trial, ZeroDivision, random_prime, zero_test
+from dmframe.exact import Tape, Trial, ZeroDivision, random_prime, sign_choices, zero_test
 
 SIGNALS = ("state", "trajectory", "projection")
 """Kinds of symbols that can be zero without changing what the graph is."""
@@ -105,9 +105,8 @@ def _nonzero(
 
 def _first(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> int:
     """The first residue that is not zero, over all choices of signs."""
-    while True:
-        for residue in tape.evaluate(point, trial)[0]:
+    for residues_there, *_ in sign_choices(tape, point, trial):
+        for residue in residues_there:
             if residue:
                 return residue
-        if not trial.next_signs():
-            return 0
+    return 0

@@ -8,6 +8,8 @@ from fractions import Fraction
 from functools import cache
 from itertools import product
 
+from dmframe.exact.rational import as_float
+
 Corners = Sequence[tuple[Fraction, Fraction]]
 Range = tuple[Fraction, Fraction]
 
@@ -58,7 +60,9 @@ def _candidates(corners: Corners) -> list[tuple[Fraction, Fraction]]:
     """
     if any(a <= 0 or b <= 0 for a, b in corners):
         return []
-    points = [(float(a), float(b)) for a, b in corners]
+    points = [(as_float(a), as_float(b)) for a, b in corners]
+    if not all(0 < number < math.inf for point in points for number in point):
+        return []  # beyond what floats can search
     top = min(a for a, _ in points)
     widest = _thirds(lambda y: _width(y, points)[0], 0.0, top)
     width, middle = _width(widest, points)

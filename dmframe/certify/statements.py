@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import Clipped, Lemma, NormSquare, Square
-from dmframe.certify.claim import Claim, Part
+from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, NormSquare, Square
+from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.closure import Bases, Closure
+from dmframe.certify.limits import Vanishing, combined, goals
+from dmframe.certify.positive import Signs
 from dmframe.certify.symbols import Symbols
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in
 from dmframe.exact import zero_test
 
@@ -18,33 +22,102 @@ from dmframe.exact import zero_test
 @final
 @dataclass(frozen=True)
 class Statement:
-    """One sentence about one signal, with the step that gives it and what the step takes for granted."""
+    """One sentence about one signal, with the step that gives it and what the step takes for granted.
+
+    `concludes`: it is about a signal for whose sake the loop is built, an error that goes to zero.
+    """
 
     signal: str
     says: str
     step: str
     assumes: tuple[str, ...] = ()
+    concludes: bool = False
 
 
-BARBALAT = "a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]"
+@final
+@dataclass(frozen=True)
+class States:
+    """What is known of the states, by label.
+
+    Parameters
+    ----------
+    bounded
+        Those that stay bounded.
+    unfelt
+        Those of which some combination is not bounded, but moves nothing else: whole turns of a joint, say.
+    open
+        Those that are not known to be bounded, and that others feel.
+    """
+
+    bounded: tuple[str, ...] = ()
+    unfelt: tuple[str, ...] = ()
+    open: tuple[str, ...] = ()
+
+
+def states_of(claim: Claim, closure: Closure) -> States:
+    """Sort the states."""
+    left = [variable.label for variable in closure.open_states()]
+    bounded = tuple(v.label for v in closure.variables if v.label not in left)
+    return States(bounded, tuple(left), ()) if closure.turning() else States(bounded, (), tuple(left))
+
+
+def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
+    """What is bounded to begin with: what V holds, and what a projection keeps; and what may follow."""
+    driven = [(part.block, item) for part in claim.parts for item in part.certificate.driven]
+    driven += [
+        (part.block, _memory(term))
+        for part in claim.parts
+        for term in part.certificate.storage
+        if isinstance(term, Gathered)
+    ]
+    vectors = [item.state for item in claim.loop.projections]
+    rising = any(part.certificate.excess for part in claim.parts)
+    if not rising or ultimate(claim, symbols, signs):
+        vectors += [square.vector for _, square in _stored(claim) if signs.positive(square)]
+    return Bases(tuple(vectors), tuple(driven))
+
+
+def _memory(term: Gathered) -> Driven:
+    """What is gathered is forgotten: it obeys a stable equation."""
+    memory = ca.vec(ca.densify(term.memory))
+    return Driven((memory,), ((-term.forgetting,),), (memory,), of=(f"G of |{term.of}|_G^2",))
+
+
 IN_V = "V holds it with a positive weight and does not grow"
+SPENT = "dV/dt spends it, and V has no more than V(0) to spend"
+DRIVEN = "a stable linear equation with the servo's true gains drives it, and its input is bounded"
+CLOSED = "it is made of bounded signals, sines and cosines"
+BARBALAT = "a square-integrable signal with a bounded derivative goes to zero [Barbalat's lemma]"
+AGAIN = "a signal that converges, with a bounded second derivative, comes to rest [Barbalat's lemma]"
 ULTIMATELY = (
     "dV/dt spends each square that V holds, or a projection bounds it: dV/dt <= -lambda V + constant, lambda > 0"
 )
 IN_THE_MEAN = "over a long time, what dV/dt spends is on average no more than the bounded residual"
+PROJECTED = "a projection keeps the estimate in its set"
 
 
-def statements_of(claim: Claim, symbols: Symbols) -> list[Statement]:
+def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure) -> list[Statement]:
     """Read off V and its dissipation, term by term; they hold if the claim is proved."""
     if any(part.certificate.excess for part in claim.parts):
-        return list(_up_to_a_residual(claim, symbols))
-    bounded = [Statement(square.of, "is bounded", IN_V) for _, square in _stored(claim)]
-    spent = _spent(claim)
-    integrable = [
-        Statement(of, "is square-integrable", "dV/dt spends it, and V has no more than V(0) to spend") for of in spent
+        return list(_up_to_a_residual(claim, symbols, signs))
+    stored = [square for _, square in _stored(claim) if signs.positive(square)]
+    spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
+    found = [Statement(square.of, "is bounded", IN_V) for square in _distinct(stored)]
+    held = {square.of for square in stored}
+    found += [
+        Statement(name, "is bounded", DRIVEN)
+        for item in closure.driven
+        for name in dict.fromkeys(item.of)
+        if name not in held
     ]
-    converging = [Statement(of, "goes to zero", BARBALAT, (f"the derivative of {of} is bounded",)) for of in spent]
-    return [*bounded, *integrable, *converging, *_into_dead_zones(claim)]
+    found += _states(claim, closure, {statement.signal for statement in found})
+    found += [Statement(square.of, "is square-integrable", SPENT) for square in spent]
+    vanishing = _vanishing(claim, closure, spent)
+    wanted = _wanted(claim, closure)
+    for item in vanishing:
+        assumes = () if item.proved else (f"the derivative of {item.of} is bounded",)
+        found.append(Statement(item.of, "goes to zero", BARBALAT, assumes, item.proved and item.of in wanted))
+    return [*found, *_conclusions(claim, closure, vanishing), *_into_dead_zones(claim, signs)]
 
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Square]]:
@@ -52,32 +125,113 @@ def _stored(claim: Claim) -> Iterator[tuple[Part, Square]]:
         yield from ((part, term) for term in part.certificate.storage if isinstance(term, Square))
 
 
-def _spent(claim: Claim) -> list[str]:
-    squares = [term.of for part in claim.parts for term in part.certificate.dissipation if isinstance(term, Square)]
-    return list(dict.fromkeys(squares))
+def _spent_squares(claim: Claim) -> list[Square]:
+    return [term for part in claim.parts for term in part.certificate.dissipation if isinstance(term, Square)]
 
 
-def _into_dead_zones(claim: Claim) -> Iterator[Statement]:
+def _distinct(squares: Sequence[Square]) -> list[Square]:
+    return list({square.of: square for square in squares}.values())
+
+
+def _states(claim: Claim, closure: Closure, told: set[str]) -> list[Statement]:
+    """The plant's states that follow, each by its name in the equations."""
+    names = {variable.label: variable.name for variable in claim.loop.plant}
+    left = {variable.label for variable in closure.open_states()}
+    return [
+        Statement(name, "is bounded", CLOSED) for label, name in names.items() if label not in left and name not in told
+    ]
+
+
+def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
+    """What dV/dt spends, with whether its derivative is bounded."""
+    field = Field(claim.diagram)
+    rates = [field.derivative(square.vector) for square in spent]
+    return [
+        Vanishing(square.of, square.vector, proved) for square, proved in zip(spent, closure.bounds(rates), strict=True)
+    ]
+
+
+def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> Iterator[Statement]:
+    """Errors that go to zero because what vanishes is made of them, and their rates."""
+    field, rests = Field(claim.diagram), _at_rest(claim, closure, vanishing)
+    yield from (Statement(item.of, "goes to zero", AGAIN) for item in rests)
+    sure = [item for item in (*vanishing, *rests) if item.proved]
+    names, wanted = {item.of for item in sure}, _wanted(claim, closure)
+    for goal in goals(claim, closure):
+        made = None if goal.of in names else combined(claim, closure, goal, sure)
+        if made is not None:
+            yield Statement(goal.of, "goes to zero", made.step, made.assumes, goal.of in wanted)
+        if goal.of in wanted and (made is not None or goal.of in names):
+            speed = field.second(goal.vector)
+            if speed is not None and all(closure.bounds([speed])):
+                yield Statement(f"d({goal.of})/dt", "goes to zero", AGAIN, concludes=True)
+
+
+def _wanted(claim: Claim, closure: Closure) -> set[str]:
+    """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
+    task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
+    pairs = [pair for item in closure.driven for pair in zip(item.of, item.bounded, strict=True)]
+    plant = hashes(stack(variable.symbol for variable in claim.loop.plant))
+    desired = hashes(stack(leaf.symbol for leaf in claim.loop.trajectories))
+    driven = {of for of, vector in pairs if symbols_in([vector]) & desired}
+    return {of for of, vector in task.items() if symbols_in([vector]) & plant} | driven
+
+
+def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> list[Vanishing]:
+    """Rates of states that vanish: with a bounded second derivative they vanish too."""
+    field, found = Field(claim.diagram), list[Vanishing]()
+    for item in vanishing:
+        if not (item.proved and _is_state(claim, item.vector)):
+            continue
+        second = field.second(item.vector)
+        if second is not None and all(closure.bounds([second])):
+            found.append(
+                Vanishing(
+                    f"d{item.of}" if item.of.isidentifier() else f"d({item.of})/dt", field.derivative(item.vector), True
+                )
+            )
+    return found
+
+
+def _is_state(claim: Claim, vector: SX) -> bool:
+    states = [variable.symbol for variable in claim.loop.controller]
+    return any(state.shape == vector.shape and ca.is_equal(state, vector) for state in states)
+
+
+def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
+    """Only an error against zero goes into its dead zone; of two signals, what is beyond it need not vanish."""
     for part in claim.parts:
         for term in part.certificate.dissipation:
-            if isinstance(term, Lemma) and term.phi == "dead_zone":
+            dead = isinstance(term, Lemma) and term.phi == "dead_zone"
+            if dead and isinstance(term, Lemma) and term.second.is_zero() and signs.spends(term):
                 step = "dV/dt spends no less than the square of what it has beyond the dead zone [Barbalat's lemma]"
                 yield Statement(term.of, "goes into its dead zone", step, (f"the derivative of {term.of} is bounded",))
 
 
-def _up_to_a_residual(claim: Claim, symbols: Symbols) -> Iterator[Statement]:
+def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[Statement]:
     """Of a claim with a bounded residual: V may rise, so that nothing is bounded only because V holds it."""
-    projected = [square for part, square in _stored(claim) if _is_projected(claim, square)]
-    left = [(part, square) for part, square in _stored(claim) if square not in projected]
+    projected, left = residual_bases(claim)
     assumes = tuple(dict.fromkeys(_assumed(claim)))
-    if not assumes and all(_is_spent(claim, square, symbols) for _, square in left):
-        yield from (Statement(square.of, "is ultimately bounded", ULTIMATELY) for _, square in _stored(claim))
+    if ultimate(claim, symbols, signs):
+        yield from (Statement(square.of, "is ultimately bounded", ULTIMATELY) for square in [*projected, *left])
         return
-    yield from (
-        Statement(square.of, "is bounded", "a projection keeps the estimate in its set") for square in projected
-    )
-    for of in _spent(claim):
-        yield Statement(of, "is bounded in the mean square, by the residual", IN_THE_MEAN, assumes)
+    yield from (Statement(square.of, "is bounded", PROJECTED) for square in projected)
+    for square in _distinct([square for square in _spent_squares(claim) if signs.positive(square)]):
+        yield Statement(square.of, "is bounded in the mean square, by the residual", IN_THE_MEAN, assumes)
+
+
+def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
+    """Of a claim with a bounded residual: the squares that a projection bounds, and the others."""
+    projected = [square for _, square in _stored(claim) if _is_projected(claim, square)]
+    return projected, [square for _, square in _stored(claim) if square not in projected]
+
+
+def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
+    """Is all that V holds spent, or projected, so that V falls wherever it is large?"""
+    if any(isinstance(term, Gathered) for part in claim.parts for term in part.certificate.storage):
+        return False  # nothing shows that it is spent in proportion
+    _, left = residual_bases(claim)
+    return not tuple(_assumed(claim)) and all(_is_spent(claim, square, symbols, signs) for square in left)
 
 
 def _assumed(claim: Claim) -> Iterator[str]:
@@ -97,18 +251,17 @@ def _is_projected(claim: Claim, square: Square) -> bool:
     return moving == {p.name for p in claim.loop.projections if used & hashes(p.state)} and len(moving) == 1
 
 
-def _is_spent(claim: Claim, square: Square, symbols: Symbols) -> bool:
-    """Is the square's own vector dissipated, identically?"""
+def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:
+    """Is the square's own vector dissipated, identically, with a positive weight?"""
     return any(
-        _same(square, term, symbols)
-        for part in claim.parts
-        for term in part.certificate.dissipation
-        if isinstance(term, Square) and term.vector.shape == square.vector.shape
+        signs.positive(term) and _same(square, term, symbols)
+        for term in _spent_squares(claim)
+        if term.vector.shape == square.vector.shape
     )
 
 
 def _same(square: Square, term: Square, symbols: Symbols) -> bool:
-    if ca.is_equal(square.vector, term.vector):
+    if square.vector.shape == term.vector.shape and ca.is_equal(square.vector, term.vector):
         return True
     difference = symbols.function("difference", [square.vector - term.vector])
     return bool(zero_test(difference, values=symbols.fixed, trials=1).zero)

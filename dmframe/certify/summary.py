@@ -8,6 +8,7 @@ from typing import Any
 from dmframe.certificate import Clipped, Gathered, Lemma, NormSquare, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.verify import Verdict
+from dmframe.exact.rational import as_float
 
 KINDS = {Square: "square", NormSquare: "norm_square", Lemma: "lemma", Clipped: "clipped", Gathered: "gathered"}
 """Of a term, as it is printed."""
@@ -20,6 +21,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "graph": name,
         "verdict": verdict.outcome,
         "reason": verdict.reason,
+        "field_hash": None if claim is None else claim.diagram.fingerprint,
         "residual_zero": None if test is None else test.zero,
         "trials": 0 if test is None else test.trials,
         "primes": [] if test is None else [str(prime) for prime in test.primes],
@@ -28,12 +30,12 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         "log2_error_bound": None if test is None else _finite(test.log2_error_bound),
         "storage": [] if claim is None else _terms(claim, "storage"),
         "dissipation": [] if claim is None else _terms(claim, "dissipation"),
-        "residual_bound": None if claim is None else verdict.residual_bound,
+        "residual_bound": None if claim is None else _finite(verdict.residual_bound),
         "bounded_by": [
             {
                 "block": b.block,
                 "of": b.of,
-                "bound": b.value,
+                "bound": _finite(b.value),
                 "constant": b.constant,
                 "times": b.times,
                 "weight": b.weight,
@@ -42,7 +44,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         ],
         "kappa": None
         if verdict.kappa is None
-        else {"least": float(verdict.kappa.least), "chosen": float(verdict.kappa.chosen)},
+        else {"least": _finite(as_float(verdict.kappa.least)), "chosen": _finite(as_float(verdict.kappa.chosen))},
         "conditions": [
             {
                 "name": condition.name,
@@ -56,9 +58,23 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
         ],
         "assumptions": [{"text": item.text, "source": item.source} for item in verdict.assumptions],
         "statements": [
-            {"signal": item.signal, "says": item.says, "step": item.step, "assumes": list(item.assumes)}
+            {
+                "signal": item.signal,
+                "says": item.says,
+                "step": item.step,
+                "assumes": list(item.assumes),
+                "concludes": item.concludes,
+            }
             for item in verdict.statements
         ],
+        "states": None
+        if verdict.states is None
+        else {
+            "bounded": list(verdict.states.bounded),
+            "unfelt": list(verdict.states.unfelt),
+            "open": list(verdict.states.open),
+        },
+        "fixed": list(verdict.fixed),
         "mutants": {
             "tried": len(verdict.controls),
             "refuted": sum(control.refuted for control in verdict.controls),

@@ -8,33 +8,27 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 from dmframe.certificate import Assumption
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
-from dmframe.certify.conditions import Checked, Kappa, Numbers, conditions_of, payment
+from dmframe.certify.closure import Closure
+from dmframe.certify.conditions import conditions_of, decide
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
-from dmframe.certify.identity import check_identity, empty_terms, holds_in_reals
+from dmframe.certify.hypotheses import hypotheses
+from dmframe.certify.identity import check_identity, empty_terms
+from dmframe.certify.payment import Kappa, payment
+from dmframe.certify.positive import Signs
+from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
-from dmframe.certify.statements import Statement, statements_of
+from dmframe.certify.smoothness import smoothness
+from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
-from dmframe.exact.rational import Interval
+from dmframe.exact.rational import Interval, as_float
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
-
-STANDING = (
-    Assumption("the maker's servo is the PI or PID law of the graph, with constant gains", "eqs. (6), (7)"),
-    Assumption("the robot is rigid, with constant inertial parameters and the friction of the graph", "eq. (3)"),
-    Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
-    Assumption("the desired trajectory and its derivatives that appear are bounded", "Theorems 1 to 4"),
-)
-
-
-UNDECIDED = (
-    "not decided: dV/dt is what the blocks claim to rounding, at real points, but only by a property of a function "
-    "(tanh, sqrt, sin of a sum) that the exact test does not know"
-)
 
 
 @final
@@ -51,6 +45,10 @@ class Verdict:
         `reason` says which.
     test
         The exact test, with its error bound.
+    states
+        Which states are bounded, and which are not known to be.
+    fixed
+        Parameters that are zero in the graph, and that the proof takes for zero, by label.
     bounds
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
@@ -67,6 +65,8 @@ class Verdict:
     assumptions: tuple[Assumption, ...] = ()
     controls: tuple[Control, ...] = ()
     statements: tuple[Statement, ...] = ()
+    states: States | None = None
+    fixed: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
@@ -74,7 +74,7 @@ class Verdict:
     @property
     def residual_bound(self) -> float | None:
         """The most that dV/dt can be above minus the dissipation; None where a signal scales it."""
-        return total_bound(list(self.bounds), float(self.kappa.chosen) if self.kappa else 1.0)
+        return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
 
 
 def verify(
@@ -125,30 +125,40 @@ def _verified(
 ) -> Verdict:
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
+    smooth = smoothness(diagram, claim)
     clock.built()
+    if smooth.faults:
+        return Verdict("not_applicable", "; ".join(smooth.faults), claim, build=clock.build, check=clock.check)
     try:
         test = check_identity(claim, symbols, trials=trials, seed=seed)
     except ValueFault as error:
         return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
-    if not test.zero and holds_in_reals(claim, symbols, seed):
-        return Verdict("not_applicable", UNDECIDED, claim, test, build=clock.build, check=clock.check)
+    if not test.zero and (reason := doubt(claim, symbols, seed)):
+        return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
         return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
     controls = negative_controls(claim, symbols, seed=seed)
-    conditions, assumptions = conditions_of(claim, uncertain)
-    bounds = bounds_of(claim, Numbers(claim, uncertain), symbols)
+    numbers = Numbers(claim, uncertain)
+    signs = Signs(claim, numbers)
+    conditions, assumptions = conditions_of(claim, numbers)
+    bounds = bounds_of(claim, numbers, symbols)
+    closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
+    needed, given = decide(closure.conditions(), numbers)
+    conditions += needed
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
         reason=reason,
         claim=claim,
         test=test,
-        kappa=payment(claim, Numbers(claim, uncertain)) if claim.cascaded else None,
+        kappa=payment(claim, numbers) if claim.cascaded else None,
         conditions=tuple(conditions),
-        assumptions=(*assumptions, *STANDING),
+        assumptions=tuple(dict.fromkeys([*assumptions, *given, *smooth.assumptions, *hypotheses(claim, closure)])),
         controls=controls,
-        statements=tuple(statements_of(claim, symbols)),
+        statements=tuple(statements_of(claim, symbols, signs, closure)),
+        states=states_of(claim, closure),
+        fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
         build=clock.build,
         check=clock.check,

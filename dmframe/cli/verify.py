@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import typer
 
 from dmframe.certify import Verdict, verify
+from dmframe.certify.conditions import Checked
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
@@ -65,16 +66,39 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts.append(f"  fewest signals that refute it: {', '.join(verdict.refutation.signals) or 'none'}")
         parts.append("  the exact point is in --json")
     if verdict.conditions:
-        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c.holds)) for c in verdict.conditions]
+        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c)) for c in verdict.conditions]
         parts += ["  conditions, with the least value that must be positive", columns(rows, "    ")]
     if verdict.controls:
         refuted = sum(control.refuted for control in verdict.controls)
         parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
     if verdict.assumptions:
         parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
+    if verdict.statements:
+        parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
     if verdict.claim is not None:
         parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
+
+
+def _followed(verdict: Verdict) -> Iterator[str]:
+    """What follows: the signals of each kind, and last the conclusions, each with its step."""
+    kinds = dict.fromkeys(item.says for item in verdict.statements)
+    for says in kinds:
+        found = [item for item in verdict.statements if item.says == says and not item.concludes]
+        sure = [item.signal for item in found if not item.assumes]
+        if sure:
+            yield f"{', '.join(dict.fromkeys(sure))}: {says}"
+        for item in found:
+            if item.assumes:
+                yield f"{item.signal}: {says}, if {' and '.join(item.assumes)}"
+    states = verdict.states
+    if states is not None and states.unfelt:
+        yield f"{', '.join(states.unfelt)}: may drift together, which no other signal feels (whole turns)"
+    if states is not None and states.open:
+        yield f"{', '.join(states.open)}: not known to be bounded; this is not the stability of the whole loop"
+    for item in (item for item in verdict.statements if item.concludes):
+        assumed = f"; assumes that {' and '.join(item.assumes)}" if item.assumes else ""
+        yield f"{item.signal} {item.says}: {item.step}{assumed}"
 
 
 def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
@@ -89,5 +113,8 @@ def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
     return rows
 
 
-def _mark(holds: bool) -> str:
-    return "holds" if holds else "FAILS"
+def _mark(condition: Checked) -> str:
+    """What samples show is not said to hold."""
+    if condition.holds:
+        return "sampled, not proved" if condition.how == "sampled" else "holds"
+    return "FAILS"

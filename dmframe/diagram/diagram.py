@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter, flatten
+from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.model import BlockModel, model_block
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
@@ -100,6 +102,11 @@ class Diagram:
             raise WiringError(text, path=("blocks",)) from None
         raise_all(resolver.faults)
         return cls(dict(blocks), sources, models, sizes, robot, loop, resolver)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hash of the closed loop's vector field and its numbers; see `dmframe.diagram.fingerprint`."""
+        return fingerprint(self.loop)
 
     def type_of(self, name: str) -> str:
         """The type of a block, as graph files write it."""

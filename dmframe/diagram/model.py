@@ -16,6 +16,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
 from dmframe.diagram.sizes import Sizes
 from dmframe.errors import BlockError, DmframeError, nearest
+from dmframe.linalg import Inverted, inverting
 from dmframe.port import Port, State
 
 
@@ -25,7 +26,7 @@ class BlockModel:
     """A block's equations, evaluated once on symbols.
 
     `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
-    is one of the `parameters` too.
+    is one of the `parameters` too. `inverted` are the matrices that the equations invert.
     """
 
     name: str
@@ -37,6 +38,7 @@ class BlockModel:
     robot: Any
     equations: Equations
     starts: Mapping[str, SX]
+    inverted: tuple[Inverted, ...] = ()
 
     def signals(self) -> tuple[Signals, Signals, Signals]:
         """u, x, p as the block's methods take them."""
@@ -81,6 +83,19 @@ def symbols_in(expressions: Sequence[SX]) -> set[int]:
     return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
 
 
+def same_expression(one: SX, other: SX) -> bool:
+    """Are two expressions built alike, operation by operation and constant by constant, of the same symbols?"""
+    one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
+    return one.shape == other.shape and same_expressions([one], [other])
+
+
+def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
+    """The same of lists of one length."""
+    symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
+    one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
+    return bool(one == other)
+
+
 def symbol(name: str, size: tuple[int, ...]) -> SX:
     """A symbol of that size: () a scalar, (n,) a column, (n, p) a matrix."""
     return ca.SX.sym(name, *(size or (1,)))
@@ -103,19 +118,42 @@ def model_block(
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    with told_by(name, "equations()"):
-        stated = block.equations(*signals_of(name, inputs, states, {**parameters, **starts}, mine))
-    if not isinstance(stated, Equations):
-        raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
-    outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
-    rates = _checked(name, "rate", block.states, stated.rates, sizes)
+    signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
+    with inverting() as inverted:
+        outputs, rates = stated_by(name, block, signals, sizes)
+    _check_steady(name, (outputs, rates), stated_by(name, block, signals, sizes))
     used = symbols_in([*outputs.values(), *rates.values()])
     for key in states.keys() - rates.keys():
         if used & hashes(states.pop(key)):
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
-    return BlockModel(name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts)
+    return BlockModel(
+        name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)
+    )
+
+
+def stated_by(
+    name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes
+) -> tuple[dict[str, SX], dict[str, SX]]:
+    """Outputs and rates as a block's equations state them, held to its declared ports and states."""
+    with told_by(name, "equations()"):
+        stated = block.equations(*signals)
+    if not isinstance(stated, Equations):
+        raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
+    outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
+    return outputs, _checked(name, "rate", block.states, stated.rates, sizes)
+
+
+def _check_steady(name: str, first: tuple[dict[str, SX], ...], second: tuple[dict[str, SX], ...]) -> None:
+    """The equations are a function of their arguments: what is proved must be what runs."""
+    for kind, once, again in zip(("output", "rate"), first, second, strict=True):
+        for key in {**once, **again}:
+            if key not in once or key not in again or not same_expression(once[key], again[key]):
+                raise BlockError(
+                    f"{name}: equations() state another {kind} of {key} when they are asked again; expected the same "
+                    "expression each time, from u, x and p alone"
+                )
 
 
 def _checked(

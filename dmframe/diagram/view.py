@@ -9,44 +9,54 @@ from typing import final
 from dmframe.block import Signals
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.wiring import same_unit
+from dmframe.diagram.truths import Stated, owner_of, value_of
 from dmframe.port import Port
 
 
 @final
 @dataclass(frozen=True)
 class View:
-    """u, x, p and truth of one block, each signal expanded to the diagram's leaves."""
+    """u, x, p and truth of one block, each signal expanded to the diagram's leaves.
+
+    `owners` says whose each true value is.
+    """
 
     u: Signals
     x: Signals
     p: Signals
     truth: Signals
+    owners: Mapping[str, str]
 
 
-def view(diagram: Diagram, name: str, known: Mapping[str, SX] | None = None) -> View:
-    """The view of a block; `known` holds true values that other blocks' certificates state, such as a_d.
+def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
+    """The view of a block; `stated` holds true values that other blocks' certificates state, such as a_d.
 
-    A truth that the diagram does not have is left out; reading it raises `BlockError`.
+    A truth that the diagram does not have is left out; reading it raises `BlockError`. So does one that several blocks
+    have, where wires do not say which is meant (`dmframe.diagram.truths`).
     """
     model, resolver = diagram.models[name], diagram.resolver
     _, x, p = model.signals()
     u = Signals(name, "inputs", {port: resolver.input(name, port) for port in model.inputs})
+    owners = owners_of(diagram, name, stated or {})
     truth = dict[str, SX]()
     for port in model.block.truth:
-        expression = _truth(diagram, name, port, truth, known or {})
+        expression = _truth(diagram, name, port, owners, truth, stated or {})
         if expression is not None:
             truth[port.name] = expression
-    return View(u, x, p, Signals(name, "truths that this diagram has", truth))
+    return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
 
 
-def _truth(diagram: Diagram, reader: str, port: Port, found: Mapping[str, SX], known: Mapping[str, SX]) -> SX | None:
-    if port.name in known:
-        return known[port.name]
-    for name, model in diagram.models.items():
-        for other in model.block.outputs:
-            if other.name == port.name and other.name in model.equations.outputs and same_unit(other, port):
-                return diagram.resolver.output(name, port.name)
+def owners_of(diagram: Diagram, name: str, stated: Stated) -> dict[str, str]:
+    """The block that has each true value that a block's proof reads; those that no block has are left out."""
+    found = {port.name: owner_of(diagram, name, port, stated) for port in diagram.blocks[name].truth}
+    return {port: owner for port, owner in found.items() if owner is not None}
+
+
+def _truth(
+    diagram: Diagram, reader: str, port: Port, owners: Mapping[str, str], found: Mapping[str, SX], stated: Stated
+) -> SX | None:
+    if port.name in owners:
+        return value_of(diagram, owners[port.name], port.name, stated)
     if port.derivative_of in found:
         return diagram.resolver.derivative(found[port.derivative_of], f"{reader}.{port.name}")
     return None

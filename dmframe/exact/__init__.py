@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dmframe.exact.identity import Witness, ZeroTest, zero_test
+from dmframe.exact.identity import Witness, ZeroTest, sign_choices, zero_test
 from dmframe.exact.linear import Echelon, NoRationalError, null_space, rank, rational_reconstruction, reduced_echelon
 from dmframe.exact.primes import MERSENNE_127, is_prime, random_prime
 from dmframe.exact.tape import Bound, Tape
@@ -24,5 +24,6 @@ __all__ = [
     "rank",
     "rational_reconstruction",
     "reduced_echelon",
+    "sign_choices",
     "zero_test",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import final
@@ -152,13 +152,32 @@ def _one_trial(
 
 
 def _first_nonzero(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> Witness | None:
-    """Evaluate for every choice of signs: only so is a trial's chance to miss as small as the bound says."""
-    while True:
-        for output, residues in zip(tape.outputs, tape.evaluate(point, trial), strict=True):
+    for outputs in sign_choices(tape, point, trial):
+        for output, residues in zip(tape.outputs, outputs, strict=True):
             for place, residue in enumerate(residues):
                 if residue:
                     named = tuple((name, tuple(v)) for (name, _), v in zip(tape.inputs, point, strict=True))
                     column, row = divmod(place, output.rows)
                     return Witness(trial.prime, output.name, row, column, residue, named)
+    return None
+
+
+def sign_choices(tape: Tape, point: Sequence[Sequence[int]], trial: Trial) -> Iterator[list[list[int]]]:
+    """The outputs for every choice of signs: only so is a trial's chance to miss as small as the bound says.
+
+    Where a sign is 0, its argument is, and |x| may be read as 0 or as x: an element that vanishes in one of these
+    readings is given as zero.
+    """
+    while True:
+        outputs = tape.evaluate(point, trial)
+        if trial.on_a_jump and any(map(any, outputs)):
+            trial.zero_is_its_own_size = True
+            others = tape.evaluate(point, trial)
+            trial.zero_is_its_own_size = False
+            outputs = [
+                [a and b and a for a, b in zip(one, other, strict=True)]
+                for one, other in zip(outputs, others, strict=True)
+            ]
+        yield outputs
         if not trial.next_signs():
-            return None
+            return

@@ -11,6 +11,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.errors import ValueFault
+from dmframe.exact.literal import literal
 
 
 @final
@@ -68,10 +69,20 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
     return outputs
 
 
+def as_float(value: Fraction | Interval) -> float:
+    """The nearest float, for people to read: infinite beyond the largest one; of an interval, its lower end."""
+    exact = value.lower if isinstance(value, Interval) else value
+    try:
+        return float(exact)
+    except OverflowError:
+        return math.inf if exact > 0 else -math.inf
+
+
 def _exact(constant: float, name: str) -> Fraction:
-    if not math.isfinite(constant):
-        raise ValueFault(f"{name}: expected finite constants, found {constant}")
-    return Fraction(constant)
+    try:
+        return literal(constant)
+    except ValueFault as error:
+        raise ValueFault(f"{name}: {error.text}") from None
 
 
 def _operate(code: int, values: list[Any], name: str) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any, Final, NamedTuple, final
 import casadi as ca
 
 from dmframe.errors import ValueFault
+from dmframe.exact.literal import literal
 from dmframe.exact.trial import Trial
 
 _ADD, _SUB, _MUL, _DIV, _NEG, _SQ, _TWICE, _INV = (
@@ -88,8 +88,8 @@ class Bound:
 class Tape:
     """The straight-line program of an SX function.
 
-    Register reuse is undone, so that every instruction has a place of its own; constants are exact rational values
-    of the floating-point numbers found.
+    Register reuse is undone, so that every instruction has a place of its own; constants are the rational numbers that
+    the floats found were written as (`literal`).
     """
 
     def __init__(
@@ -122,12 +122,9 @@ class Tape:
         return len(self._nodes)
 
     @property
-    def has_opaque(self) -> bool:
-        """Does it hold a function of which the field knows no property, or an angle that is no input?"""
-        angles = {node.a for node in self._nodes if node.code in (_SIN, _COS)}
-        return any(node.code == _OPAQUE_CALL for node in self._nodes) or any(
-            self._nodes[angle].code != _INPUT for angle in angles
-        )
+    def nodes(self) -> tuple[_Node, ...]:
+        """The instructions, for another evaluation than in a field."""
+        return self._nodes
 
     def evaluate(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[list[int]]:
         """The outputs' residues at the inputs' residues, both dense and column-major.
@@ -180,7 +177,7 @@ class Tape:
             elif code == _SIGN:
                 append(trial.sign(values[a] % p))
             elif code == _FABS:
-                append(values[a] * trial.sign(values[a] % p) % p)
+                append(trial.size(values[a] % p))
             elif code == _POWER:
                 append(pow(values[a], b, p) if b >= 0 else pow(trial.inverse(values[a]), -b, p))
             else:
@@ -325,9 +322,10 @@ def _read(f: ca.Function) -> tuple[list[_Node], list[list[int]]]:
 
 
 def _exact(value: float, name: str) -> Fraction:
-    if not math.isfinite(value):
-        raise ValueFault(f"exact test of {name}: expected finite constants, found {value}")
-    return Fraction(value)
+    try:
+        return literal(value)
+    except ValueFault as error:
+        raise ValueFault(f"exact test of {name}: {error.text}") from None
 
 
 def _operation(code: int, arguments: Sequence[int], nodes: Sequence[_Node], name: str) -> _Node:

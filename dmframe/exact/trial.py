@@ -5,19 +5,18 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from typing import Final, final
+from typing import Final
 
 CIRCLE: Final = "cos, sin"
 SIGN: Final = "sign"
-SIGN_LIMIT: Final = 8
-"""Different signs whose two values are both tried; one trial then takes at most 2**8 evaluations."""
+SIGN_LIMIT: Final = 5
+"""Different signs whose values are all tried; one trial then takes at most 3**5 evaluations."""
 
 
 class ZeroDivision(ArithmeticError):
     """A denominator vanished at this point: draw another one."""
 
 
-@final
 class Trial:
     """A prime, a source of randomness, and the values already chosen for functions that the field does not have.
 
@@ -25,11 +24,16 @@ class Trial:
 
     - sin and cos of one argument are one random point of the unit circle, ((1-t^2)/(1+t^2), 2t/(1+t^2)); cos is
       even and sin is odd.
-    - sign is +1 or -1, odd, and 0 at 0. A random choice would miss (sign x + 1)(sign y + 1) three times in four, so
-      `next_signs` walks through all choices; beyond `SIGN_LIMIT` signs it is a free value.
-    - fabs(x) is x sign(x).
-    - Any other function is a free random value. That is sound: an identity that holds for free values holds for those
-      that the function takes. It is not complete: tanh(x) + tanh(-x) = 0 is not seen.
+    - sign is odd and takes the values +1, -1 and 0. A random choice would miss (sign x + 1)(sign y + 1) three times in
+      four, so `next_signs` walks through all choices; beyond `SIGN_LIMIT` signs it is a free value.
+    - fabs(x) is x sign(x). It does not jump: what holds on both sides of x = 0 with absolute values alone holds there
+      too, so that a sign is 0 only where sign itself was asked for. There |x| may be read as 0 or as x, both being
+      true on x = 0; an identity needs to hold in one of these readings (`zero_is_its_own_size`).
+    - Any other function is a free random value: also fmin, fmax, comparisons, if_else, floor. That is sound, on the
+      sets where they switch too: an identity that holds for free values holds for those that the function takes. It is
+      not complete: tanh(x) + tanh(-x) = 0 and fmin(x, y) + fmax(x, y) = x + y are not seen.
+
+    The rules say nothing of derivatives: that of a jump is not there at all, and has to be kept out beforehand.
     """
 
     def __init__(self, prime: int, rng: random.Random, functions: Mapping[str, Sequence[int]] | None = None) -> None:
@@ -39,6 +43,9 @@ class Trial:
         self._circle: dict[int, tuple[int, int]] = {}
         self._signs: dict[int, int] = {}
         self._script: list[int] = []
+        self._places: dict[int, int] = {}
+        self._jumping: set[int] = set()
+        self.zero_is_its_own_size = False
         self._inverses: dict[int, int] = {1: 1}  # the same denominators come back, fault after fault
         for name, values in (functions or {}).items():
             kind, _, argument = name.partition(" of ")
@@ -94,29 +101,48 @@ class Trial:
         return cosine, sine if key == angle else -sine % self.prime
 
     def sign(self, value: int) -> int:
-        """+1 or -1 (0 at 0) of a reduced residue, as the script of `next_signs` says."""
+        """+1, -1 or 0 (0 at 0) of a reduced residue, as the script of `next_signs` says."""
+        return self._signed(value, jumps=True)
+
+    def size(self, value: int) -> int:
+        """The absolute value of a reduced residue: the residue times its sign."""
+        sign = self._signed(value, jumps=False)
+        return value if sign == 0 and self.zero_is_its_own_size else value * sign % self.prime
+
+    @property
+    def on_a_jump(self) -> bool:
+        """True while the script has some sign at 0."""
+        return 0 in self._script
+
+    def _signed(self, value: int, *, jumps: bool) -> int:
         if value == 0:
             return 0
         key = min(value, self.prime - value)
         if key not in self._signs:
-            position = len(self._signs)
-            if position >= SIGN_LIMIT:
+            place = len(self._signs)
+            if place >= SIGN_LIMIT:
                 self._signs[key] = self.opaque(f"free sign of {key}")
             else:
-                if position == len(self._script):
+                if place == len(self._script):
                     self._script.append(1)
-                self._signs[key] = self._script[position]
+                self._places[key], self._signs[key] = place, self._script[place]
+        if jumps and key in self._places:
+            self._jumping.add(self._places[key])
         return self._signs[key] if key == value else -self._signs[key]
 
     def next_signs(self) -> bool:
         """Forget the signs and take the next choice of them; False when all choices that were met have been tried."""
         self._signs.clear()
-        while self._script and self._script[-1] == -1:
+        self._places.clear()
+        while self._script:
+            last = len(self._script) - 1
+            following = {1: -1, -1: 0 if last in self._jumping else None}.get(self._script[last])
+            if following is not None:
+                self._script[last] = following
+                return True
             self._script.pop()
-        if not self._script:
-            return False
-        self._script[-1] = -1
-        return True
+            self._jumping.discard(last)
+        return False
 
     def opaque(self, key: str) -> int:
         """The free value of a function at reduced arguments; `key` names both, ``"tanh of 5"``."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from dmframe.certify import Verdict
-from dmframe.certify.conditions import Checked
+from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
 from dmframe.config import Graph
@@ -59,6 +59,11 @@ class Condition:
     holds: bool
     how: str
     source: str
+
+    @property
+    def told(self) -> str:
+        """What is said of it where it holds: of samples, no more than that."""
+        return "sampled, not proved" if self.how == "sampled" else "holds"
 
 
 @final

@@ -13,11 +13,15 @@ from dmframe.certify.along import Along, along
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.exact.rational import as_float
 from dmframe.report.embed import figure_svg
 from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Run, simulate
 from dmframe.units import plain
+
+ROUNDING = 1e-6
+"""Of V at the start: rises that an integrator's own error explains."""
 
 CURVES = 6
 """Terms of V that the figure shows, the largest ones."""
@@ -92,11 +96,17 @@ def _judged(found: Along, clock: float | None) -> str:
     if not found.largest_increase:
         return "Along the run $V$ never rose from one sample to the next."
     share = found.largest_increase / found.V[0] if found.V[0] else float("inf")
-    cause = "the integrator's error and rounding" if clock is None else "sampling"
-    return (
+    rose = (
         f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases, by at most "
-        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. In the theorem's loop it "
-        f"never rises, so this is the effect of {cause}."
+        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. "
+    )
+    if clock is not None:
+        return rose + "The theorem is about continuous time; of a sampled loop it does not say that $V$ never rises."
+    if share <= ROUNDING:
+        return rose + "An integrator that takes finite steps leaves as much."
+    return rose + (
+        "**Warning**: where all that the theorem assumes is true, $V$ does not rise. Either an assumption is not true "
+        "of this run, or the integrator's steps are too long: run it with a smaller step to see which."
     )
 
 
@@ -119,10 +129,9 @@ def _along(verdict: Verdict, run: Run) -> tuple[Along | None, str]:
         return None, "Without a certificate there is no $V$ to show."
     if verdict.outcome == "refuted":
         return None, "$V$ is not shown, since what the blocks claim about it is false."
-    cascade = any(part.cascade for part in verdict.claim.parts)
-    if cascade and verdict.kappa is None:
+    if verdict.claim.cascaded and verdict.kappa is None:
         return None, "$V$ is not shown, since no weight $\\kappa$ makes its derivative negative at these numbers."
-    return along(verdict.claim, run, float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
+    return along(verdict.claim, run, as_float(verdict.kappa.chosen) if verdict.kappa else 1.0), ""
 
 
 def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:

@@ -30,25 +30,56 @@ def meaning_of(verdict: Verdict, clock: float | None) -> Meaning:
 
 
 def _proved(verdict: Verdict, clock: float | None) -> Meaning:
-    converging = [f"${latex(item.signal)}$" for item in verdict.statements if item.says == "goes to zero"]
-    follows = f" and {_listed(converging)} {'goes' if len(converging) == 1 else 'go'} to zero" if converging else ""
-    sentence = (
-        "in continuous time this control loop is stable, as a mathematical theorem: an energy-like function $V$ of its "
-        f"state never grows, so every signal that $V$ holds stays bounded{follows}, under the conditions checked and "
-        "the assumptions listed below."
-    )
-    if verdict.bounds:
-        sentence = _sentence_with_residual(verdict)
-    residual = ", plus the bounded terms listed below" if verdict.bounds else ""
+    sentence = _sentence_with_residual(verdict) if verdict.bounds else _sentence(verdict)
     means = (
         "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
-        f"equals exactly minus a sum of terms none of which can be negative{residual}.",
+        f"equals exactly minus a sum of terms none of which can be negative{_beside(verdict)}.",
         _decided(verdict),
-        "It holds for all values of the gains and of the robot's inertia and friction that meet the conditions, not "
-        "only for those of this graph; the conditions themselves were decided at the numbers of this graph.",
+        "The identity holds for all values of the free symbols, not only for those of this graph; the conditions, and "
+        "what follows, were decided at the numbers of this graph.",
         f"The test can say no: {_controls(verdict)}",
     )
     return Meaning(HEADLINES["proved"], sentence, means, _limits(clock))
+
+
+def _sentence(verdict: Verdict) -> str:
+    """What V and its derivative bring about, and whether that is the stability of the whole loop."""
+    told = [f"${latex(item.signal)}$" for item in verdict.statements if item.concludes]
+    if not told:
+        told = [
+            f"${latex(item.signal)}$" for item in verdict.statements if item.says == "goes to zero" and not item.assumes
+        ]
+    goes = f" {_listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
+    under = "under the conditions checked and the assumptions listed below."
+    states = verdict.states
+    if states is not None and states.open:
+        left = _listed([f"`{label}`" for label in states.open])
+        return (
+            "in continuous time, as a mathematical theorem, an energy-like function $V$ never grows, so that what it "
+            f"holds stays bounded,{goes} {under} This is not the stability of the whole loop: neither $V$ nor anything "
+            f"that follows from it bounds {left}."
+        )
+    turns = ""
+    if states is not None and states.unfelt:
+        left = _listed([f"`{label}`" for label in states.unfelt])
+        turns = f", but for a common drift of {left} that no other signal feels, such as whole turns"
+    return (
+        "in continuous time this control loop is stable, as a mathematical theorem: an energy-like function $V$ never "
+        f"grows, all states stay bounded{turns}, and{goes or ' no more is said of the errors'} {under}"
+    )
+
+
+def _beside(verdict: Verdict) -> str:
+    """What the derivative holds beside the terms that are lost."""
+    terms = []
+    claim = verdict.claim
+    if claim is not None and claim.cascaded:
+        terms.append("what the reference generator consumes, for which the servo level pays")
+    if claim is not None and claim.loop.projections:
+        terms.append("what the projections add, which is never positive")
+    if verdict.bounds:
+        terms.append("the bounded terms listed below")
+    return f", plus {_listed(terms)}" if terms else ""
 
 
 def _sentence_with_residual(verdict: Verdict) -> str:
@@ -71,9 +102,18 @@ def _decided(verdict: Verdict) -> str:
     assert test is not None  # there is no proof without a test
     return (
         "The identity was not tried out with numbers: it was evaluated exactly, in integer arithmetic modulo "
-        f"{test.trials} random primes, with every state, trajectory, gain and physical parameter a free symbol. If it "
-        f"were false, this would have gone unnoticed with a probability below $2^{{{test.log2_error_bound:.0f}}}$."
+        f"{test.trials} random primes, with every state, trajectory, gain and physical parameter a free symbol"
+        f"{_held(verdict)}. If it were false, this would have gone unnoticed with a probability below "
+        f"$2^{{{test.log2_error_bound:.0f}}}$."
     )
+
+
+def _held(verdict: Verdict) -> str:
+    """The numbers that were not free."""
+    if not verdict.fixed:
+        return ""
+    names = _listed([f"`{label}`" for label in verdict.fixed])
+    return f", except {names}, {'each ' if len(verdict.fixed) > 1 else ''}zero in this graph and zero in the proof"
 
 
 def _controls(verdict: Verdict) -> str:
@@ -115,7 +155,8 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
     )  # fmt: skip
     not_means = (
         "It does not say that the loop is unstable: a false claim is no proof of the contrary.",
-        "It says nothing of the gains; with other numbers the claim is false too.",
+        "It does not depend on the graph's numbers: they were free symbols. That the claim holds for some single choice "
+        "of them is not ruled out.",
     )
     del clock
     return Meaning(HEADLINES["refuted"], f"the blocks' claim about $V$ is false; {place}.", means, not_means)

@@ -143,7 +143,9 @@ def _write_one(
     for name, source in companions(result.graph).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
-    _write_json(place / "provenance.json", provenance(result.graph, text, seed=seed, command=command, now=now))
+    made = provenance(result.graph, text, seed=seed, command=command, now=now)
+    # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
+    _write_json(place / "provenance.json", {**made, "field_hash": result.run.diagram.fingerprint})
     _write_signals(place / "signals.nc", result, seed)
 
 

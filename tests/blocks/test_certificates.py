@@ -64,7 +64,7 @@ def certificates(diagram: Diagram) -> dict[str, Certificate]:
         said = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
         if said is not None:
             found[name] = said
-            known |= said.truth
+            known[name] = said.truth
     return found
 
 

@@ -29,7 +29,8 @@ import dmframe.linalg
 import dmframe.robot.symbolic
 from dmframe.block import AbstractBlock
 from dmframe.certify import claim_of, verify
-from dmframe.certify.identity import equalities, holds_in_reals
+from dmframe.certify.identity import equalities
+from dmframe.certify.reals import doubt
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.model import hashes, symbols_in
@@ -296,7 +297,7 @@ def _refuted_at_once(diagram: Diagram) -> bool:
     claim = claim_of(diagram)
     symbols = symbols_of(claim)
     residual = symbols.function("residual", [claim.residual])  # a part of what verify tests, and the quicker for it
-    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not holds_in_reals(claim, symbols, 0)
+    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not doubt(claim, symbols, 0)
 
 
 def _outcome(diagram: Diagram, verdict: Any) -> str:

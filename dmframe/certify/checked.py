@@ -1,0 +1,105 @@
+"""Conditions decided exactly: at the graph's own numbers, or over its intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim
+from dmframe.certify.definite import Number, pivots
+from dmframe.certify.symbols import exact_values
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import hashes
+from dmframe.errors import ValueFault
+from dmframe.exact.rational import Interval, as_float, evaluate
+
+
+@final
+@dataclass(frozen=True)
+class Checked:
+    """A condition with its margin.
+
+    Parameters
+    ----------
+    value
+        The least value that must be positive; the margin. None where it could not be computed.
+    how
+        How it was decided: ``exact``; ``sampled``; or ``undecided``, which never holds.
+    """
+
+    name: str
+    expression: str
+    value: float | None
+    holds: bool
+    source: str
+    how: str = "exact"
+
+
+@final
+class Numbers:
+    """Exact values of expressions in parameters alone, at the graph's numbers or over its intervals."""
+
+    def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
+        self.claim = claim
+        values: dict[str, Sequence[Number]] = dict(exact_values(claim.diagram))
+        self.values, self.uncertain = values | dict(uncertain), frozenset(uncertain)
+        self._p = claim.loop.parameters
+
+    @property
+    def known(self) -> set[int]:
+        """Identities of the parameters' symbols."""
+        return hashes(stack(p.symbol for p in self._p))
+
+    def of(self, expression: SX) -> list[Number]:
+        """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
+        joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
+        function = ca.Function("value", [stack([p.symbol]) for p in self._p], [joined], {"allow_free": True})
+        if function.has_free():
+            free = ", ".join(str(symbol) for symbol in function.get_free())
+            raise ValueFault(f"expected an expression in parameters alone, found {free}")
+        return evaluate(function, [self.values[p.label] for p in self._p])[0]
+
+    def with_states(self, expression: SX, state: SX, values: Sequence[Number]) -> list[Number] | None:
+        """The elements of an expression in parameters and one state, the state anywhere in its intervals."""
+        joined = ca.vec(ca.densify(expression))
+        function = ca.Function("value", [stack([p.symbol]) for p in self._p] + [state], [joined], {"allow_free": True})
+        return (
+            None if function.has_free() else evaluate(function, [*(self.values[p.label] for p in self._p), values])[0]
+        )
+
+    def least(self, expression: SX) -> Fraction:
+        """The least element; of an interval, its lower end."""
+        return min((lower(value) for value in self.of(expression)), default=Fraction(1))
+
+    def least_pivot(self, matrix: SX) -> Fraction:
+        """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""
+        values, n = self.of(matrix), matrix.shape[0]
+        return min(pivots([values[column * n : (column + 1) * n] for column in range(n)]))
+
+
+def lower(value: Number) -> Fraction:
+    """The least that a number can be."""
+    return value.lower if isinstance(value, Interval) else value
+
+
+def upper(value: Number) -> Fraction:
+    """The most that a number can be."""
+    return value.upper if isinstance(value, Interval) else value
+
+
+def decided(name: str, text: str, source: str, least: Callable[[], Fraction], strict: bool = True) -> Checked:
+    """A condition from the least value that must be positive; undecided, which is not holding, where there is none."""
+    try:
+        value = least()
+    except ZeroDivisionError:
+        text = f"{text}; undecided: a divisor is zero, or its interval holds zero"
+    except ValueFault as error:
+        text = f"{text}; undecided: {error.text}"
+    else:
+        return Checked(name, text, as_float(value), value > 0 if strict else value >= 0, source)
+    return Checked(name, text, None, False, source, "undecided")

@@ -1,0 +1,324 @@
+r"""Which signals stay bounded: first what V holds, then what follows from the closed loop's own equations.
+
+A *direction* is a combination of states, and a set of bounded signals leaves some of them open. Whatever moves with an
+open direction only through sines, cosines and other bounded functions is bounded too. So, with the open directions u:
+
+1. a vector v of V, weighed by a positive constant, is bounded. Where :math:`\partial v/\partial u` (bounded functions
+   held) is constant, that combination of states is bounded, and u is open no more;
+2. a combination of states whose rate is zero keeps its value;
+3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
+4. and so on, until nothing more follows. A signal that does not move with what is still open is bounded.
+
+Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. That trajectories, with the
+derivatives that appear, are bounded is an assumption, and so is that no denominator comes close to zero.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations, product
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX, Assumption, Condition, Driven
+from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.claim import Claim, Field
+from dmframe.certify.definite import Number
+from dmframe.certify.stability import common_margin
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram.closed_loop import Variable
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.projection import Box
+from dmframe.errors import ValueFault
+from dmframe.exact import Tape, random_prime
+from dmframe.exact.linear import Echelon
+from dmframe.exact.rational import Interval
+from dmframe.exact.shift import Shift, ZeroDivision
+
+ATTEMPTS = 20
+BITS = 149
+SIGNED = (1, -1)
+
+
+@final
+@dataclass(frozen=True)
+class Bases:
+    """What is bounded to begin with: columns; what is driven may follow, and stands with the block that says so."""
+
+    vectors: tuple[SX, ...]
+    driven: tuple[tuple[str, Driven], ...] = ()
+
+
+@final
+class Closure:
+    """The bounded directions of a claim's state space.
+
+    Parameters
+    ----------
+    bases
+        What V or a projection bounds.
+    """
+
+    def __init__(self, claim: Claim, numbers: Numbers, bases: Bases, *, seed: int) -> None:
+        self._claim, self._numbers = claim, numbers
+        self._symbols = symbols_of(claim, numbers.uncertain)
+        self._variables = (*claim.loop.controller, *claim.loop.plant)
+        self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
+        self._draw(random.Random(seed + 3))
+        self._known = Echelon(self._shift.prime, self._columns)
+        self.driven: list[Driven] = []
+        self.assumed: list[tuple[str, Driven]] = []
+        self.missed: list[tuple[str, Driven]] = []
+        self._follow(bases)
+
+    @property
+    def uncertain(self) -> frozenset[str]:
+        """Labels of the parameters known only up to intervals."""
+        return self._numbers.uncertain
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All states."""
+        return self._variables
+
+    def open_states(self) -> list[Variable]:
+        """States of which some combination is not known to be bounded."""
+        free = self._open()
+        found, start = [], 0
+        for variable in self._variables:
+            size = variable.symbol.numel()
+            if any(any(u[start : start + size]) for u in free):
+                found.append(variable)
+            start += size
+        return found
+
+    def conditions(self) -> list[tuple[str, Condition]]:
+        """What had to be assumed, and what has to stand in for what did not follow; by block."""
+        return [(block, condition) for block, item in (*self.assumed, *self.missed) for condition in item.otherwise]
+
+    def bounds(self, expressions: Sequence[SX]) -> list[bool]:
+        """Which of these follow: they do not move with any open direction."""
+        if not expressions:
+            return []
+        differences = self._moves([ca.vec(ca.densify(expression)) for expression in expressions])
+        return [not any(rows) for rows in differences]
+
+    def turning(self) -> bool:
+        """No rate moves with what is open: it turns, or drifts, without being felt."""
+        return all(self.bounds([self._rate(variable) for variable in self._variables]))
+
+    def felt(self) -> list[Variable]:
+        """The states whose rates move with what is open."""
+        rates = [self._rate(variable) for variable in self._variables]
+        return [v for v, bounded in zip(self._variables, self.bounds(rates), strict=True) if not bounded]
+
+    @cached_property
+    def _rates(self) -> Mapping[str, SX]:
+        joined = self._claim.loop.joined([variable.rate for variable in self._variables])
+        return {variable.label: rate for variable, rate in zip(self._variables, joined, strict=True)}
+
+    def _rate(self, variable: Variable) -> SX:
+        return self._rates[variable.label]
+
+    def _draw(self, rng: random.Random) -> None:
+        """Two random points of one field, with the same parameters."""
+        self._shift = Shift(random_prime(rng, BITS), rng)
+        self._points: list[dict[str, list[int]]] = [{}, {}]
+        self._extend()
+
+    def _extend(self) -> None:
+        """Values for symbols that have none yet; a derivative may have brought a trajectory's next one."""
+        first, second = self._points
+        for group in self._symbols.groups:
+            if group.label not in first:
+                size, values = group.symbol.numel(), group.values
+                known = [] if values is None else [self._shift.residue(value) for value in values]
+                first[group.label] = known or [self._shift.random() for _ in range(size)]
+                shared = group.kind in ("parameter", "weight")
+                second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
+
+    def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
+        """A point with its states and its time moved along u."""
+        steps, start = {"t": u[-1:]}, 0
+        for variable in self._variables:
+            size = variable.symbol.numel()
+            steps[variable.label] = u[start : start + size]
+            start += size
+        return [
+            [(a + b) % self._shift.prime for a, b in zip(point[group.label], steps[group.label], strict=True)]
+            if group.kind in ("state", "time")
+            else list(point[group.label])
+            for group in self._symbols.groups
+        ]
+
+    def _at(self, place: int) -> list[list[int]]:
+        return [self._points[place][group.label] for group in self._symbols.groups]
+
+    def _open(self) -> list[list[int]]:
+        return self._known.null_space()
+
+    def _anywhere(self) -> list[int]:
+        """A random combination of all open directions."""
+        found = [0] * self._columns
+        for u in self._open():
+            factor = self._shift.random()
+            found = [(a + factor * b) % self._shift.prime for a, b in zip(found, u, strict=True)]
+        return found
+
+    def _tape(self, expressions: Sequence[SX]) -> Tape:
+        if sum(group.kind == "trajectory" for group in self._symbols.groups) < len(
+            self._claim.diagram.resolver.trajectories
+        ):
+            self._symbols = symbols_of(self._claim, self._numbers.uncertain)
+            self._extend()
+        return Tape.from_function(self._symbols.function("closure", expressions))
+
+    def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
+        """By how much each element moves along a random open direction."""
+        tape = self._tape(expressions)
+        (flat,) = self._differences(tape, 0, [self._anywhere()])
+        found, start = [], 0
+        for expression in expressions:
+            found.append(flat[start : start + expression.numel()])
+            start += expression.numel()
+        return found
+
+    def _differences(self, tape: Tape, place: int, directions: Sequence[Sequence[int]]) -> list[list[int]]:
+        point = self._points[place]
+        for _ in range(ATTEMPTS):
+            try:
+                return self._shift.difference(tape, self._at(place), [self._moved(point, u) for u in directions])
+            except ZeroDivision:
+                directions = [[2 * x % self._shift.prime for x in u] for u in directions]
+        raise ValueFault("a denominator vanishes at every random point")
+
+    def _follow(self, bases: Bases) -> None:
+        """Add what follows until nothing more does."""
+        vectors, waiting = list(bases.vectors), list(bases.driven)
+        self._keep_constants()
+        while True:
+            if self._grow(vectors):
+                continue
+            found = next((item for item in waiting if self._follows(*item)), None)
+            if found is None:
+                break
+            waiting = [item for item in waiting if item is not found]
+            self.driven.append(found[1])
+            vectors += found[1].bounded
+        self.missed = waiting
+
+    def _grow(self, vectors: Sequence[SX]) -> bool:
+        """Close directions with bounded vectors; has any been closed?"""
+        directions = self._open()
+        if not vectors or not directions:
+            return False
+        tape = self._tape([ca.vec(ca.densify(vector)) for vector in vectors])
+        along = self._anywhere()
+        here, there = (self._differences(tape, place, [along])[0] for place in (0, 1))
+        steady = [row for row, (a, b) in enumerate(zip(here, there, strict=True)) if a == b and a]
+        if not steady:
+            return False
+        moved = self._differences(tape, 0, directions)
+        free = [next(k for k in range(self._columns) if u[k] == 1 and _alone(k, u, directions)) for u in directions]
+        grown = False
+        for row in steady:
+            functional = [0] * self._columns
+            for column, difference in zip(free, moved, strict=True):
+                functional[column] = difference[row]
+            grown |= self._known.add(functional)
+        return grown
+
+    def _keep_constants(self) -> None:
+        """Sums and differences of up to three states whose rates cancel keep the value with which they start."""
+        tape = self._tape([ca.vec(ca.densify(self._rate(variable))) for variable in self._variables])
+        flat = [self._shift.values(tape, self._at(place)) for place in (0, 1)]
+        starts, start = list[int](), 0
+        for variable in self._variables:
+            starts.append(start)
+            start += variable.symbol.numel()
+        for count in (1, 2, 3):
+            for places in combinations(range(len(self._variables)), count):
+                sizes = {self._variables[k].symbol.numel() for k in places}
+                if len(sizes) == 1:
+                    self._keep([starts[k] for k in places], sizes.pop(), flat)
+
+    def _keep(self, starts: Sequence[int], size: int, rates: Sequence[Sequence[int]]) -> None:
+        p = self._shift.prime
+        for signs in product(SIGNED, repeat=len(starts) - 1):
+            factors = (1, *signs)
+            for element in range(size):
+                if all(
+                    not sum(f * row[s + element] for f, s in zip(factors, starts, strict=True)) % p for row in rates
+                ):
+                    functional = [0] * self._columns
+                    for factor, start in zip(factors, starts, strict=True):
+                        functional[start + element] = factor % p
+                    self._known.add(functional)
+
+    def _follows(self, block: str, item: Driven) -> bool:
+        """Is the remainder bounded by now, and the linear part stable, or assumed to be?"""
+        if not all(self.bounds(list(self.remainders(item)))):
+            return False
+        if stable(item, self._numbers, self._claim):
+            return True
+        given = bool(item.otherwise) and all(isinstance(condition, Assumption) for condition in item.otherwise)
+        if given:
+            self.assumed.append((block, item))
+        return given
+
+    def remainders(self, driven: Driven) -> Iterator[SX]:
+        """What is left of each equation beside its stable linear part."""
+        field = Field(self._claim.diagram)
+        for vector, row in zip(driven.vectors, driven.rates, strict=True):
+            linear = sum((rate * other for rate, other in zip(row, driven.vectors, strict=True)), ca.SX(0))
+            yield field.derivative(vector) - linear
+
+
+def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:
+    """Is this the column in which the direction is 1 and all others 0?"""
+    return all(u is own or not u[column] for u in directions)
+
+
+def stable(driven: Driven, numbers: Numbers, claim: Claim) -> bool:
+    r"""Is :math:`\dot z = A z` stable for each joint, at the graph's numbers, or while A's states move in their boxes?
+
+    One equation a joint: A < 0 at its upper end. Two: of parameters alone, trace A < 0 and det A > 0; with states, a
+    companion form [[0, 1], [-b, -a]] and one Lyapunov matrix for all corners of the box (`common_margin`).
+    """
+    A = [[numbers_of(rate, numbers, claim) for rate in row] for row in driven.rates]
+    if any(entry is None for row in A for entry in row):
+        return False
+    rows = [[entry for entry in row if entry is not None] for row in A]
+    joints = max(len(entry) for row in rows for entry in row)
+    return all(_stable([[entry[j % len(entry)] for entry in row] for row in rows]) for j in range(joints))
+
+
+def _stable(A: Sequence[Sequence[Number]]) -> bool:
+    if len(A) == 1:
+        return upper(A[0][0]) < 0
+    if len(A) != 2:
+        return False
+    ends = [[(lower(x), upper(x)) for x in row] for row in A]
+    if all(low == high for row in ends for low, high in row):
+        (a, b), (c, d) = [[low for low, _ in row] for row in ends]
+        return a + d < 0 and a * d - b * c > 0
+    companion = [low for low, _ in ends[0]] == [high for _, high in ends[0]] == [0, 1]
+    (b_low, b_high), (a_low, a_high) = ends[1]
+    return companion and common_margin((-a_high, -a_low), (-b_high, -b_low)) > 0
+
+
+def numbers_of(rate: SX, numbers: Numbers, claim: Claim) -> list[Number] | None:
+    """The values of an entry; of a state with a box, all that the box holds. None where it holds anything else."""
+    for projection in claim.loop.projections:
+        if isinstance(projection.set, Box) and symbols_in([rate]) & hashes(projection.state):
+            ends = [numbers.of(end) for end in (projection.set.lower, projection.set.upper)]
+            inside = [Interval(lower(low), upper(high)) for low, high in zip(*ends, strict=True)]
+            return numbers.with_states(rate, projection.state, inside)
+    try:
+        return numbers.of(rate)
+    except (ValueFault, ZeroDivisionError):
+        return None

@@ -1,0 +1,103 @@
+"""The form of a certificate: terms of the known kinds, of shapes that fit, which the conditions can be decided on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final, final
+
+import casadi as ca
+
+from dmframe.certificate import (
+    MONOTONE,
+    SX,
+    Certificate,
+    Clipped,
+    Consumed,
+    Driven,
+    Gathered,
+    Lemma,
+    NormSquare,
+    Square,
+)
+from dmframe.errors import DmframeError, nearest
+
+STORED: Final = (Square, Gathered)
+DISSIPATED: Final = (Square, NormSquare, Lemma, Gathered)
+BOUNDED: Final = (Square, NormSquare, Clipped)
+"""Terms by what they may be; exactly these types, since a subclass could say anything of itself."""
+
+
+@final
+class NotApplicableError(DmframeError):
+    """A diagram that makes no claim: a block without a certificate, or a truth that nobody knows."""
+
+
+def check_form(name: str, certificate: Certificate) -> None:
+    """Hold a certificate to the shapes that the conditions decide on; raises `NotApplicableError`."""
+    for text in _ill_formed(certificate):
+        raise NotApplicableError(f"{name}: {text}")
+
+
+def _ill_formed(certificate: Certificate) -> Iterator[str]:
+    terms = certificate.dissipation
+    if not all(type(term) in STORED for term in certificate.storage):
+        yield "expected each term of the storage to be a Square or Gathered; nothing else is known to be positive"
+    if not all(type(term) in DISSIPATED for term in terms):
+        yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
+    if not all(type(term) in BOUNDED for term in certificate.excess):
+        yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
+    for term in (*certificate.storage, *terms, *certificate.excess):
+        pieces = [ca.SX(piece) for piece in term.pieces]
+        if isinstance(term, Lemma) and term.phi not in MONOTONE:
+            yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
+        if not _fits(term, pieces):
+            yield f"{term.of}: expected columns of one length, or a square matrix of weights, found other shapes"
+    consumed = certificate.consumes
+    if consumed is not None and type(consumed) is not Consumed:
+        yield f"expected consumes to be Consumed(vector, c), found {type(consumed).__name__}"
+    elif consumed is not None and not (ca.SX(consumed.vector).is_column() and ca.SX(consumed.c).is_scalar()):
+        yield "expected a cascade to consume a scalar c of a column, found other shapes"
+    if not ca.SX(certificate.supply).is_scalar():
+        rows, columns = ca.SX(certificate.supply).shape
+        yield f"expected a scalar supply, found {rows} x {columns}"
+    yield from _ill_driven(certificate.driven)
+    if certificate.pays:
+        if consumed is not None:
+            yield "a cascade consumes and cannot pay; expected one of consumes and pays"
+        paying = terms[: len(certificate.pays)]
+        if len(certificate.pays) > len(terms):
+            yield f"pays has {len(certificate.pays)} shares, expected one for each of {len(terms)} dissipated squares"
+        if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
+            yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
+
+
+def _ill_driven(driven: Sequence[object]) -> Iterator[str]:
+    for item in driven:
+        if type(item) is not Driven:
+            yield f"expected each of driven to be a Driven, found {type(item).__name__}"
+            continue
+        count = len(item.vectors)
+        if not count or len(item.rates) != count or any(len(row) != count for row in item.rates):
+            yield f"expected {count} rows of {count} rates for the {count} vectors that are driven, found other sizes"
+        elif not _columns([ca.SX(piece) for piece in item.pieces]):
+            yield "expected what is driven, and its rates, to be columns of one length or scalars"
+
+
+def _fits(term: object, pieces: Sequence[SX]) -> bool:
+    """Columns of one length or scalars; some terms have a matrix of weights, or a vector of another length."""
+    if isinstance(term, Gathered):
+        vector, weight, memory, regressor, by, forgetting = pieces
+        rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
+        fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
+        return bool(scalars and fits)
+    if isinstance(term, NormSquare):
+        return pieces[2].is_column() and _columns(pieces[:2])
+    if isinstance(term, Square):
+        rows = pieces[0].shape[0]
+        return pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
+    return _columns(pieces)
+
+
+def _columns(pieces: Sequence[SX]) -> bool:
+    rows = max(piece.shape[0] for piece in pieces)
+    return all(piece.shape in ((rows, 1), (1, 1)) for piece in pieces)

@@ -1,0 +1,185 @@
+"""What a theorem takes for granted, read off the closed loop: no block has to remember it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import casadi as ca
+
+from dmframe.certificate import SX, Assumption
+from dmframe.certify.claim import Claim
+from dmframe.certify.closure import Closure
+from dmframe.certify.definite import is_mass_matrix
+from dmframe.diagram import Diagram
+from dmframe.diagram.model import BlockModel, hashes, symbols_in
+from dmframe.diagram.wiring import Wire
+from dmframe.linalg import Inverted
+from dmframe.port import Access, Side
+
+ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
+DEFINED: Final = {
+    getattr(ca, f"OP_{name}"): name.lower()
+    for name in ("LOG", "LOG1P", "ASIN", "ACOS", "ACOSH", "ATANH", "TAN", "POW", "ERFINV")
+}
+"""Functions that are not defined, or not bounded, everywhere."""
+DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
+"""Instructions that divide, with the place of the divisor."""
+SHOWN = 60
+"""Letters of a divisor that are written out."""
+
+
+def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
+    """All that cannot be decided from the graph, in the order in which a theorem states it."""
+    found = [
+        *_servo_and_robot(claim.diagram),
+        *_ranks(claim),
+        *(item for name in claim.diagram.blocks for item in _divisors(claim, name)),
+        *_open(closure),
+        *_trajectories(claim),
+        *_measured(claim.diagram),
+        Assumption("time is continuous; for a sampled clock see what was measured on the sampled loop", "Section II"),
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _servo_and_robot(diagram: Diagram) -> Iterator[Assumption]:
+    plant = [name for name, block in diagram.blocks.items() if block.side is Side.PLANT]
+    if plant:
+        types = ", ".join(f"{name} ({diagram.type_of(name)})" for name in plant)
+        yield Assumption(
+            f"the robot and its servo are what the graph says, rigid, with constant parameters: {types}",
+            "eqs. (3), (6), (7)",
+        )
+
+
+def _ranks(claim: Claim) -> Iterator[Assumption]:
+    """A matrix of full row rank that some block reads."""
+    read = {(source.block, source.port) for source in claim.diagram.sources.values() if isinstance(source, Wire)}
+    for name, model in claim.diagram.models.items():
+        for port in model.block.outputs:
+            if port.full_rank and (name, port.name) in read:
+                of = f"{port.name} ({name})"
+                yield Assumption(f"{of} keeps full row rank along the motion, uniformly", "Theorems 1 to 4, Remark 2")
+
+
+def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
+    """Matrices and numbers that a block's equations divide by, where they hold more than parameters."""
+    model = claim.diagram.models[name]
+    for inverted in model.inverted:
+        text = _definite(claim, model, inverted)
+        if text:
+            yield Assumption(f"{name}: {text}", "its equations invert it")
+    moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
+    outputs = [*model.equations.outputs.values(), *model.equations.rates.values()]
+    known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
+    seen = dict[str, None]()
+    for code, divisor in _risky(outputs):
+        if divisor.element_hash() in known or not symbols_in([divisor]) & moving:
+            continue
+        if code in DIVISIONS:
+            seen[f"{_written(divisor)} stays away from zero"] = None
+        else:
+            seen[f"{DEFINED[code]} of {_written(divisor)} stays where it is defined and finite"] = None
+    yield from (Assumption(f"{name}: {text}", "its equations need it") for text in seen)
+
+
+def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> str:
+    """In what sense a matrix stays invertible; empty where that follows, or is a condition of its own."""
+    A = ca.SX(inverted.matrix)
+    moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
+    if not symbols_in([A]) & moving:
+        return ""
+    for port in model.block.inputs:
+        symbol = model.inputs.get(port.name)
+        if symbol is None:
+            continue
+        if symbol.shape[0] == A.shape[0] and _equal(A, symbol @ symbol.T):
+            if _declared_full_rank(claim.diagram, model.name, port.name):
+                return ""  # said of the matrix itself
+            return f"{port.name} keeps full row rank along the motion, uniformly"
+        if symbol.shape == A.shape and _equal(A, symbol):
+            return f"{port.name} stays positive definite, uniformly"
+    resolver = claim.diagram.resolver
+    joined = claim.loop.joined([resolver.expand(model.name, A)])[0]
+    if model.robot is not None and is_mass_matrix(claim, joined):
+        return ""  # M(q) > 0 is a condition
+    named = sorted({symbol.name().split("[")[0].rpartition("_")[0] or symbol.name() for symbol in ca.symvar(A)})
+    return f"a symmetric matrix that it inverts, made of {', '.join(named[:4])}, stays positive definite, uniformly"
+
+
+def _equal(one: SX, other: SX) -> bool:
+    return one.shape == other.shape and bool(ca.is_equal(ca.densify(one), ca.densify(other), 9))
+
+
+def _declared_full_rank(diagram: Diagram, block: str, port: str) -> bool:
+    source = diagram.sources[block, port]
+    if not isinstance(source, Wire):
+        return False
+    return any(out.name == source.port and out.full_rank for out in diagram.models[source.block].block.outputs)
+
+
+def _risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
+    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
+    todo = [element for output in outputs for element in ca.vertsplit(ca.vec(ca.densify(output)))]
+    seen = set[int]()
+    while todo:
+        x = todo.pop()
+        if x.element_hash() in seen or not x.n_dep():
+            continue
+        seen.add(x.element_hash())
+        code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
+        if code in DIVISIONS:
+            yield code, parts[DIVISIONS[code]]
+        elif code in DEFINED:
+            yield code, parts[0]
+        todo += parts
+
+
+def _written(divisor: SX) -> str:
+    text = str(divisor)
+    if len(text) <= SHOWN:
+        return text
+    return f"a divisor made of {', '.join(sorted({s.name() for s in ca.symvar(divisor)})[:4])}"
+
+
+def _open(closure: Closure) -> Iterator[Assumption]:
+    """What V does not weigh, nor anything that follows from it, and what the loop still feels."""
+    left = [variable.label for variable in closure.open_states()] or ["the time t"]
+    if closure.turning():
+        return
+    names, felt = _listed(left), _listed([v.label for v in closure.felt()])
+    yield Assumption(
+        f"a solution exists for all time, with {names} bounded: V does not weigh all of them, and the rates of {felt} "
+        "depend on them",
+        "not shown",
+    )
+
+
+def _trajectories(claim: Claim) -> Iterator[Assumption]:
+    orders = dict[str, int]()
+    for block, port, order in claim.diagram.resolver.trajectories:
+        name = f"{block}.{port}"
+        orders[name] = max(order, orders.get(name, 0))
+    for name, order in orders.items():
+        rates = f" and its {ORDERS[min(order, len(ORDERS) - 1)]}derivative{'s' * (order > 1)}" if order else ""
+        yield Assumption(f"{name}{rates} {'are' if order else 'is'} bounded", "Theorems 1 to 4")
+
+
+def _measured(diagram: Diagram) -> Iterator[Assumption]:
+    """Signals of the plant that the controller reads."""
+    found = dict[str, None]()
+    for (reader, _), source in diagram.sources.items():
+        if isinstance(source, Wire) and diagram.blocks[reader].side is Side.CONTROLLER:
+            port = next(p for p in diagram.models[source.block].block.outputs if p.name == source.port)
+            if port.access is Access.MEASURED:
+                found[f"{source.block}.{source.port}"] = None
+    if found:
+        frame = "; positions of the tool are those of the path's frame" if any(n.endswith(".x") for n in found) else ""
+        yield Assumption(
+            f"what is measured is exact and without delay: {', '.join(sorted(found))}{frame}", "Section II"
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"

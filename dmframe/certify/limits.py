@@ -1,0 +1,169 @@
+r"""From what vanishes to what the loop is for: errors that go to zero because a vanishing signal is made of them.
+
+Let every :math:`z_k \to 0`. A vector w goes to zero if it is, identically and element by element,
+
+.. math:: w = \sum_k c_k z_k \quad\text{or}\quad R^\top w = \sum_k c_k z_k
+
+with constants :math:`c_k` that depend on parameters alone, and R of full row rank, uniformly: then
+:math:`|R^\top w|^2 \ge c |w|^2`. The constants are not guessed: they are solved for at random points of a prime field,
+more points than there are constants.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX, Square
+from dmframe.certify.claim import Claim
+from dmframe.certify.closure import Closure
+from dmframe.certify.symbols import Symbols, symbols_of
+from dmframe.exact import Tape, random_prime
+from dmframe.exact.linear import rank
+from dmframe.exact.shift import Shift, ZeroDivision
+
+MORE = 3
+"""Points beyond the number of constants, each a further test."""
+
+
+@final
+@dataclass(frozen=True)
+class Vanishing:
+    """A vector that goes to zero; `proved` if its derivative is known to be bounded, which that step needs."""
+
+    of: str
+    vector: SX
+    proved: bool
+
+
+@final
+@dataclass(frozen=True)
+class Goal:
+    """An error that should go to zero."""
+
+    of: str
+    vector: SX
+
+
+@final
+@dataclass(frozen=True)
+class Made:
+    """The step by which an error goes to zero, and what it assumes."""
+
+    step: str
+    assumes: tuple[str, ...] = ()
+
+
+def goals(claim: Claim, closure: Closure) -> list[Goal]:
+    """The errors that V holds, and those that a stable equation drives."""
+    found = {
+        term.of: Goal(term.of, term.vector)
+        for part in claim.parts
+        for term in part.certificate.storage
+        if isinstance(term, Square)
+    }
+    for item in closure.driven:
+        for name, vector in zip(item.of, item.bounded, strict=True):
+            found.setdefault(name, Goal(name, vector))
+    return list(found.values())
+
+
+def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
+    """Why a goal goes to zero, if it does."""
+    symbols = symbols_of(claim, closure.uncertain)
+    for item in closure.driven:
+        if goal.of in item.of and any(
+            ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
+        ):
+            inputs = [_made_of(symbols, rest, vanishing) for rest in closure.remainders(item)]
+            if None not in inputs:
+                names = dict.fromkeys(name for names in inputs for name in names or ())
+                return Made(
+                    f"a stable linear equation drives it, and its input, made of {_listed(list(names))}, vanishes"
+                )
+    used = _made_of(symbols, goal.vector, vanishing)
+    if used is not None:
+        return Made(f"it is made of {_listed(used)}")
+    for name, R in full_rank(claim):
+        if R.shape[0] == goal.vector.shape[0]:
+            seen = R.T @ goal.vector
+            used = _made_of(symbols, seen, vanishing)
+            if used is not None:
+                step = f"{name}' times it is made of {_listed(used)}, and {name} has full row rank"
+                return Made(step, (f"{name} keeps full row rank, uniformly",))
+    return None
+
+
+def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
+    """The matrices whose rows are declared independent, by their names."""
+    diagram = claim.diagram
+    for name, model in diagram.models.items():
+        for port in model.block.outputs:
+            if port.full_rank and port.name in model.equations.outputs:
+                yield port.name, claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
+
+
+def _made_of(symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
+    """The names of those of which the target is a combination with constant coefficients, element by element."""
+    size = target.numel()
+    pieces = [
+        (item.of, item.vector[start : start + size])
+        for item in vanishing
+        if item.vector.numel() % size == 0
+        for start in range(0, item.vector.numel(), size)
+    ]
+    if not pieces:
+        return None
+    chosen = list(range(len(pieces)))
+    rows = _sampled(symbols, [target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
+    if rows is None or not _spans(rows, size, chosen):
+        return None
+    for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
+        if _spans(rows, size, [other for other in chosen if other != k]):
+            chosen.remove(k)
+    return list(dict.fromkeys(pieces[k][0] for k in chosen))
+
+
+def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) -> bool:
+    """At every element: is the first column a combination of the chosen ones, over all sampled points?"""
+    prime, points = rows
+    for element in range(size):
+        columns = [[point[size * (1 + k) + element] for point in points] for k in chosen]
+        target = [point[element] for point in points]
+        if not columns or rank([*columns, target], prime) != rank(columns, prime):
+            return False
+    return True
+
+
+def _sampled(symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
+    """All elements at random points that share their parameters."""
+    tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
+    rng = random.Random(7)
+    shift = Shift(random_prime(rng, 149), rng)
+    fixed = {
+        group.label: [shift.random() for _ in range(group.symbol.numel())]
+        if group.values is None
+        else [shift.residue(value) for value in group.values]
+        for group in symbols.groups
+        if group.kind in ("parameter", "weight")
+    }
+    points = list[list[int]]()
+    for _ in range(4 * count):
+        point = [
+            fixed.get(group.label) or [shift.random() for _ in range(group.symbol.numel())] for group in symbols.groups
+        ]
+        try:
+            points.append(shift.values(tape, point))
+        except ZeroDivision:
+            continue
+        if len(points) == count:
+            return shift.prime, points
+    return None
+
+
+def _listed(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"

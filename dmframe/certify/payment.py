@@ -1,0 +1,98 @@
+r"""Who pays for what a cascade consumes, and how much weight that gives the servo level.
+
+A payer dissipates :math:`|v_1|^2_{W_1} + |v_2|^2_{W_2} + \dots` and composes what is consumed of it,
+:math:`a = \sum_j a_j v_j`, element by element. By Cauchy's inequality, which is sharp here,
+
+.. math:: c\,|a|^2 \le c\,\sum_j \frac{a_j^2}{W_j} \sum_j |v_j|^2_{W_j}
+
+so a payer that V holds with the weight kappa pays if :math:`\kappa \ge c \sum_j a_j^2 / W_j`, with c the sum of all
+that it pays for; one that V holds with the weight 1 pays if that number is below 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.certify.checked import Checked, Numbers, upper
+from dmframe.certify.claim import Claim, Part, total
+from dmframe.errors import ValueFault
+from dmframe.exact.rational import as_float
+
+SOURCE = "composition of storage functions"
+TEXT = "kappa >= c sum_j a_j^2 / W_j"
+
+
+@final
+@dataclass(frozen=True)
+class Kappa:
+    """The weight of the servo level: above `least`, the servo level pays for the cascade; `chosen` is twice that."""
+
+    least: Fraction
+    chosen: Fraction
+
+
+def payment(claim: Claim, numbers: Numbers) -> Kappa | None:
+    """The weight with which every payer that has it pays; None where one cannot pay."""
+    needs = [_need(payer, consumers, numbers) for payer, consumers in _payers(claim)]
+    if any(payer is None for _, payer in claim.payments) or None in needs:
+        return None
+    scaled = [need for need, (payer, _) in zip(needs, _payers(claim), strict=True) if not payer.cascade]
+    least = max((need for need in scaled if need is not None), default=Fraction(0))
+    return Kappa(least, 2 * least if least > 0 else Fraction(1))
+
+
+def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """What the composition of a cascade with the servo level needs."""
+    for consumer, payer in claim.payments:
+        if payer is None:
+            text = f"some block pays for what {consumer.block} consumes"
+            yield Checked(text, "expected a block whose certificate says pays, found none", None, False, SOURCE)
+    found = False
+    for payer, consumers in _payers(claim):
+        need = _need(payer, consumers, numbers)
+        if payer.cascade:
+            text = f"{payer.block} pays for the cascade with the weight 1 that V gives it"
+            margin = None if need is None else 1 - need
+            value = None if margin is None else as_float(margin)
+            yield Checked(text, "1 > c sum_j a_j^2 / W_j", value, margin is not None and margin > 0, SOURCE)
+        elif not found:
+            found = True
+            kappa = payment(claim, numbers)
+            text = "the servo level pays for the cascade: some kappa > 0 exists"
+            yield Checked(text, TEXT, as_float(kappa.least) if kappa else None, kappa is not None, SOURCE)
+
+
+def _payers(claim: Claim) -> list[tuple[Part, list[Part]]]:
+    """Each payer with all whom it pays for."""
+    found = list[tuple[Part, list[Part]]]()
+    for consumer, payer in claim.payments:
+        if payer is None:
+            continue
+        paid = next((consumers for other, consumers in found if other is payer), None)
+        if paid is None:
+            found.append((payer, [consumer]))
+        else:
+            paid.append(consumer)
+    return found
+
+
+def _need(payer: Part, consumers: list[Part], numbers: Numbers) -> Fraction | None:
+    """The largest c sum a_j^2 / W_j over the joints; None where a share has nothing to pay with."""
+    c = total([part.certificate.consumes.c for part in consumers if part.certificate.consumes is not None])
+    need: SX = ca.SX.zeros(payer.composed.shape[0])
+    try:
+        for share, term in zip(payer.certificate.pays, payer.paying, strict=True):
+            if share.is_zero():
+                continue
+            if numbers.least(term.weight) <= 0:
+                return None
+            need += c * share * share / term.weight
+        return max(upper(value) for value in numbers.of(need))
+    except (ZeroDivisionError, ValueFault):
+        return None

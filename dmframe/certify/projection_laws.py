@@ -1,0 +1,169 @@
+r"""The law of each projection, held to the projection lemma at random points, until every branch has been seen.
+
+A box's and a ball's `law` and `held` are expressions that a run evaluates; in a proof the correction is a free symbol.
+So the proof has to know that the law is one that the lemma speaks of:
+
+- whatever the true value in the set is, the correction c does not raise V: the greatest
+  :math:`(\theta - \theta_{true})^\top W c` is not above zero. It is linear in the true value, so that its greatest
+  value over a box stands at the ends, and over an ellipsoid has a closed form: no true value need be tried;
+- on the set's end and beyond, the nominal rate plus c does not lead out;
+- `held` leaves what is in the set where it is, and otherwise is the set's nearest point, in the metric of its own half
+  axes.
+
+The points stand on each face, inside and outside, with nominal rates of either sign and zero. They must have seen every
+comparison in the expressions go both ways: a branch that no point reaches fails the condition. For a box there is no
+rounding in all this; for a ball a rounding error is allowed for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import SX
+from dmframe.certify.checked import Checked
+from dmframe.diagram.closed_loop import ClosedLoop
+from dmframe.diagram.projection import Box, Projection
+
+POINTS = 48
+"""Random points beside those whose elements all stand alike."""
+ROUNDING = 1e-9
+"""What rounding may leave for a ball, in proportion to the terms."""
+BEYOND = 1e-9
+"""How far outside its rim a point on a ball stands, in radii: rounding must not put it inside."""
+
+Ends = Sequence[np.ndarray]
+"""Of a box: lower and upper ends. Of a ball: centre, half axes and gain."""
+Point = tuple[np.ndarray, np.ndarray]
+"""Where the estimate is, and its nominal rate."""
+
+
+def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
+    """Does the law that a run takes obey the projection lemma, with this graph's set?"""
+    text = "(estimate - true value)' W (correction) <= 0 in every branch, and no rate leads out"
+    size = projection.state.numel()
+    state, nominal = ca.SX.sym("state", size), ca.SX.sym("nominal", size)
+    moved = replace(projection, state=state, nominal=nominal)
+    law, held = moved.law, moved.set.held(state)
+    branches = list(_branches([law, held]))
+    kept = moved.set
+    ends = (kept.lower, kept.upper) if isinstance(kept, Box) else (kept.center, kept.radius, kept.gain)
+    outputs = [law, held, ca.vertcat(ca.SX(0, 1), *branches), *(end * ca.SX.ones(size) for end in ends)]
+    function = ca.Function("law", [state, nominal, loop.p], [ca.densify(item) for item in outputs])
+
+    def at(point: Point) -> list[np.ndarray]:
+        return [np.ravel(value.full()) for value in function(*point, loop.p_values)]
+
+    found = at((np.zeros(size), np.zeros(size)))[3:]
+    points, margin = (_box_points, _box_margin) if isinstance(kept, Box) else (_ball_points, _ball_margin)
+    margins, seen = list[float](), list[np.ndarray]()
+    for point in points(found, np.random.default_rng(0)):
+        correction, put, reached, *_ = at(point)
+        seen.append(reached)
+        margins.append(margin(found, point, correction, put))
+    one_way = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
+    if one_way:
+        text += f"; {one_way} of its {len(branches)} comparisons went one way only"
+    least = min(margins) if np.isfinite(margins).all() else None
+    holds = least is not None and least >= 0 and not one_way
+    return Checked(
+        f"{projection.name}: law of the {projection.kind}", text, least, holds, "projection lemma", "sampled"
+    )
+
+
+def _branches(expressions: Sequence[SX]) -> Iterator[SX]:
+    """What decides between branches: above zero one way, and not above it the other."""
+    waiting = [element for item in expressions for element in ca.vertsplit(ca.vec(ca.densify(item)))]
+    seen = set[int]()
+    while waiting:
+        element = waiting.pop()
+        if element.element_hash() in seen or element.is_leaf():
+            continue
+        seen.add(element.element_hash())
+        parts = [element.dep(i) for i in range(element.n_dep())]
+        waiting += parts
+        if element.op() in (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE):
+            yield element
+        elif element.op() in (ca.OP_FMIN, ca.OP_FMAX):
+            yield parts[0] - parts[1]
+        elif element.op() in (ca.OP_SIGN, ca.OP_FABS):
+            yield parts[0]
+
+
+def _box_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
+    """Below, on and above each end, and between; with rates of each sign."""
+    lower, upper = ends
+    width = np.where(upper > lower, upper - lower, 1.0)
+    size = lower.size
+
+    def placed(face: np.ndarray) -> np.ndarray:
+        off = width * rng.uniform(0.01, 1, size)
+        between = lower + (upper - lower) * rng.uniform(0.1, 0.9, size)
+        return np.choose(face, [lower - off, lower, between, upper, upper + off])
+
+    for face, sign in product(range(5), (-1, 0, 1)):
+        yield placed(np.full(size, face)), sign * rng.uniform(0.1, 2, size)
+    for _ in range(POINTS):
+        yield placed(rng.integers(0, 5, size)), rng.integers(-1, 2, size) * rng.uniform(0.1, 2, size)
+
+
+def _box_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
+    """The least value that must not be negative; element by element, so that any diagonal metric is covered."""
+    (lower, upper), (state, rate) = ends, point
+    moves = rate + correction
+    needs = [
+        *(-(state - end) * correction for end in ends),
+        moves[state <= lower],
+        -moves[state >= upper],
+        put - lower,
+        upper - put,
+        *(-(state - put) * (end - put) for end in ends),
+    ]
+    return _least(needs)
+
+
+def _ball_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
+    """At the centre, inside, on the rim and outside, with rates that lead in, out and along."""
+    center, radius, _ = ends
+    size = center.size
+    yield center, rng.normal(size=size)
+    for k in range(POINTS):
+        away = rng.normal(size=size)
+        away *= (rng.uniform(0.05, 0.95), 1 + BEYOND, rng.uniform(1.01, 3))[k % 3] / np.linalg.norm(away)
+        outward = away / radius
+        rates = (rng.normal(size=size), outward, -outward, np.zeros(size))
+        yield center + radius * away, rates[rng.integers(0, len(rates))]
+
+
+def _ball_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
+    """The least value that must not be negative, with what rounding may take of it; in units of the half axes."""
+    (center, radius, gain), (state, rate) = ends, point
+    at, kept = (state - center) / radius, (put - center) / radius
+    small = ROUNDING + 1e-15 * float(np.max(np.abs(center / radius)))
+    slope = radius * correction / gain
+    away = at - kept
+    needs = [
+        small * float(np.linalg.norm(slope)) * (1 + float(np.linalg.norm(at))) - _greatest(at, slope),
+        1 + small - float(np.linalg.norm(kept)),
+        small * (1 + float(np.linalg.norm(away))) - float(np.linalg.norm(away) - kept @ away),
+    ]
+    if at @ at >= 1:
+        outward = at / radius
+        needs.append(
+            small * float(np.abs(outward) @ (np.abs(rate) + np.abs(correction))) - float(outward @ (rate + correction))
+        )
+    return _least([np.array(needs)])
+
+
+def _greatest(at: np.ndarray, slope: np.ndarray) -> float:
+    """The greatest (at - t)' slope, t in the unit ball."""
+    return float(at @ slope + np.linalg.norm(slope))
+
+
+def _least(needs: Sequence[np.ndarray]) -> float:
+    """The least of all; NaN where one is no number."""
+    return float(np.min(np.concatenate([np.ravel(item) for item in needs])))

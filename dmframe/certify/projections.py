@@ -1,0 +1,203 @@
+r"""What the projection lemma needs of a projected estimate, decided at the graph's numbers.
+
+The lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` a projection's correction c adds
+:math:`(\theta - \theta_{true})^\top W c \le 0`. It holds if
+
+1. the true value lies in the set, and does not move;
+2. the estimate starts in the set;
+3. c is normal to the set in the metric W;
+4. c has that sign in every branch of its law, and with it no rate leads out of the set.
+
+The first three are decided in rational numbers, the fourth in `dmframe.certify.projection_laws`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import SX, Assumption, Square
+from dmframe.certify.checked import Checked, Numbers, decided, lower
+from dmframe.certify.claim import Claim, Field
+from dmframe.certify.definite import Number
+from dmframe.certify.projection_laws import check_law
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import hashes, symbols_in, told_by
+from dmframe.diagram.projection import Projection
+from dmframe.diagram.view import view
+from dmframe.errors import BlockError, ValueFault
+from dmframe.exact import ZeroDivision, zero_test
+from dmframe.exact.rational import Interval, evaluate
+from dmframe.robot.rational import decimal
+from dmframe.simulate.start import ROUNDING
+
+LEMMA = "projection lemma"
+SOURCE = "Remark 2"
+ZERO = Fraction(0)
+INSIDE = {
+    "box": "lower <= {} <= upper",
+    "ball": "1 - |({} - centre) / radius|^2 >= 0",
+}
+
+
+def projection_conditions(
+    claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
+) -> tuple[list[Checked], list[Assumption]]:
+    """Everything that the projection lemma needs, for each projected state; and what is left to assume.
+
+    A true value that the plant's start decides, such as the torque of a servo's integrator, is left to assume; that it
+    does not move is not. `start` holds a graph's start values, by the state's name or ``block.state``, which go before
+    what the blocks say.
+    """
+    found = list(_needed(claim, numbers, start or {}))
+    return [item for item in found if isinstance(item, Checked)], [
+        item for item in found if isinstance(item, Assumption)
+    ]
+
+
+def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
+    for projection in claim.loop.projections:
+        for square in _stored(claim, projection):
+            truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
+            yield from _inside(projection, truth, numbers)
+            yield from _still(projection.name, truth, numbers)
+            askew = projection.set.askew(square.weight)
+            if not askew.is_zero():
+                yield _normal(projection.name, askew, numbers)
+        yield from _starts(projection, numbers, start)
+        yield check_law(projection, claim.loop)
+
+
+def _stored(claim: Claim, projection: Projection) -> Iterator[Square]:
+    """The square of V that holds the projected state's error; none where V does not hold it."""
+    own = hashes(projection.state)
+    for part in claim.parts:
+        if part.block == projection.block:
+            for term in part.certificate.storage:
+                if isinstance(term, Square) and symbols_in([term.vector]) & own:
+                    yield term
+
+
+def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
+    """Is the true value in the set?"""
+    text = f"{projection.name}: true value inside the {projection.kind}"
+    room, rest = _decidable(projection.set.room(truth), numbers)
+    if room.numel():
+        shown = INSIDE[projection.kind].format("true value")
+        yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False)
+    if rest:
+        at = sorted({row % truth.shape[0] for row in rest})
+        yield Assumption(f"{text}{_at(projection, at)}, where the plant's start decides it", SOURCE)
+
+
+def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
+    """The rows that depend on parameters alone, and the positions of the others."""
+    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
+    return room[known], [row for row in range(room.shape[0]) if row not in known]
+
+
+def _at(projection: Projection, rows: Sequence[int]) -> str:
+    return f", at [{', '.join(map(str, rows))}]" if projection.kind == "box" else ""
+
+
+def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
+    """A true value that is more than a number does not move along the closed loop, whatever the trajectories do."""
+    claim = numbers.claim
+    (truth,) = claim.loop.joined([truth])
+    if symbols_in([truth]) <= numbers.known:
+        return
+    rate = Field(claim.diagram).derivative(truth)
+    text = "d(true value)/dt is identically zero along the closed loop"
+    uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
+    symbols = symbols_of(claim, uncertain)
+    try:
+        still = zero_test(symbols.function("rate", [rate]), values=symbols.fixed).zero
+    except (ValueFault, ZeroDivision) as error:
+        yield Checked(
+            f"{name}: true value stands still", f"{text}; undecided: {error}", None, False, LEMMA, "undecided"
+        )
+        return
+    yield Checked(f"{name}: true value stands still", text, 0.0 if still else None, still, LEMMA)
+
+
+def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
+    text = "weight in V times adaptation gain is one number for all elements"
+    least = partial(numbers.least, ca.vertcat(askew, -askew))
+    return decided(f"{name}: projected in the metric of V", text, LEMMA, least, strict=False)
+
+
+def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
+    """Does the estimate start in the set? `dmframe.simulate.start` refuses a run that does not."""
+    text = f"{projection.name}: starts inside the {projection.kind}"
+    shown = INSIDE[projection.kind].format("start")
+    start = _start(projection, numbers, given)
+    known = [row for row, value in enumerate(start) if value is not None]
+    unknown = [row for row, value in enumerate(start) if value is None]
+    if known and (projection.kind == "box" or not unknown):
+        yield decided(text, shown, SOURCE, partial(_least_room, projection, numbers, start), strict=False)
+    if unknown:
+        yield Assumption(f"{text}{_at(projection, unknown)}, where the plant's start decides it", SOURCE)
+
+
+def _start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> list[Number | None]:
+    """Where a state starts, element by element; None where that is no function of parameters alone."""
+    claim, (block, _, state) = numbers.claim, projection.name.partition(".")
+    model, size = claim.diagram.models[block], projection.state.numel()
+    for values in (_given(projection, numbers, given), model.values.get(state)):
+        if values is not None:
+            return [decimal(float(value)) for value in np.broadcast_to(np.asarray(values, dtype=float), (size,))]
+    seen = view(claim.diagram, block, claim.truths)
+    try:
+        with told_by(block, "start()"):
+            said = model.block.start(seen.u, seen.p, seen.truth).get(state)
+    except BlockError:  # a start that no run could take; the run says so
+        return [None] * size
+    if said is None:
+        return [ZERO] * size
+    (said,) = claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])
+    return [_value(said[row], numbers) for row in range(size)]
+
+
+def _given(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Any:
+    """What a graph's key `start` says of the state, by its label, or by a name of which it is the first as in a run."""
+    loop = numbers.claim.loop
+    if projection.name in given:
+        return given[projection.name]
+    first = {variable.name: variable.label for variable in reversed([*loop.plant, *loop.controller])}
+    name = projection.name.partition(".")[2]
+    return given.get(name) if first[name] == projection.name else None
+
+
+def _value(expression: SX, numbers: Numbers) -> Number | None:
+    if not symbols_in([expression]) <= numbers.known:
+        return None
+    try:
+        return numbers.of(expression)[0]
+    except (ValueFault, ZeroDivisionError):
+        return None
+
+
+def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number | None]) -> Fraction:
+    """The least room that a start leaves, over its known elements; zero where a run puts it on the rim."""
+    n = projection.state.numel()
+    parameters = numbers.claim.loop.parameters
+    inputs = [*(stack([p.symbol]) for p in parameters), projection.state]
+    sets = [projection.set.room(projection.state), projection.set.held(projection.state)]
+    room, held = (ca.Function("at_start", inputs, [ca.densify(item)]) for item in sets)
+    values = [numbers.values[p.label] for p in parameters]
+    found = evaluate(room, [*values, [ZERO if value is None else value for value in start]])[0]
+    box = projection.kind == "box"
+    least = min(lower(value) for row, value in enumerate(found) if not box or start[row % n] is not None)
+    if least >= 0 or any(isinstance(value, Interval) for value in start):
+        return least
+    known = np.array([value is not None for value in start])
+    at = np.array([0.0 if value is None else float(lower(value)) for value in start])
+    put = np.ravel(held(*(p.value.ravel(order="F") for p in parameters), at).full())
+    on_the_rim = (np.abs(at - put) <= ROUNDING * (1 + np.abs(at)))[known].all()
+    return ZERO if on_the_rim else least

@@ -1,0 +1,268 @@
+"""What may enter V and a desired trajectory: moving symbols whose rates are known, and nothing that jumps.
+
+dV/dt is differentiated by the chain rule, along rates that every symbol of V must have. The rule knows no jump: the
+derivative of sign, floor and comparisons is zero to it. So no storage may hold one, and of a trajectory each function
+of time that is differentiated is followed through its switching instants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import SX, Assumption
+from dmframe.certify.claim import Claim, Part
+from dmframe.certify.symbols import exact_values
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.resolve import Leaf
+from dmframe.diagram.wiring import Derived
+from dmframe.exact import Tape
+from dmframe.exact.digits import UndefinedHere
+from dmframe.exact.pieces import (
+    EDGES,
+    JUMPS,
+    KINKS,
+    NAMES,
+    Course,
+    NotFollowed,
+    arguments_of,
+    follow,
+    moving_operations,
+)
+
+HORIZON: Final = 100.0
+"""Time over which a function that cannot be followed exactly is looked at [s]."""
+
+SAMPLES: Final = 20001
+"""Instants at which it is looked at."""
+
+SUSPECTS: Final = 200
+"""Steps between two of them, those that stand out most, that are narrowed down."""
+
+HALVINGS: Final = 60
+
+DIVISIONS: Final = frozenset((ca.OP_DIV, ca.OP_INV, ca.OP_POW))
+"""A whole power is none, unless it is negative: followed, it shows."""
+
+SOURCE = "dV/dt by the chain rule"
+NEEDED = "V or a derivative that the loop takes needs it continuous"
+
+
+@final
+@dataclass(frozen=True)
+class Smoothness:
+    """What is wrong, what is left to assume, and what was seen to be right."""
+
+    faults: tuple[str, ...]
+    assumptions: tuple[Assumption, ...]
+    notes: tuple[str, ...]
+
+
+def smoothness_faults(diagram: Diagram, claim: Claim) -> list[str]:
+    """Why dV/dt would not be what the chain rule says; none for a claim that is smooth enough."""
+    return list(smoothness(diagram, claim).faults)
+
+
+def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
+    """Type-check V and follow the trajectories that are differentiated."""
+    found: dict[str, dict[str, None]] = {"fault": {}, "assumed": {}, "note": {}}
+    for part in claim.parts:
+        for kind, text in (*_symbols(diagram, claim, part), *_operations(claim, part)):
+            found[kind][text] = None
+    for leaf in _differentiated(diagram, claim):
+        for kind, text in _followed(diagram, leaf):
+            found[kind][text] = None
+    assumptions = tuple(Assumption(text, SOURCE) for text in found["assumed"])
+    return Smoothness(tuple(found["fault"]), assumptions, tuple(found["note"]))
+
+
+Told = Iterator[tuple[str, str]]
+"""Pairs of ``fault``, ``assumed`` or ``note`` with a text."""
+
+
+def _symbols(diagram: Diagram, claim: Claim, part: Part) -> Told:
+    """Every symbol of a storage is a state of the loop, a trajectory, the time or a parameter."""
+    loop = claim.loop
+    states = hashes(stack(variable.symbol for variable in (*loop.controller, *loop.plant)))
+    leaves = hashes(stack(leaf.symbol for leaf in diagram.resolver.trajectories.values()))
+    constant = hashes(stack([*(parameter.symbol for parameter in loop.parameters), loop.time]))
+    for term in part.certificate.storage:
+        for symbol in ca.symvar(ca.SX(term.value)):
+            if symbol.element_hash() not in states | leaves | constant:
+                what = _stranger(diagram, claim, symbol)
+                yield (
+                    "fault",
+                    f"{part.block}: the storage of {term.of} holds {what}; it has no rate to differentiate along",
+                )
+
+
+def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
+    own = hashes(symbol)
+    for projection in claim.loop.projections:
+        if own & hashes(projection.correction):
+            return f"the correction of the projection of {projection.name}"
+    for name, model in diagram.models.items():
+        for state, leaf in model.states.items():
+            if own & hashes(leaf):
+                return f"{name}.{state}, a state of a {model.block.side.value}"
+    return f"{symbol}, which is no state, trajectory or parameter of this diagram"
+
+
+def _operations(claim: Claim, part: Part) -> Told:
+    """No operation of a storage jumps while the loop moves, and none has a kink that shows."""
+    moving = hashes(stack([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)]))
+    moving |= hashes(stack(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values()))
+    for term in part.certificate.storage:
+        symbols = ca.symvar(ca.SX(term.value))
+        (value,) = ca.cse([ca.SX(term.value)])
+        tape = Tape.from_function(ca.Function("storage", [stack(symbols)], [value]))
+        where = f"{part.block}: the storage of {term.of}"
+        for k, code in moving_operations(tape, [symbol.element_hash() in moving for symbol in symbols]):
+            if code in JUMPS:
+                yield "fault", f"{where} holds {NAMES[code]}, which jumps; the derivative of a jump is not zero"
+            elif code in KINKS and not is_smooth_over(tape, k):
+                yield "fault", f"{where} holds {NAMES[code]}, which has no derivative where it switches"
+            elif code in EDGES:
+                text = f"{where}: the argument of {NAMES[code]} stays inside the region where it has a derivative"
+                yield "assumed", text
+
+
+def is_smooth_over(tape: Tape, kink: int) -> bool:
+    r"""True where the outputs are differentiable although h, a node with a kink, is not: x|x|, max(x, 0)^2.
+
+    With F the outputs as functions of h and of everything else, their slope jumps by
+    :math:`\partial F / \partial h` times a jump, on the set where the arguments of h meet. Each node is marked if it
+    vanishes there, and if its derivative by h does; a rule for each operation carries the marks on. No mark says
+    nothing; so False means that it was not shown.
+    """
+    zero, flat = list[bool](), list[bool]()
+    meeting = _meeting(tape, kink)
+    for k, (code, a, b, _, _) in enumerate(tape.nodes):
+        places = arguments_of(tape, k)
+        if k == kink:
+            zero.append(bool(meeting))
+            flat.append(False)
+        elif code in (ca.OP_MUL, ca.OP_SQ):
+            one, other = places[0], places[-1]
+            zero.append(zero[one] or zero[other])
+            flat.append((flat[one] or zero[other]) and (flat[other] or zero[one]))
+        elif code == ca.OP_DIV:
+            zero.append(zero[a])
+            flat.append(flat[a] and (flat[b] or zero[a]))
+        else:
+            linear = code in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE)
+            zero.append(linear and all(zero[place] for place in places))
+            flat.append(all(flat[place] for place in places))
+        zero[k] = zero[k] or k in meeting
+    return all(flat[source] for output in tape.outputs for source in output.sources)
+
+
+def _meeting(tape: Tape, kink: int) -> set[int]:
+    """Nodes that vanish where a kink switches: x of |x|; x of max(x, 0); the zero itself."""
+    places = arguments_of(tape, kink)
+    if len(places) == 1:
+        return set(places)
+    zeros = {k for k in places if tape.nodes[k].code == ca.OP_CONST and not tape.nodes[k].constant}
+    return set(places) if zeros else set()
+
+
+def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
+    """The trajectories and derivatives of them that V holds, or whose next derivative is taken anywhere."""
+    resolver = diagram.resolver
+    used = symbols_in([claim.V])
+    for (block, _), source in diagram.sources.items():
+        if isinstance(source, Derived):
+            used |= symbols_in([resolver.input(block, source.of)])
+    for (block, port, order), leaf in list(resolver.trajectories.items()):
+        if used & hashes(leaf.symbol) or (block, port, order + 1) in resolver.trajectories:
+            yield leaf
+
+
+def _followed(diagram: Diagram, leaf: Leaf) -> Told:
+    """A function of time alone, and continuous."""
+    parameters = diagram.loop.parameters
+    symbols = [diagram.loop.time, *(parameter.symbol for parameter in parameters)]
+    joined = diagram.loop.joined([leaf.expression])[0]
+    function = ca.Function("path", [symbols[0], stack(symbols[1:])], [ca.vec(ca.densify(joined))], {"allow_free": True})
+    if function.has_free():
+        free = ", ".join(str(symbol) for symbol in function.get_free())
+        yield "fault", f"{leaf.name} moves with {free}; a desired trajectory is a function of time and parameters alone"
+        return
+    tape = Tape.from_function(function)
+    found = {code for _, code in moving_operations(tape, [True, *([False] * tape.inputs[1][1])])}
+    if not found & (JUMPS | KINKS | EDGES | DIVISIONS):
+        return
+    exact = exact_values(diagram)
+    values = [value for parameter in parameters for value in exact[parameter.label]]
+    try:
+        course = follow(tape, values)
+    except (NotFollowed, UndefinedHere, ZeroDivisionError):
+        yield from _looked_at(leaf, function, diagram.loop.p_values)
+        return
+    yield from _told(leaf, course)
+    if course.jump is None and course.edged:
+        yield from _looked_at(leaf, function, diagram.loop.p_values)
+
+
+def _told(leaf: Leaf, course: Course) -> Told:
+    count = len(course.instants)
+    if course.jump is not None:
+        jump = course.jump
+        change = f"from {float(jump.before):.6g} to {float(jump.after):.6g} at t = {float(jump.time):.6g} s"
+        yield "fault", f"{leaf.name}[{jump.element}] jumps {change}; {NEEDED}"
+    elif course.until is not None:
+        seen = f"{leaf.name} is continuous; it is at its first {count} switching instants"
+        yield "assumed", f"{seen}, up to t = {float(course.until):.6g} s"
+    elif count:
+        yield "note", f"{leaf.name} is continuous at its {count} switching instants, and smooth between"
+
+
+def _looked_at(leaf: Leaf, function: ca.Function, p: np.ndarray) -> Told:
+    """Not followed exactly: looked at where its steps stand out."""
+    found = _step(function, p)
+    if found is not None:
+        element, time, before, after = found
+        change = f"jumps from {before:.6g} to {after:.6g}" if np.isfinite(after - before) else "has no real value"
+        yield "fault", f"{leaf.name}[{element}] {change} at t = {time:.6g} s; {NEEDED}"
+    else:
+        yield "assumed", f"{leaf.name} is continuous; no jump was seen at {SAMPLES} instants up to t = {HORIZON:g} s"
+
+
+def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, float] | None:
+    """(element, time, before, after) of a step that stays when the time between its ends is halved and halved again."""
+    time = np.linspace(0.0, HORIZON, SAMPLES)
+    values = np.asarray(function.map(SAMPLES)(time[None, :], np.tile(p[:, None], SAMPLES)).full())
+    for element, row in enumerate(values):
+        steps = np.abs(np.diff(row))
+        odd = np.abs(steps - (np.roll(steps, 1) + np.roll(steps, -1)) / 2)
+        scale = float(np.max(np.abs(row[np.isfinite(row)]), initial=0.0))
+        for k in np.argsort(np.where(np.isfinite(odd), odd, np.inf))[-SUSPECTS:]:
+            found = _narrowed(function, p, element, float(time[k]), float(time[k + 1]))
+            if not abs(found[3] - found[2]) <= 1e-6 * max(scale, 1e-6):
+                return found
+    return None
+
+
+def _narrowed(
+    function: ca.Function, p: np.ndarray, element: int, low: float, high: float
+) -> tuple[int, float, float, float]:
+    def at(t: float) -> float:
+        return float(function(t, p).full()[element, 0])
+
+    before, after = at(low), at(high)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        value = at(middle)
+        if abs(value - before) >= abs(after - value):
+            high, after = middle, value
+        else:
+            low, before = middle, value
+    return element, low, before, after

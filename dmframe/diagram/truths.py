@@ -1,0 +1,115 @@
+"""Whose true value a proof reads: one owner for each name, found along wires where a diagram has several.
+
+A block's start and certificate may read true values by name: the outputs of other blocks, and what other blocks'
+certificates state. An author writes ``truth.K`` and means the robot that the block drives, not any robot of the
+diagram. So the owner is the one block that has the value; of several, the one that the reader's own wires lead to by
+the shortest way. Sources do not count as a way, since one clock or path may drive loops that are otherwise apart.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict, deque
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import combinations
+
+from dmframe.certificate import SX
+from dmframe.diagram.diagram import Diagram
+from dmframe.diagram.model import same_expression
+from dmframe.diagram.wiring import Wire, same_unit
+from dmframe.errors import BlockError
+from dmframe.port import Port, Side
+
+Stated = Mapping[str, Mapping[str, SX]]
+"""True values that certificates state, by the block that states them and by name."""
+
+
+def owner_of(diagram: Diagram, reader: str, port: Port, stated: Stated) -> str | None:
+    """The block whose value of that name `reader` gets; None where the diagram has none.
+
+    A signal of the plant goes before all others: nobody knows the plant better.
+
+    Raises
+    ------
+    BlockError
+        Several blocks have it, and the wires do not say which one is meant.
+    """
+    having = _having(diagram, reader, port)
+    plant = [name for name in having if diagram.blocks[name].side is Side.PLANT]
+    found = plant or list(dict.fromkeys([*having, *_stating(stated, reader, port.name)]))
+    if len(found) < 2:
+        return found[0] if found else None
+    ways = distances(diagram, reader)
+    least = min((ways[name] for name in found if name in ways), default=None)
+    near = [name for name in found if ways.get(name) == least]
+    values = [value_of(diagram, name, port.name, stated) for name in near]
+    if len(near) > 1 and not all(same_expression(values[0], other) for other in values[1:]):
+        choices = ", ".join(f"{name}.{port.name}" for name in near)
+        raise BlockError(
+            f"{reader}: its proof needs the true {port.name}, and its wires lead as near to {choices}; "
+            "expected one block that has it, so wire the others less closely or give them other names"
+        )
+    return near[0]
+
+
+def value_of(diagram: Diagram, owner: str, name: str, stated: Stated) -> SX:
+    """A block's true value: its output of that name, or what its certificate states."""
+    if name in diagram.models[owner].equations.outputs:
+        return diagram.resolver.output(owner, name)
+    return stated[owner][name]
+
+
+def distances(diagram: Diagram, start: str) -> dict[str, int]:
+    """How many wires each block is away, along or against their direction, through no source."""
+    beside = defaultdict[str, set[str]](set)
+    for (block, _), source in diagram.sources.items():
+        if isinstance(source, Wire) and diagram.blocks[source.block].side is not Side.SOURCE:
+            beside[block].add(source.block)
+            beside[source.block].add(block)
+    found, waiting = {start: 0}, deque([start])
+    while waiting:
+        here = waiting.popleft()
+        for other in sorted(beside[here] - found.keys()):
+            found[other] = found[here] + 1
+            waiting.append(other)
+    return found
+
+
+def conflicts(diagram: Diagram, stated: Stated) -> Iterator[str]:
+    """What is wrong with the true values that certificates state: each must have one owner.
+
+    A name may not be that of another block's output. Two blocks of one loop may state the same name only if they state
+    the same value; blocks that no wire connects are about different robots.
+    """
+    for owner, values in stated.items():
+        for name in values:
+            for other in (other for other in diagram.blocks if other != owner):
+                if name in diagram.models[other].equations.outputs:
+                    yield (
+                        f"the true {name} has two owners: the certificate of {owner} states it, and {other} has an "
+                        f"output {other}.{name}; expected one, so give the stated one another name"
+                    )
+    for name in sorted({name for values in stated.values() for name in values}):
+        for one, other in combinations([owner for owner in stated if name in stated[owner]], 2):
+            together = other in distances(diagram, one)
+            if together and not same_expression(stated[one][name], stated[other][name]):
+                yield (
+                    f"the true {name} has two owners: the certificates of {one} and {other} state different values, "
+                    "and wires connect them; expected one, so give one of the two another name"
+                )
+
+
+def _having(diagram: Diagram, reader: str, port: Port) -> list[str]:
+    """Blocks other than the reader with an output of that name, in a unit that the reader can take."""
+    return [
+        name
+        for name, model in diagram.models.items()
+        if name != reader and _fits(port, model.block.outputs) and port.name in model.equations.outputs
+    ]
+
+
+def _fits(port: Port, outputs: Iterable[Port]) -> bool:
+    return any(other.name == port.name and same_unit(other, port) for other in outputs)
+
+
+def _stating(stated: Stated, reader: str, name: str) -> list[str]:
+    return [owner for owner, values in stated.items() if owner != reader and name in values]

@@ -1,0 +1,97 @@
+r"""Evaluation at two points between which sines, cosines and other bounded functions keep their values.
+
+With such functions frozen, :math:`f(x + u) - f(x)` sees only how f depends on x outside of them: it vanishes, at a
+random point and for random multiples of u, iff f depends on x along u through bounded functions alone. A joint angle
+that turns and turns leaves such an f bounded.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import final
+
+from dmframe.exact.tape import Tape
+from dmframe.exact.trial import Trial, ZeroDivision
+
+BOUNDED = ("tanh", "atan", "atan2", "erf", "lt", "le", "eq", "ne", "not", "and", "or")
+"""Functions beside sin, cos and sign that no argument makes large."""
+
+
+@final
+class _Frozen(Trial):
+    """A trial whose bounded functions give, call by call, what they gave the first time."""
+
+    def __init__(self, prime: int, rng: random.Random) -> None:
+        super().__init__(prime, rng)
+        self._told: list[tuple[int, int]] = []
+        self._next: int | None = None
+
+    def begin(self, *, again: bool) -> None:
+        """Start to record, or to repeat what has been recorded."""
+        if again:
+            self._next = 0
+        else:
+            self._told, self._next = [], None
+
+    def cos_sin(self, angle: int) -> tuple[int, int]:
+        return self._told_before() or self._tell(super().cos_sin(angle))
+
+    def sign(self, value: int) -> int:
+        return (self._told_before() or self._tell((super().sign(value), 0)))[0]
+
+    def opaque(self, key: str) -> int:
+        if key.split(" ", 1)[0] not in BOUNDED:
+            return super().opaque(key)
+        return (self._told_before() or self._tell((super().opaque(key), 0)))[0]
+
+    def _told_before(self) -> tuple[int, int] | None:
+        if self._next is None:
+            return None
+        self._next += 1
+        return self._told[self._next - 1]
+
+    def _tell(self, value: tuple[int, int]) -> tuple[int, int]:
+        self._told.append(value)
+        return value
+
+
+@final
+class Shift:
+    """Differences of functions along directions, in one random prime field."""
+
+    def __init__(self, prime: int, rng: random.Random) -> None:
+        self.prime = prime
+        self._trial = _Frozen(prime, rng)
+
+    def residue(self, value: Fraction) -> int:
+        """An exact number as a residue."""
+        return self._trial.residue(value)
+
+    def random(self) -> int:
+        """A residue, each equally likely."""
+        return self._trial.random()
+
+    def values(self, tape: Tape, point: Sequence[Sequence[int]]) -> list[int]:
+        """All outputs at a point."""
+        self._trial.begin(again=False)
+        return [value for output in tape.evaluate(point, self._trial) for value in output]
+
+    def difference(
+        self, tape: Tape, point: Sequence[Sequence[int]], moved: Sequence[Sequence[Sequence[int]]]
+    ) -> list[list[int]]:
+        """All outputs at each of the moved points minus those at the point, bounded functions frozen there.
+
+        Raises `ZeroDivision` where a denominator vanishes.
+        """
+        here = self.values(tape, point)
+        found = []
+        for there in moved:
+            self._trial.begin(again=True)
+            flat = [value for output in tape.evaluate(there, self._trial) for value in output]
+            found.append([(a - b) % self.prime for a, b in zip(flat, here, strict=True)])
+        return found
+
+
+__all__ = ["Shift", "ZeroDivision"]

@@ -1,0 +1,54 @@
+"""Loops of one block with scalar states, written in one line each: small enough to see by eye what is true of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations
+from dmframe.certificate import Certificate
+from dmframe.diagram import Diagram
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import TIME, Port, Side, State
+
+Rates = Callable[[Any, Any, Any], Mapping[str, Any]]
+"""Of the states, the inputs and the parameters."""
+
+
+def scalar_loop(states: str, rates: Rates, claim: Callable[[Any, Any, Any], Certificate], **sources: Any) -> Diagram:
+    """One block with these states, beside sources ``{"r": a function of time}`` that it follows."""
+
+    @final
+    class Toy(AbstractBlock):
+        """What the arguments say."""
+
+        inputs: ClassVar[tuple[Port, ...]] = (TIME, *(Port(name) for name in sources))
+        outputs: ClassVar[tuple[Port, ...]] = ()
+        states: ClassVar[tuple[State, ...]]
+        k: Scalar = Positive("", "", default=2.0)
+
+        def equations(self, u: Any, x: Any, p: Any) -> Equations:
+            return Equations(rates=rates(x, u, p))
+
+        def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+            return claim(x, u, p)
+
+    Toy.states = tuple(State(name) for name in states.split())
+    blocks: dict[str, AbstractBlock] = {"toy": Toy()}
+    blocks |= {f"path_{name}": _source(name, function) for name, function in sources.items()}
+    return Diagram.build(blocks)
+
+
+def _source(name: str, function: Callable[[Any], Any]) -> AbstractBlock:
+    @final
+    class Path(AbstractBlock):
+        """A function of time."""
+
+        side: ClassVar[Side] = Side.SOURCE
+        inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+        outputs: ClassVar[tuple[Port, ...]] = (Port(name),)
+
+        def equations(self, u: Any, x: Any, p: Any) -> Equations:
+            return Equations(outputs={name: function(u.t)})
+
+    return Path()
