@@ -71,7 +71,9 @@ def outside(low: float, high: float, x: float) -> list[str]:
     with mpmath.workprec(200):
         exact = (mpmath.sin(mpmath.mpf(x)), mpmath.cos(mpmath.mpf(x)))
         pairs = zip(("sin", "cos"), found, exact, strict=True)
-        return [name for name, e, value in pairs if not mpmath.mpf(float(e.lower)) <= value <= mpmath.mpf(float(e.upper))]
+        return [
+            name for name, e, value in pairs if not mpmath.mpf(float(e.lower)) <= value <= mpmath.mpf(float(e.upper))
+        ]
 
 
 @settings(max_examples=500)
