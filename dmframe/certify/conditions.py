@@ -23,6 +23,7 @@ from dmframe.certificate import (
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
+from dmframe.certify.memories import memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
@@ -38,6 +39,7 @@ def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[A
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
+    checked += memory_starts(claim)
     assumed += dict.fromkeys(_memories(claim))
     inside, unknown = projection_conditions(claim, numbers)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]

@@ -31,6 +31,11 @@ class Sizes:
         """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
 
+    def matrix(self, shape: str) -> tuple[int, int]:
+        """Rows and columns: ``"n"`` -> (3, 1)."""
+        rows, columns, *_ = (*self.of(shape), 1, 1)
+        return rows, columns
+
     def explain(self, shape: str) -> str:
         """``(n p) with n = 3 (bound by robot ur10), p = 36 (bound by model)``."""
         letters = [word for word in dict.fromkeys(shape.split()) if not word.isdigit()]

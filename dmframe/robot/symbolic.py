@@ -163,6 +163,11 @@ class SymbolicRobot:
         a_k = ca.SX.sym("a_k", self.k)
         return ca.jacobian(self.jacobian(q, a_k) @ psi, a_k)
 
+    def position_regressor(self, q: Any) -> Any:
+        r"""W_k(q) of :math:`f(q) = W_k(q) a_k + f_p(q)`, SX (m, k), with :math:`f_p` of prismatic joints alone."""
+        a_k = ca.SX.sym("a_k", self.k)
+        return ca.densify(ca.jacobian(self.position(q, a_k), a_k))
+
     # Dynamics
 
     def inverse_dynamics(
