@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import casadi as ca
 
@@ -37,13 +38,13 @@ from dmframe.exact.rational import as_float
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
     checked += memory_starts(claim)
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = projection_conditions(claim, numbers)
+    inside, unknown = projection_conditions(claim, numbers, start)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
