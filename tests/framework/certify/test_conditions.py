@@ -254,7 +254,7 @@ def weighing(make: Any, role: str = "storage") -> Verdict:
         W = make(u)
 
         def split(term: Square) -> tuple[Square, Square]:
-            return Square("part", term.vector, W), Square("rest", term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
+            return Square(term.vector, W), Square(term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
 
         storage = (*split(c.storage[0]), *c.storage[1:]) if role == "storage" else c.storage
         spent = (*split(c.dissipation[0]), *c.dissipation[1:]) if role == "dissipation" else c.dissipation
