@@ -16,7 +16,9 @@ from jsonschema import Draft202012Validator
 from dmframe.block import Signals
 from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.conditions import Checked, Numbers, conditions_of, payment
+from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.conditions import conditions_of
+from dmframe.certify.payment import payment
 from dmframe.certify.definite import pivots, pseudo_inertia
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.stability import common_margin
@@ -39,7 +41,8 @@ def built(kind: str = "PID", reference: str = "joint", friction: str = "none", *
 
 
 def checked(diagram: Diagram, uncertain: dict[str, Any] | None = None) -> dict[str, Checked]:
-    found, _ = conditions_of(claim_of(diagram), intervals(diagram, uncertain or {}))
+    claim = claim_of(diagram)
+    found, _ = conditions_of(claim, Numbers(claim, intervals(diagram, uncertain or {})))
     return {condition.name: condition for condition in found}
 
 
