@@ -18,8 +18,8 @@ from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.conditions import conditions_of
-from dmframe.certify.payment import payment
 from dmframe.certify.definite import pivots, pseudo_inertia
+from dmframe.certify.payment import payment
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.stability import common_margin
 from dmframe.certify.summary import summary
