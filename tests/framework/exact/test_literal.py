@@ -12,7 +12,6 @@ from dmframe.exact.literal import computed, literal
 
 READ = {
     0.0: Fraction(0),
-    -0.0: Fraction(0),
     0.75: Fraction(3, 4),
     -0.1: Fraction(-1, 10),
     0.3: Fraction(3, 10),
