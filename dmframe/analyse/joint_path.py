@@ -84,7 +84,7 @@ class JointPath:
 
     @property
     def hulls(self) -> tuple[Array, Array]:
-        """The smallest and largest joint positions of each straight line, (N - 1, n) each; of the pose where it is one."""
+        """The smallest and largest joint positions of each straight line, (N - 1, n) each."""
         first, last = (self.poses[:-1], self.poses[1:]) if len(self.poses) > 1 else (self.poses, self.poses)
         return np.minimum(first, last), np.maximum(first, last)
 
@@ -110,8 +110,8 @@ def joint_path(
 ) -> JointPath:
     """Follow the desired path from the pose `start`, by Newton's method with the shortest steps.
 
-    A start off the path is led onto it first, along the straight line of the tool. The whole duration is followed, or one
-    period where both paths close.
+    A start off the path is led onto it first, the tool on a straight line. The whole duration is followed, or one period
+    where both paths close.
 
     Parameters
     ----------
@@ -169,7 +169,9 @@ def _follow(
             poses.append(found)
             step *= 1.5 if moved < stride / 2 else 1.0
             if len(poses) > _MOST_POSES:
-                text = f"expected a path of at most {_MOST_POSES} poses, found {then:.4g} of {end:.4g} s covered by them"
+                text = (
+                    f"expected a path of at most {_MOST_POSES} poses, found {then:.4g} of {end:.4g} s covered by them"
+                )
                 raise ValueFault(f"path: {text}; shorten the duration, or widen the tube")
             if progress is not None:
                 progress(then / end)
@@ -202,7 +204,9 @@ def _nearest(reach: Reach, q: Array, goal: Array) -> tuple[Array, float]:
 
     rng, best, least = np.random.default_rng(0), q, math.inf
     for seed in (q, *rng.uniform(-np.pi, np.pi, (_SEEDS, len(q)))):
-        found = least_squares(lambda x: reach.actual(x) - goal, seed, jac=reach.slope, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        found = least_squares(
+            lambda x: reach.actual(x) - goal, seed, jac=reach.slope, xtol=1e-15, ftol=1e-15, gtol=1e-15
+        )
         pose, distance = _newton(reach, np.asarray(found.x), goal)
         if distance < least:
             best, least = pose, distance

@@ -86,7 +86,9 @@ def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> 
     """
     matrices = watched(diagram)
     if not matrices:
-        raise MissingError("rank: expected a block with a matrix that must keep full row rank, such as J_hat; found none")
+        raise MissingError(
+            "rank: expected a block with a matrix that must keep full row rank, such as J_hat; found none"
+        )
     loop, signal = diagram.loop, matrices[0]
     state = start_state(diagram, start)
     (matrix,) = loop.joined([signal.expression])
@@ -208,5 +210,3 @@ def _only(found: Sequence[Variable], expected: str) -> Variable:
         labels = ", ".join(variable.label for variable in found) or "none"
         raise MissingError(f"rank: expected {expected}, found {labels}")
     return found[0]
-
-

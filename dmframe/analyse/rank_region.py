@@ -66,10 +66,11 @@ class RankLoss:
 class RankRegion:
     r"""A set of kinematic parameters on which :math:`J J^\top \ge c^2 I` is proved along a joint path.
 
-    For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value of
-    J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, and holds for all reals.
-    Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto the set sees to. The
-    joint path itself is what inverse kinematics gives in floating point; only its poses enter the proof.
+    For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value
+    of J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, for all real q and
+    :math:`a_k` there. Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto
+    the set sees to. The joint path is what inverse kinematics gives in floating point: the proof holds for the straight
+    lines between its poses, whether or not they are the path that was meant.
 
     Parameters
     ----------
@@ -245,7 +246,7 @@ def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> Rank
     text = (
         f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
         if leave.distance > REACHED
-        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last one reaches it"
+        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last reaches it"
     )
     text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
     return RankLoss("unreachable", leave.time, leave.q, singular, text)

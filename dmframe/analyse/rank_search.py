@@ -70,7 +70,14 @@ class RankSearch:
     """
 
     def __init__(
-        self, problem: RankProblem, path: JointPath, tube: float, shape: Shape, weights: Array, most: int, tell: Progress
+        self,
+        problem: RankProblem,
+        path: JointPath,
+        tube: float,
+        shape: Shape,
+        weights: Array,
+        most: int,
+        tell: Progress,
     ) -> None:
         self.problem, self.path, self.tube, self.shape, self.most = problem, path, tube, shape, most
         self.bound = MatrixBound(problem.expression, problem.q, problem.a, problem.p, problem.enclosed)
@@ -86,9 +93,7 @@ class RankSearch:
         """See `dmframe.analyse.rank_loss.witness`."""
         problem = self.problem
         half = radius * self._weights
-        return witness(
-            self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least
-        )
+        return witness(self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least)
 
     def segments(self) -> Cover:
         """A box about each piece of the path, wider by the tube."""

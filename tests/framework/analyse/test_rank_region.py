@@ -204,7 +204,9 @@ def test_a_tube_that_reaches_the_stretched_arm_leaves_no_region(folder: Any) -> 
 
 
 def test_a_wider_tube_and_a_larger_bound_leave_a_smaller_region(folder: Any) -> None:
-    radii = [arm2(folder, 0.0, 1.5, tube=tube, least=least).radius for tube, least in ((0, 0.01), (0.2, 0.01), (0, 0.1))]
+    radii = [
+        arm2(folder, 0.0, 1.5, tube=tube, least=least).radius for tube, least in ((0, 0.01), (0.2, 0.01), (0, 0.1))
+    ]
     assert radii[0] > radii[1]
     assert radii[0] > radii[2]
 
