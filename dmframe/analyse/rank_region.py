@@ -152,6 +152,7 @@ def rank_region(
     shape: Shape = "box",
     scale: Literal["uniform", "length"] | Sequence[float] = "uniform",
     boxes: int = MOST_BOXES,
+    path: JointPath | None = None,
     progress: Progress | None = None,
 ) -> RankRegion:
     r"""The largest set of :math:`a_k` found on which J keeps full row rank along the desired path.
@@ -182,6 +183,9 @@ def rank_region(
         or a number for each parameter. The largest half-width is the radius.
     boxes
         The most boxes for one size of the set; more find a larger one.
+    path
+        A joint path to be taken instead, such as a run's: for a redundant robot, whose own path depends on its
+        controller, too.
 
     Raises
     ------
@@ -199,7 +203,8 @@ def rank_region(
     def follows(share: float) -> None:
         tell(f"following the path: {100 * share:.0f} %")
 
-    path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
+    if path is None:
+        path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
@@ -268,8 +273,8 @@ def _middle(search: RankSearch, path: JointPath, asked: float) -> tuple[RankLoss
         holds, cover = search.cover(0.0, asked, search.segments())
         if holds:
             return None, cover
-        place = int(cover.segment[0])
-        q = (cover.low[0] + cover.high[0]) / 2
+        worst = int(np.argmin(np.nan_to_num(cover.least, nan=-np.inf)))
+        place, q = int(cover.segment[worst]), (cover.low[worst] + cover.high[worst]) / 2
         singular = float(search.singular(q[None])[0])
         kind: Literal["singular", "undecided"] = "singular" if singular < asked else "undecided"
     else:
