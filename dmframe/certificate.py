@@ -141,7 +141,7 @@ class NormSquare:
     Parameters
     ----------
     vector, weight, of
-        As of a `Square`, the weight a column or a scalar of parameters.
+        As of a `Square`.
     by
         b, a column of signals.
     by_of
@@ -406,12 +406,17 @@ class Certificate:
 @final
 @dataclass(frozen=True)
 class Inequality:
-    """A condition: every element of `expression` is above zero (or not below, if not `strict`)."""
+    """A condition: every element of `expression` is above zero (or not below, if not `strict`).
+
+    `otherwise` is what to say where it fails, of one that the diagram itself must fulfil: the remedy, by name. The
+    identity may need it, so that it is told of a diagram that is refuted too.
+    """
 
     name: str
     expression: SX
     source: str
     strict: bool = True
+    otherwise: str = ""
 
 
 @final

@@ -11,7 +11,7 @@ from dmframe.certificate import Assumption
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
-from dmframe.certify.conditions import conditions_of, decide
+from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses
@@ -137,7 +137,10 @@ def _verified(
         return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
-        return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
+        lacking = remedies(claim, Numbers(claim, uncertain))
+        return Verdict(
+            "refuted", _blame(refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
+        )
     controls = negative_controls(claim, symbols, seed=seed)
     numbers = Numbers(claim, uncertain)
     signs = Signs(claim, numbers)
@@ -165,7 +168,9 @@ def _verified(
     )
 
 
-def _blame(refutation: Refutation) -> str:
+def _blame(refutation: Refutation, lacking: Sequence[str]) -> str:
+    if lacking:
+        return f"{refutation.says} is not what the blocks claim; {'; '.join(lacking)}"
     where = ", ".join(refutation.blame)
     if refutation.says != "dV/dt":
         return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"

@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from dmframe.certify import Verdict, verify
-from dmframe.certify.conditions import Checked
+from dmframe.certify.checked import Checked
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
