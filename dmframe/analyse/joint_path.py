@@ -84,7 +84,7 @@ class JointPath:
 
     @property
     def hulls(self) -> tuple[Array, Array]:
-        """The smallest and largest joint positions of each straight line, (N - 1, n) each; of the pose where it is one."""
+        """The smallest and largest joint positions of each straight line, (N - 1, n) each."""
         first, last = (self.poses[:-1], self.poses[1:]) if len(self.poses) > 1 else (self.poses, self.poses)
         return np.minimum(first, last), np.maximum(first, last)
 
@@ -110,8 +110,8 @@ def joint_path(
 ) -> JointPath:
     """Follow the desired path from the pose `start`, by Newton's method with the shortest steps.
 
-    A start off the path is led onto it first, along the straight line of the tool. The whole duration is followed, or one
-    period where both paths close.
+    A start off the path is led onto it first, the tool on a straight line. The whole duration is followed, or one period
+    where both paths close.
 
     Parameters
     ----------

@@ -76,7 +76,8 @@ class MatrixBound:
         matrix = ca.densify(matrix)
         arguments = [q, a, p]
         slope = ca.jacobian(ca.vec(matrix), ca.vertcat(q, a))
-        self.rows, self.columns, self.n, self.h = *matrix.shape, q.numel(), a.numel()
+        self.rows, self.columns = (int(size) for size in matrix.shape)
+        self.n, self.h = int(q.numel()), int(a.numel())
         self.value = ca.Function("matrix", arguments, [ca.cse(ca.vec(matrix))])
         self.slope = ca.Function("slope", arguments, [ca.cse(slope)])
         self._value, self._slope = Enclosing(self.value), Enclosing(self.slope)

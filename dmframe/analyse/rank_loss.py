@@ -49,11 +49,11 @@ def witness(
     shape: Shape,
     least: float,
 ) -> Witness | None:
-    """The worst point found within the tube about the poses and the set of parameters; None where none is below `least`.
+    """The worst point found within the tube about the poses and the set; None where none is below `least`.
 
-    Where the least singular value falls as if it were linear, the first rounds leap towards the corner where it would be
-    smallest, as far as it would then be zero; the others step down its slope, within the set. Floating-point numbers and
-    no completeness: it refutes a bound, it never proves one.
+    With the least singular value taken as linear, the first rounds leap towards the corner where it is smallest, as far
+    as it is then zero; the others step down its slope, within the set. Floating-point numbers and no completeness: it
+    refutes a bound, it never proves one.
     """
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(len(poses), _MOST)).astype(int))
     begin = np.hstack([poses[chosen], np.tile(middle, (len(chosen), 1))])

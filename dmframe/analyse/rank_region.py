@@ -66,10 +66,11 @@ class RankLoss:
 class RankRegion:
     r"""A set of kinematic parameters on which :math:`J J^\top \ge c^2 I` is proved along a joint path.
 
-    For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value of
-    J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, and holds for all reals.
-    Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto the set sees to. The
-    joint path itself is what inverse kinematics gives in floating point; only its poses enter the proof.
+    For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value
+    of J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, for all real q and
+    :math:`a_k` there. Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto
+    the set sees to. The joint path is what inverse kinematics gives in floating point: the proof holds for the straight
+    lines between its poses, whether or not they are the path that was meant.
 
     Parameters
     ----------
@@ -151,6 +152,7 @@ def rank_region(
     shape: Shape = "box",
     scale: Literal["uniform", "length"] | Sequence[float] = "uniform",
     boxes: int = MOST_BOXES,
+    path: JointPath | None = None,
     progress: Progress | None = None,
 ) -> RankRegion:
     r"""The largest set of :math:`a_k` found on which J keeps full row rank along the desired path.
@@ -181,6 +183,9 @@ def rank_region(
         or a number for each parameter. The largest half-width is the radius.
     boxes
         The most boxes for one size of the set; more find a larger one.
+    path
+        A joint path to be taken instead, such as a run's: for a redundant robot, whose own path depends on its
+        controller, too.
 
     Raises
     ------
@@ -198,7 +203,8 @@ def rank_region(
     def follows(share: float) -> None:
         tell(f"following the path: {100 * share:.0f} %")
 
-    path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
+    if path is None:
+        path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
@@ -245,7 +251,7 @@ def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> Rank
     text = (
         f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
         if leave.distance > REACHED
-        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last one reaches it"
+        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last reaches it"
     )
     text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
     return RankLoss("unreachable", leave.time, leave.q, singular, text)
@@ -267,8 +273,8 @@ def _middle(search: RankSearch, path: JointPath, asked: float) -> tuple[RankLoss
         holds, cover = search.cover(0.0, asked, search.segments())
         if holds:
             return None, cover
-        place = int(cover.segment[0])
-        q = (cover.low[0] + cover.high[0]) / 2
+        worst = int(np.argmin(np.nan_to_num(cover.least, nan=-np.inf)))
+        place, q = int(cover.segment[worst]), (cover.low[worst] + cover.high[worst]) / 2
         singular = float(search.singular(q[None])[0])
         kind: Literal["singular", "undecided"] = "singular" if singular < asked else "undecided"
     else:

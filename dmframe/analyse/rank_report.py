@@ -18,7 +18,7 @@ _MICROMETRE: Final = Decimal("0.000001")
 
 
 def option_value(region: RankRegion) -> list[Any] | None:
-    """What ``a_k_hat_box`` or ``a_k_hat_ball`` takes [m], rounded inward; None where there is no region or no option."""
+    """What ``a_k_hat_box`` or ``a_k_hat_ball`` takes [m], rounded inward; None without a region or an option."""
     if not region.holds or region.option is None:
         return None
     pairs = [(Decimal(float(c)), Decimal(float(r))) for c, r in zip(region.centre, region.half, strict=True)]

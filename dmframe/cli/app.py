@@ -147,13 +147,16 @@ def analyse(
     scale: Annotated[str, typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.")] = (
         "uniform"
     ),
+    boxes: Annotated[
+        int, typer.Option(metavar="N", help="With --rank: the most boxes; more take longer and find a larger region.")
+    ] = 40_000,
     as_json: AsJson = False,
 ) -> int:
     """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
     if rank:
         from dmframe.cli.rank import rank_of
 
-        options = {"least": least, "shape": shape, "centre": centre, "scale": scale}
+        options = {"least": least, "shape": shape, "centre": centre, "scale": scale, "boxes": boxes}
         return rank_of(graph, overrides, tube=tube, as_json=as_json, **options)
     from dmframe.cli.analyse import analyse_graph
 

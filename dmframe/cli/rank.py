@@ -72,8 +72,8 @@ def _facts(region: RankRegion) -> Iterator[tuple[str, str]]:
     yield "least singular value", f"{region.certified:.4g} {region.unit} certified, {region.asked:.4g} asked for"
     yield "", f"{region.nominal:.4g} {region.unit} on the path itself, in the middle of the {region.shape}"
     yield "tightest", f"t = {region.time:.4g} s, q = [{', '.join(f'{angle:.4g}' for angle in region.q)}]"
-    repeats = "; it repeats itself" if path.period is not None else ""
-    yield "joint path", f"{len(path.poses)} poses over {path.span:.4g} s{repeats}"
+    covered = f"over {path.span:.4g} s" if path.span else "from the start to where the path rests"
+    yield "joint path", f"{len(path.poses)} poses {covered}{'; it repeats itself' if path.span and path.period else ''}"
     yield "proved over", f"{region.boxes} boxes of poses"
 
 

@@ -1,8 +1,8 @@
 r"""Intervals with floating-point ends, many at once: each result encloses the true one, whatever was rounded.
 
 NumPy's sums, products and quotients are those of IEEE 754: the nearest number to the true one. The next number outward,
-or one behind it, is therefore an end that encloses it. Its sine and cosine promise no such thing, so they are summed here, as series with
-the error that is left out.
+or one behind it, is therefore an end that encloses it. Its sine and cosine promise no such thing, so they are summed
+here, as series with the error that is left out.
 """
 
 from __future__ import annotations
@@ -84,13 +84,14 @@ class Enclosure:
         return Enclosure(down(lower), up(upper))
 
     def __truediv__(self, other: Any) -> Enclosure:
-        """A quotient; everything where the divisor holds zero."""
+        """A quotient; everything where the divisor holds zero, or the quotient overflows."""
         other = Enclosure.of(other)
         through = (other.lower <= 0) & (other.upper >= 0)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = Enclosure(down(1 / other.upper), up(1 / other.lower))
             found = self * inverse
-        return Enclosure(np.where(through, -np.inf, found.lower), np.where(through, np.inf, found.upper))
+        vague = through | ~np.isfinite(found.lower + found.upper)
+        return Enclosure(np.where(vague, -np.inf, found.lower), np.where(vague, np.inf, found.upper))
 
     def square(self) -> Enclosure:
         """Not the product with itself, which forgets that both factors are one."""
@@ -202,8 +203,8 @@ class Enclosing:
 
 
 _KNOWN: Final = frozenset(
-    (ca.OP_OUTPUT, ca.OP_INPUT, ca.OP_CONST, ca.OP_ASSIGN, ca.OP_LIFT, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV)
-    + (ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_SIN, ca.OP_COS)
+    getattr(ca, f"OP_{name}")
+    for name in "OUTPUT INPUT CONST ASSIGN LIFT ADD SUB MUL DIV NEG SQ TWICE INV SIN COS".split()
 )
 
 

@@ -12,9 +12,11 @@ import pinocchio as pin
 import pytest
 
 from dmframe.analyse import option_value, rank_bound, rank_region
-from dmframe.analyse.joint_path import period_of
+from dmframe.analyse.joint_path import JointPath, joint_path, period_of
 from dmframe.analyse.rank_bound import MatrixBound, _norm, _size, _spread, _sum, _symmetric, _times
+from dmframe.analyse.rank_problem import rank_problem
 from dmframe.analyse.rank_region import RankRegion
+from dmframe.analyse.rank_search import RankSearch
 from dmframe.config import load_graph
 from dmframe.diagram import Diagram
 from dmframe.errors import MissingError, StartError, ValueFault
@@ -133,10 +135,6 @@ def test_known_kinematics_and_redundant_robots_have_a_region_too() -> None:
 
 
 def test_what_refutes_a_radius_is_a_singular_value_below_the_one_asked_for() -> None:
-    from dmframe.analyse.joint_path import joint_path
-    from dmframe.analyse.rank_problem import rank_problem
-    from dmframe.analyse.rank_search import RankSearch
-
     for name, radius, least in (("theorem_3", 0.2, 0.02), ("panda_full", 0.2, 0.02)):
         diagram, graph = packaged(name)
         problem = rank_problem(diagram, graph.start, "truth")
@@ -238,6 +236,14 @@ def test_the_joint_path_follows_the_desired_one_and_closes() -> None:
     assert np.max(np.abs(np.diff(path.poses, axis=0))) <= TUBE / 2 + 1e-12
     assert path.distance(path.poses).max() == 0
     assert path.distance(path.poses + 0.3)[0] <= 0.3
+
+
+def test_a_path_of_ones_own_may_be_taken_instead() -> None:
+    times = np.linspace(0, 1, 30)
+    poses = np.array([1.2, -1.5, 1.7]) + 0.1 * np.sin(np.outer(2 * math.pi * times, [1, 2, 3]))
+    found = region("theorem_3", path=JointPath(times, poses, 1.0, None, None))
+    assert found.path.poses is poses
+    assert found.certified <= np.min(sampled("theorem_3", found, count=1000))
 
 
 def test_a_start_off_the_path_is_led_onto_it() -> None:
