@@ -67,8 +67,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-import casadi as ca
-
 from dmframe.certificate import (
     SX,
     Bounded,

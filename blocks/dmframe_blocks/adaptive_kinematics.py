@@ -12,7 +12,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.errors import MissingError, ValueFault
 from dmframe.linalg import metric, times
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Gain, Positive, PositiveDefinite, Real, Scalar
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 

@@ -11,7 +11,7 @@ from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Assumption, Certificate, Condition
 from dmframe.linalg import metric, solve_spd, times
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Gain, PositiveDefinite, Scalar
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Scalar
 from dmframe.port import Port, State
 
 

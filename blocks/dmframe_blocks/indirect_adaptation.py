@@ -11,7 +11,7 @@ from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Lemma, Square
 from dmframe.linalg import metric, times
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Gain, PositiveDefinite, Real, Scalar
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 

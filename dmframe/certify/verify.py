@@ -138,7 +138,9 @@ def _verified(
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
         lacking = remedies(claim, Numbers(claim, uncertain))
-        return Verdict("refuted", _blame(refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check)
+        return Verdict(
+            "refuted", _blame(refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
+        )
     controls = negative_controls(claim, symbols, seed=seed)
     numbers = Numbers(claim, uncertain)
     signs = Signs(claim, numbers)

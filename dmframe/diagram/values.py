@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.closed_loop import Parameter
+from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.model import BlockModel
 from dmframe.diagram.sizes import parameter_arrays
 from dmframe.diagram.symmetric import unique
