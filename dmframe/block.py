@@ -107,8 +107,9 @@ class AbstractBlock(BaseModel):
         return {}
 
     def prior(self, robot: Any, others: Fraction) -> Sequence[Sequence[Fraction]] | None:
-        """How large the errors of the parameters may be that this block models: the gain for which relative errors count
-        alike, exactly; None for a block that models none. `others` is the size of a parameter about which it knows nothing.
+        """How large the errors of the parameters may be that this block models: the gain for which relative errors
+        count alike, exactly; None for a block that models none. `others` is the size of a parameter about which it
+        knows nothing.
         """
         del robot, others
         return None

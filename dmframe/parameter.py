@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, final
 
 import numpy as np
@@ -162,7 +162,7 @@ def _gain(value: Any, spec: Spec) -> Any:
         return value
     if isinstance(value, Mapping) and "inverse_of" in value:
         return _prior(value)
-    rows = _numbers(value, Spec(spec.shape, spec.unit))
+    rows = _numbers(value, replace(spec, sign=""))
     if _depth(rows) == 2:
         check_definite(rows)
         return rows

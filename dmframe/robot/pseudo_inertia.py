@@ -7,8 +7,8 @@ from fractions import Fraction
 
 Rows = list[list[Fraction]]
 
-# phi = tr(A P) for each of m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz: the entries of A, each of which counts
-# half where it stands beside the diagonal, once on either side.
+# phi = tr(A P) for each of m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz: the entries of A, each of which is
+# shared by the two sides of the diagonal.
 _ENTRIES: tuple[dict[tuple[int, int], int], ...] = (
     {(3, 3): 1}, {(0, 3): 1}, {(1, 3): 1}, {(2, 3): 1},
     {(1, 1): 1, (2, 2): 1}, {(0, 1): -1}, {(0, 0): 1, (2, 2): 1}, {(0, 2): -1}, {(1, 2): -1}, {(0, 0): 1, (1, 1): 1},
@@ -29,8 +29,9 @@ def natural_gain(row: Sequence[Fraction]) -> Rows:
 
     .. math:: \Gamma_{ij} = \mathrm{tr}(P A_i P A_j)
 
-    The metric is that of [LeeKwonPark2018]_, held constant at P, times 2: then :math:`\Gamma_{mm} = m^2`, and an error of
-    the size of the nominal value costs 1. No choice of units or frames changes it. It is positive definite iff P is.
+    The metric is, up to a constant factor, that of [LeeKwonPark2018]_, held constant at P; with this factor
+    :math:`\Gamma_{mm} = m^2`. No choice of units or frames changes what an error costs, and a body that is wrong by all
+    of itself costs 4, whatever the body. The gain is positive definite iff P is.
 
     Parameters
     ----------
