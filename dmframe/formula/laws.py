@@ -197,7 +197,7 @@ class ReadBlock:
             given = [name for name, _ in again]
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
             second = reading.of_signs(signs, [expression for _, expression in again])
-            pairs.append(("equations", [f"{name}, named twice," for name in given], first, second))
+            pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
         for seed in range(POINTS):
             values = reading.values(signs, seed)
             for method, labels, first, second in pairs:
