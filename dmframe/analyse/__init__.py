@@ -1,4 +1,4 @@
-"""Linear analysis: the servo as transfer functions, poles of the loop, and how slow its clock may be."""
+"""Linear analysis: the servo as transfer functions, poles of the loop, how slow its clock may be, the least K_c."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dmframe.analyse.rational import Passivity, Rational, passivity, transfer
 from dmframe.analyse.servo import JointLoop, Margins, margins, servo_transfer
 from dmframe.analyse.set_point import equilibrium, frozen, true_values
 from dmframe.analyse.summary import Analysis, analyse, summary
+from dmframe.analyse.tie import TieGain, least_K_c, tie_gains
 
 __all__ = [
     "Analysis",
@@ -19,11 +20,13 @@ __all__ = [
     "Passivity",
     "Rational",
     "StablePeriods",
+    "TieGain",
     "analyse",
     "bode_svg",
     "equilibrium",
     "frozen",
     "largest_stable_period",
+    "least_K_c",
     "linearise",
     "linearised_period",
     "margins",
@@ -33,6 +36,7 @@ __all__ = [
     "simulated_period",
     "summary",
     "tick_jacobian",
+    "tie_gains",
     "transfer",
     "true_values",
 ]
