@@ -16,13 +16,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, final
+from typing import final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Certificate, Dissipated
 from dmframe.certify.form import NotApplicableError, check_form
+from dmframe.certify.labels import labelled
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
@@ -30,6 +31,7 @@ from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
 from dmframe.errors import BlockError
+from dmframe.formula import PrintedLaw, laws_of
 from dmframe.port import Side
 
 
@@ -96,6 +98,8 @@ class Claim:
         The weight of the servo level: a symbol, or 1 without a cascade.
     truths
         True values of estimates that certificates state, by block and name.
+    laws
+        What the blocks compute and claim, as it prints.
     """
 
     diagram: Diagram
@@ -103,6 +107,7 @@ class Claim:
     parts: tuple[Part, ...]
     kappa: SX
     truths: Stated
+    laws: Mapping[str, PrintedLaw]
 
     @property
     def cascaded(self) -> bool:
@@ -153,23 +158,6 @@ class Claim:
         return total(own) - self.consumption
 
 
-def labelled(name: str, certificate: Certificate) -> Certificate:
-    """Interim."""
-
-    def told(role: str, terms: tuple[Any, ...]) -> tuple[Any, ...]:
-        return tuple(replace(term, of=f"{name}.{str(term.pieces[0])[:30]}") for k, term in enumerate(terms))
-
-    return replace(
-        certificate,
-        storage=told("S", certificate.storage),
-        dissipation=told("d", certificate.dissipation),
-        excess=told("e", certificate.excess),
-        driven=tuple(
-            replace(d, of=tuple(f"{name}.driven{k}" for k in range(len(d.bounded)))) for d in certificate.driven
-        ),
-    )
-
-
 def total(items: Sequence[SX]) -> SX:
     """A sum of scalar expressions."""
     return ca.sum1(ca.vertcat(ca.SX(0), *items))
@@ -187,9 +175,12 @@ def claim_of(diagram: Diagram) -> Claim:
     parts = tuple(field.part(name, certificate) for name, certificate in stated.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
+    laws = laws_of(diagram)
+    called = labelled({part.block: part.certificate for part in parts}, laws)
+    parts = tuple(replace(part, certificate=called[part.block]) for part in parts)
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths)
+    return Claim(diagram, loop, parts, kappa, truths, laws)
 
 
 @final
@@ -220,7 +211,7 @@ class Field:
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
         check_form(name, certificate)
-        joined = labelled(name, certificate.mapped(self.loop.joined))
+        joined = certificate.mapped(self.loop.joined)
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None

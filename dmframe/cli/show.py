@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import inspect
 import re
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Source, Time, Wire
+from dmframe.formula import Line
+from dmframe.formula.alone import options_of, plainest
+from dmframe.formula.docstring import check_docstring
+from dmframe.formula.names import unicode_name
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
+from dmframe.report.laws import law_of
 from dmframe.units import plain
 
 
@@ -98,14 +105,45 @@ def _first_line(kind: type[AbstractBlock]) -> str:
 
 
 def block_page(kind: type[AbstractBlock]) -> str:
-    """A block's law, ports, states, parameters and source."""
-    parts = [f"{type_name(kind)} ({kind.side.value})", readable(inspect.getdoc(kind) or "")]
+    """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
+    about = law_of(kind)
+    parts = [f"{type_name(kind)} ({kind.side.value})", _plain(about.summary), *_laws(kind)]
+    parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
-    states = ((s.name, f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
+    states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
+    says = "\n".join(
+        textwrap.fill(f"{name}: {_plain(text)}", 110, **_INDENT) for name, text in about.parameters.items()
+    )
+    parts += [says] * bool(says)
+    parts += [textwrap.fill(_plain(text), 110) for text in (about.notes, about.source) if text]
     return "\n\n".join(parts)
+
+
+_INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}
+
+
+def _laws(kind: type[AbstractBlock]) -> Iterable[str]:
+    """The equations at the options' defaults, and what each option changes."""
+    found = plainest(kind)
+    if found is None:
+        yield "law\n  none without numbers of its own: see it in a graph's report"
+        return
+    label, law = found
+    yield f"law{f', with {label}' * bool(label)}\n{columns(_equation(line) for line in law.lines)}"
+    for option, lines in options_of(kind):
+        yield f"with {option}\n{columns(_equation(line) for line in lines)}"
+
+
+def _equation(line: Line) -> tuple[str, str]:
+    return line.left.unicode, f"= {line.right.unicode}"
+
+
+def _plain(text: str) -> str:
+    """Marked text without its marks."""
+    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("$", "").replace("`", ""))
 
 
 def _said(state: State) -> str:
@@ -113,10 +151,10 @@ def _said(state: State) -> str:
     return f"projected onto {' or '.join(sets)}" if sets else "optional" * state.optional
 
 
-def _port(port: Port) -> tuple[str, str, str, str]:
+def _port(port: Port) -> tuple[str, ...]:
     said = [] if port.access is Access.INTERNAL else [port.access.value]
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
-    return port.name, f"({port.shape})", port.unit or "-", ", ".join(said)
+    return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
 
 
 def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:
@@ -138,12 +176,3 @@ def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]
 
 def _absent(spec: Spec | None) -> str:
     return "no bound" if spec is not None and spec.form in PAIRS else "none"
-
-
-def readable(docstring: str) -> str:
-    """A docstring without its markup; formulas stay as LaTeX, one a line."""
-    text = re.sub(r":math:`([^`]*)`", r"\1", docstring)
-    text = re.sub(r"^\.\. math::\n", "", text, flags=re.MULTILINE)
-    text = re.sub(r"^( +.*?)\s*\\tag\{(\w+)\}(.*)$", r"\1   (\2)\3", text, flags=re.MULTILINE)
-    text = text.replace(" \\\\\n", "\n").replace("&=", "=").replace("&", "")
-    return re.sub(r"\n\n\n+", "\n\n", re.sub(r"\[(\w+)\]_", r"[\1]", text))

@@ -23,7 +23,8 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
-from dmframe.errors import BlockError
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
@@ -51,6 +52,12 @@ class Stated:
 def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
     """What the docstring of a block says that its code does not compute; each with file and line."""
     return list(_checked(block))
+
+
+def check_docstrings(diagram: Diagram) -> None:
+    """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
+    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+    raise_all([fault for kind in kinds for fault in check_docstring(kind)])
 
 
 @functools.lru_cache(maxsize=256)

@@ -10,7 +10,7 @@ import pytest
 
 from dmframe.catalogue import block_types
 from dmframe.errors import BlockError
-from dmframe.formula.docstring import check_docstring
+from dmframe.formula.docstring import check_docstring, check_docstrings
 from dmframe.formula.laws import laws_of
 
 LAW = r"""
@@ -191,4 +191,4 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
     diagram = Diagram.build({"spring": find_block("spring.py:Spring", tmp_path)()})
     assert laws_of(diagram)["spring"].rates[0].whole.text == "dq/dt = -2 q"
     with pytest.raises(BlockError, match=r"spring\.py:7: \\dot\{q\}: the docstring's law is not what the equations"):
-        laws_of(diagram, docstrings=True)
+        check_docstrings(diagram)
