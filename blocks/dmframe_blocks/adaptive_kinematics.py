@@ -11,7 +11,8 @@ from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Fit, Leak, adaptat
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.errors import MissingError, ValueFault
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.linalg import metric, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -50,7 +51,7 @@ class AdaptiveKinematics(AbstractBlock):
 
     Parameters
     ----------
-    Gamma_k : diagonal (h,), > 0
+    Gamma_k : (h, h), positive definite, or its diagonal
         Adaptation gain. Larger adapts faster and passes more noise of the measured position.
     adapt : all, links or tool
         Which translations are adapted: those of the joints, that of the tool, or both. The others are known.
@@ -94,7 +95,7 @@ class AdaptiveKinematics(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
 
-    Gamma_k: Diagonal = Positive("h")
+    Gamma_k: Gain = PositiveDefinite("h")
     adapt: Literal["all", "links", "tool"] = "all"
     start_error: Diagonal = Real("h", "m", default=0.0)
     a_k_hat_box: Box = Interval("h", "m")
@@ -113,7 +114,7 @@ class AdaptiveKinematics(AbstractBlock):
         """(1) and (2), or (1), (5) and (6)."""
         J_hat, law, fit = p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat)), adaptation(p), self._fit(u, x, p)
         gradient = self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ law.drive(u.e_k)
-        gradient = p.Gamma_k * gradient if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
+        gradient = times(p.Gamma_k, gradient) if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
         return Equations(
             outputs={"J_hat": J_hat},
             rates={
@@ -129,7 +130,7 @@ class AdaptiveKinematics(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4), or (7) and (8)."""
         law, alpha, fit = adaptation(p), truth.task_weight, self._fit(u, x, p)
-        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha / p.Gamma_k)
+        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha * metric(p.Gamma_k))
         dx_err = self.equations(u, x, p).outputs["J_hat"] @ u.dq - truth.dx
         robust = law.terms([a_k], u.e_k) + law.idle(u.e_k, -alpha * dx_err)
         return Certificate(

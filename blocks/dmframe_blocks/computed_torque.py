@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
 import casadi as ca
@@ -40,6 +40,7 @@ class ComputedTorque(AbstractBlock):
     [WangTAC2020]_ eqs. (59), (60).
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"alpha": "alpha_bar"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad"),
         Port("dq", "n", "rad/s"),

@@ -107,7 +107,7 @@ class FilteredRegressor(AbstractBlock):
 
     bandwidth: Scalar = Positive("", "1/s")
     weight: Diagonal = Positive("n", default=1.0)
-    friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    friction: tuple[Literal["viscous", "coulomb"], ...] = ("viscous",)
     bias: bool = False
     Gamma_b: Diagonal | None = Positive("n", "1/s", default=None)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -46,6 +47,7 @@ class TaskTracking(AbstractBlock):
     [WangTAC2020]_ eq. (30), with J for its estimate, as in Section V.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("x", "m", "m"),
         Port("x_d", "m", "m"),

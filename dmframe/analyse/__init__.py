@@ -5,6 +5,8 @@ from __future__ import annotations
 from dmframe.analyse.figures import bode_svg, nyquist_svg
 from dmframe.analyse.linear import Linear, linearise, tick_jacobian
 from dmframe.analyse.period import Bracket, StablePeriods, largest_stable_period, linearised_period, simulated_period
+from dmframe.analyse.rank_region import RankLoss, RankRegion, rank_region
+from dmframe.analyse.rank_report import option_value, rank_summary
 from dmframe.analyse.rational import Passivity, Rational, passivity, transfer
 from dmframe.analyse.servo import JointLoop, Margins, margins, servo_transfer
 from dmframe.analyse.set_point import equilibrium, frozen, true_values
@@ -18,6 +20,8 @@ __all__ = [
     "Linear",
     "Margins",
     "Passivity",
+    "RankLoss",
+    "RankRegion",
     "Rational",
     "StablePeriods",
     "TieGain",
@@ -31,7 +35,10 @@ __all__ = [
     "linearised_period",
     "margins",
     "nyquist_svg",
+    "option_value",
     "passivity",
+    "rank_region",
+    "rank_summary",
     "servo_transfer",
     "simulated_period",
     "summary",

@@ -14,7 +14,7 @@ symbols.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import final
 
@@ -30,8 +30,10 @@ from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
-from dmframe.errors import BlockError
-from dmframe.formula import PrintedLaw, laws_of
+from dmframe.errors import BlockError, DmframeError
+from dmframe.formula.law import PrintedLaw
+from dmframe.formula.laws import laws_of
+from dmframe.linalg import times
 from dmframe.port import Side
 
 
@@ -98,8 +100,6 @@ class Claim:
         The weight of the servo level: a symbol, or 1 without a cascade.
     truths
         True values of estimates that certificates state, by block and name.
-    laws
-        What the blocks compute and claim, as it prints.
     """
 
     diagram: Diagram
@@ -158,6 +158,14 @@ class Claim:
         return total(own) - self.consumption
 
 
+def _laws(diagram: Diagram) -> Mapping[str, PrintedLaw]:
+    """The printed laws; one that is not what runs is a claim that nobody can read."""
+    try:
+        return laws_of(diagram, docstrings=True)
+    except DmframeError as error:
+        raise NotApplicableError(error.text) from None
+
+
 def total(items: Sequence[SX]) -> SX:
     """A sum of scalar expressions."""
     return ca.sum1(ca.vertcat(ca.SX(0), *items))
@@ -171,13 +179,14 @@ def claim_of(diagram: Diagram) -> Claim:
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
+    laws = _laws(diagram)
     field = Field(diagram)
-    parts = tuple(field.part(name, certificate) for name, certificate in stated.items())
+    for name, certificate in stated.items():
+        check_form(name, certificate)
+    named = labelled(stated, laws)
+    parts = tuple(field.part(name, certificate) for name, certificate in named.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
-    laws = laws_of(diagram)
-    called = labelled({part.block: part.certificate for part in parts}, laws)
-    parts = tuple(replace(part, certificate=called[part.block]) for part in parts)
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
     return Claim(diagram, loop, parts, kappa, truths, laws)
@@ -210,7 +219,6 @@ class Field:
 
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
-        check_form(name, certificate)
         joined = certificate.mapped(self.loop.joined)
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
@@ -249,11 +257,11 @@ class Field:
         if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
             (square,) = squares
             slope = ca.jacobian(square.vector, projection.state)
-            if square.weight.is_column() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
-                return ca.sum1(square.weight * square.vector * projection.correction)
+            if slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
+                return ca.dot(times(square.weight, square.vector), projection.correction)
         raise NotApplicableError(
-            f"{name}: {projection.name} is projected, but is not stored as one square of its error with a diagonal "
-            "weight, which the projection lemma needs"
+            f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
+            "projection lemma needs"
         )
 
 

@@ -1,8 +1,9 @@
-"""What the terms of a claim are called: as the code prints that states them, and never alike where they differ."""
+"""Names for the terms of a claim, printed from the expressions themselves; an author's own are not read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,84 +11,64 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Certificate, NormSquare
-from dmframe.errors import BlockError
 from dmframe.formula.law import PrintedLaw, PrintedTerm
 
-ROLES = ("storage", "dissipation", "excess")
+TOLERANCE = 1e-9
 
 
-def labelled(certificates: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> dict[str, Certificate]:
-    """Certificates whose terms bear the names under which they print.
-
-    Two vectors that print alike in two blocks and are not the same are told apart by their blocks' names: else what is
-    proved of the one would be said of the other.
-    """
-    told = {name: _told(name, certificate, laws[name]) for name, certificate in certificates.items()}
-    alike = dict[str, list[tuple[str, SX]]]()
-    for name, certificate in told.items():
-        for text, vector in _vectors(certificate):
-            alike.setdefault(text, []).append((name, vector))
-    apart = {text for text, places in alike.items() if not _one(places)}
-    if not apart:
-        return told
-
-    def qualified(name: str, text: str) -> str:
-        return f"{name}: {text}" if text in apart else text
-
-    return {name: _renamed(certificate, lambda text, n=name: qualified(n, text)) for name, certificate in told.items()}
+def labelled(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> dict[str, Certificate]:
+    """Certificates whose terms bear their names; a name that two blocks give to different things carries its block."""
+    double = _double(stated, laws)
+    return {name: _named(name, certificate, laws[name], double) for name, certificate in stated.items()}
 
 
-def _told(name: str, certificate: Certificate, law: PrintedLaw) -> Certificate:
-    """The certificate with the printed names of its terms."""
+def _named(name: str, certificate: Certificate, law: PrintedLaw, double: set[str]) -> Certificate:
+    def full(text: str) -> str:
+        return f"{text} ({name})" if text in double else text
 
-    def terms(role: str) -> tuple[Any, ...]:
-        stated, printed = getattr(certificate, role), getattr(law, role)
-        if len(stated) != len(printed):
-            raise BlockError(f"{name}: certificate() states {len(stated)} terms of its {role}, then {len(printed)}")
-        return tuple(_called(*pair) for pair in zip(stated, printed, strict=True))
+    def told(terms: Sequence[Any], printed: Sequence[PrintedTerm]) -> tuple[Any, ...]:
+        return tuple(_with(term, line, full) for term, line in zip(terms, printed, strict=True))
 
     driven = tuple(
-        replace(item, of=tuple(formula.text for formula in formulas))
+        replace(item, of=tuple(full(formula.text) for formula in formulas))
         for item, formulas in zip(certificate.driven, law.driven, strict=True)
     )
-    changed: dict[str, Any] = {role: terms(role) for role in ROLES}
-    return replace(certificate, driven=driven, **changed)
+    return replace(
+        certificate,
+        storage=told(certificate.storage, law.storage),
+        dissipation=told(certificate.dissipation, law.dissipation),
+        excess=told(certificate.excess, law.excess),
+        driven=driven,
+    )
 
 
-def _called(term: Any, printed: PrintedTerm) -> Any:
-    if isinstance(term, NormSquare) and printed.by is not None:
-        return replace(term, of=printed.vector.text, by_of=printed.by.text)
-    return replace(term, of=printed.vector.text)
+def _with(term: Any, line: PrintedTerm, full: Any) -> Any:
+    named = replace(term, of=full(line.vector.text))
+    return replace(named, by_of=line.by.text) if isinstance(term, NormSquare) and line.by is not None else named
 
 
-def _vectors(certificate: Certificate) -> Iterator[tuple[str, SX]]:
-    """What each name of a certificate stands for."""
-    for role in ROLES:
-        for term in getattr(certificate, role):
-            if hasattr(term, "vector"):
-                yield term.of, term.vector
-    for item in certificate.driven:
-        yield from zip(item.of, item.bounded, strict=True)
+def _double(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> set[str]:
+    """Names under which blocks write different vectors."""
+    found = defaultdict[str, list[SX]](list)
+    for name, certificate in stated.items():
+        law = laws[name]
+        for role in ("storage", "dissipation", "excess"):
+            for term, line in zip(getattr(certificate, role), getattr(law, role), strict=True):
+                if hasattr(term, "vector"):
+                    found[line.vector.text].append(term.vector)
+        for item, formulas in zip(certificate.driven, law.driven, strict=True):
+            for vector, formula in zip(item.bounded, formulas, strict=True):
+                found[formula.text].append(vector)
+    return {text for text, vectors in found.items() if any(_differ(vectors[0], other) for other in vectors[1:])}
 
 
-def _one(places: Sequence[tuple[str, SX]]) -> bool:
-    """Is it the same vector in all places?"""
-    vectors = [ca.SX(vector) for _, vector in places]
-    first, others = vectors[0], [item for item in vectors[1:] if not ca.is_equal(item, vectors[0])]
-    if any(item.shape != first.shape for item in others):
-        return False
-    if not others:
+def _differ(one: SX, other: SX) -> bool:
+    """Are they different, in shape or at a random point?"""
+    if one.shape != other.shape:
         return True
-    symbols = ca.vertcat(*ca.symvar(ca.vertcat(first, *others)))
+    if ca.is_equal(one, other):
+        return False
+    symbols = ca.vertcat(*ca.symvar(ca.vertcat(one, other)))
     point = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
-    values = ca.Function("values", [symbols], [ca.horzcat(first, *others)])(point).full()
-    return bool(np.allclose(values, values[:, :1], rtol=1e-9, atol=1e-9))
-
-
-def _renamed(certificate: Certificate, rename: Any) -> Certificate:
-    def terms(role: str) -> tuple[Any, ...]:
-        return tuple(replace(term, of=rename(term.of)) for term in getattr(certificate, role))
-
-    driven = tuple(replace(item, of=tuple(map(rename, item.of))) for item in certificate.driven)
-    changed: dict[str, Any] = {role: terms(role) for role in ROLES}
-    return replace(certificate, driven=driven, **changed)
+    values = ca.Function("difference", [symbols], [one - other])(point).full()
+    return bool(np.any(np.abs(values) > TOLERANCE * (1 + np.abs(values))))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -28,9 +29,16 @@ def columns(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
     table = [list(row) for row in rows]
     if not table:
         return f"{indent}none"
-    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
+    widths = [max(_width(row[k]) for row in table) for k in range(len(table[0]))]
+    lines = (
+        "  ".join(cell + " " * (width - _width(cell)) for cell, width in zip(row, widths, strict=True)) for row in table
+    )
     return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+
+def _width(text: str) -> int:
+    """How many places a text takes: accents stand above their letters."""
+    return sum(not unicodedata.combining(letter) for letter in text)
 
 
 def graph_list(graphs: Mapping[str, Path]) -> str:
@@ -114,14 +122,17 @@ def block_page(kind: type[AbstractBlock]) -> str:
     states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
-    says = "\n".join(
-        textwrap.fill(f"{name}: {_plain(text)}", 110, **_INDENT) for name, text in about.parameters.items()
-    )
-    parts += [says] * bool(says)
-    parts += [textwrap.fill(_plain(text), 110) for text in (about.notes, about.source) if text]
+    names = dict[str, list[str]]()
+    for name, text in about.parameters.items():
+        names.setdefault(text, []).append(name)
+    said = [f"{', '.join(several)}: {_plain(text)}" for text, several in names.items()]
+    parts += ["\n".join(textwrap.fill(text, WIDE, **_INDENT) for text in said)] * bool(said)
+    parts += [textwrap.fill(_plain(text), WIDE) for text in (about.notes, about.source) if text]
     return "\n\n".join(parts)
 
 
+WIDE: Final = 112
+"""Columns of a page."""
 _INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}
 
 
@@ -132,13 +143,20 @@ def _laws(kind: type[AbstractBlock]) -> Iterable[str]:
         yield "law\n  none without numbers of its own: see it in a graph's report"
         return
     label, law = found
-    yield f"law{f', with {label}' * bool(label)}\n{columns(_equation(line) for line in law.lines)}"
+    yield f"law{f', with {label}' * bool(label)}\n{_equations(law.lines)}"
     for option, lines in options_of(kind):
-        yield f"with {option}\n{columns(_equation(line) for line in lines)}"
+        yield f"with {option}\n{_equations(lines)}"
 
 
-def _equation(line: Line) -> tuple[str, str]:
-    return line.left.unicode, f"= {line.right.unicode}"
+def _equations(lines: Sequence[Line]) -> str:
+    """Equations under one another, equals signs too; a long one goes on in the next line."""
+    wide = max((_width(line.left.unicode) for line in lines), default=0)
+    rows = []
+    for line in lines:
+        left = line.left.unicode + " " * (wide - _width(line.left.unicode))
+        text = textwrap.wrap(line.right.unicode, WIDE - wide, break_long_words=False, break_on_hyphens=False)
+        rows += [f"  {left} = {text[0]}", *(f"  {' ' * wide}   {more}" for more in text[1:])]
+    return "\n".join(rows) or "  none"
 
 
 def _plain(text: str) -> str:

@@ -31,8 +31,16 @@ def printed(diagram: Diagram, name: str) -> PrintedLaw:
     return laws_of(diagram)[name]
 
 
-def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
-    """The laws of all blocks of a diagram. Raises `BlockError` where what is read is not what runs."""
+def laws_of(diagram: Diagram, *, docstrings: bool = False) -> dict[str, PrintedLaw]:
+    """The laws of all blocks of a diagram.
+
+    Raises `BlockError`, or several, where what is read is not what runs; with `docstrings` also where a block's
+    docstring states another law than its code.
+    """
+    if docstrings:
+        from dmframe.formula.docstring import check_docstrings
+
+        check_docstrings(diagram)
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}

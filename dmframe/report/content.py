@@ -14,7 +14,6 @@ from dmframe.certify.summary import summary
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
-from dmframe.formula.docstring import check_docstrings
 from dmframe.parameter import specs
 from dmframe.report.laws import Law, Row, law_of
 from dmframe.report.linear import LinearView, linear_view
@@ -143,7 +142,6 @@ def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[st
 
     resolved = resolved_text(graph)
     laws = verdict.claim.laws if verdict.claim is not None else laws_of(diagram)
-    check_docstrings(diagram)
     return Content(
         name=graph.name,
         title=graph.file.title,

@@ -33,9 +33,9 @@ def signal_latex(text: str, laws: Mapping[str, PrintedLaw]) -> str:
     inner = re.fullmatch(r"d\((.*)\)/dt", text)
     if inner:
         return rf"\tfrac{{d}}{{dt}} ({signal_latex(inner[1], laws)})"
-    block, colon, rest = text.partition(": ")
-    if colon and block in laws:
-        return rf"{signal_latex(rest, laws)} \;\text{{of {_escaped(block)}}}"
+    of_block = re.fullmatch(r"(.*) \((\w+)\)", text)
+    if of_block and of_block[2] in laws:
+        return rf"{signal_latex(of_block[1], laws)} \;\text{{({_escaped(of_block[2])})}}"
     return latex(text)
 
 

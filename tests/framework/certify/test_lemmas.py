@@ -141,7 +141,7 @@ def test_a_users_block_with_a_wrong_sign_is_refuted_and_blamed() -> None:
 def test_what_is_true_only_by_a_property_that_the_field_lacks_is_neither_proved_nor_refuted() -> None:
     verdict = verdict_of(diagram(extra={"damping": OddDamping(beta=3, v=0.1)}))
     assert verdict.outcome == "not_applicable"
-    assert verdict.reason.startswith("not decided: dV/dt is what the blocks claim to rounding")
+    assert verdict.reason.startswith("not decided: dV/dt is what the blocks claim at every real point that was tried")
 
 
 def test_a_certificate_that_raises_is_told_with_its_line() -> None:
