@@ -150,7 +150,7 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
 def _some(spec: Spec) -> Any:
     """A number, or numbers, that fit."""
     if spec.form == "vector" and spec.shape != "*":
-        return [1.0] * _SIZES.get(spec.shape, 3)
+        return (1.0,) * _SIZES.get(spec.shape, 3)
     return 1.0
 
 

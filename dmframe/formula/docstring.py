@@ -7,6 +7,7 @@ laws of several options: each has to hold for one, and each output and rate that
 
 from __future__ import annotations
 
+import ast
 import functools
 import inspect
 import re
@@ -22,7 +23,8 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
-from dmframe.errors import BlockError
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
@@ -52,6 +54,12 @@ def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
     return list(_checked(block))
 
 
+def check_docstrings(diagram: Diagram) -> None:
+    """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
+    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+    raise_all([fault for kind in kinds for fault in check_docstring(kind)])
+
+
 @functools.lru_cache(maxsize=256)
 def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
     equations = list(equations_of(block))
@@ -63,14 +71,14 @@ def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
             break
     if not checker.tried:
         return ()
-    file = Path(inspect.getsourcefile(block) or block.__name__).name
+    file, _ = source_of(block)
     return tuple(BlockError(f"{file}:{line}: {text}") for line, text in checker.faults())
 
 
 def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
     """All equations of a docstring, displayed and in the text, in the order of the file."""
     text = block.__dict__.get("__doc__") or ""
-    first = _first_line(block)
+    _, first = source_of(block)
     lines = text.split("\n")
     place = 0
     while place < len(lines):
@@ -94,10 +102,14 @@ def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
             yield from _equation(words, line, displayed=False, source=source)
 
 
-def _first_line(block: type[AbstractBlock]) -> int:
-    """The line on which the docstring begins."""
-    lines, start = inspect.getsourcelines(block)
-    return start + next((number for number, text in enumerate(lines) if '"""' in text), 0)
+def source_of(block: type[AbstractBlock]) -> tuple[str, int]:
+    """The file of a block, and the line on which its docstring begins; 0 where the file cannot be read."""
+    file = Path(inspect.unwrap(block.equations).__code__.co_filename)
+    try:
+        classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
+    except (OSError, SyntaxError, UnicodeDecodeError):
+        return file.name, 0
+    return file.name, next((node.body[0].lineno for node in classes if node.name == block.__name__), 0)
 
 
 def _rows(body: Sequence[tuple[int, str]]) -> Iterator[Stated]:
@@ -145,7 +157,7 @@ def _row_ends(text: str) -> list[str]:
 def _parts(text: str) -> Iterator[tuple[list[str], str]]:
     """Equations that stand side by side, apart by commas."""
     words, depth, part = tokens(_TAG.sub("", text)), 0, list[str]()
-    for word in [*words, ","]:
+    for word in words:
         depth += {"(": 1, "{": 1, "[": 1, ")": -1, "}": -1, "]": -1}.get(word, 0)
         if word in (",", ";") and depth == 0:
             if part:
@@ -153,6 +165,8 @@ def _parts(text: str) -> Iterator[tuple[list[str], str]]:
             part = []
         else:
             part.append(word)
+    if part:
+        yield part, shown(part)
 
 
 def shown(words: Sequence[str]) -> str:
@@ -169,7 +183,7 @@ def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> I
     depth = 0
     for word in words:
         depth += {"(": 1, "{": 1, ")": -1, "}": -1}.get(word, 0)
-        if word == "=" and depth == 0:
+        if word == "=" and depth <= 0:
             sides.append([])
         else:
             sides[-1].append(word)
@@ -329,7 +343,8 @@ class _Trial:
         return self._known[name]
 
     def _value(self, words: Sequence[str]) -> Numbers:
-        return evaluate(words, self._look, self.point.call)
+        value: Numbers = evaluate(words, self._look, self.point.call)
+        return value
 
     def verdict(self, item: Stated) -> tuple[_Verdict, str]:
         """What an equation is, and the sentence about it."""

@@ -55,6 +55,14 @@ def _sum(total: Sum, names: Mapping[Node, Name], own: str) -> Node:
     return total
 
 
+def is_difference(node: Node) -> bool:
+    """Is it one name minus another, an error?"""
+    if not isinstance(node, Sum) or len(node.terms) != 2:
+        return False
+    first, second = node.terms
+    return isinstance(first, Name) and isinstance(tree.scale(tree.MINUS, second), Name)
+
+
 def names_of(outputs: Mapping[str, Node], taken: Mapping[str, str]) -> dict[Node, Name]:
     """The formulas of outputs that may stand by their names elsewhere; of equal ones the first."""
     found = dict[Node, Name]()

@@ -132,10 +132,13 @@ def rate_of(name: str, shape: tree.Shape) -> Node:
 
 @final
 class Energy:
-    """A certificate in print; `scalars` is the same certificate in scalars, where it was read as matrices."""
+    """A certificate in print.
 
-    def __init__(self, certificate: Certificate, scalars: Certificate, reader: Reader) -> None:
-        self._reader = reader
+    `scalars` is the same certificate in scalars, where it was read as matrices; `vectors` reads what is squared.
+    """
+
+    def __init__(self, certificate: Certificate, scalars: Certificate, reader: Reader, vectors: Reader) -> None:
+        self._reader, self._vectors = reader, vectors
         self._pairs = {
             role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True))
             for role in ("storage", "dissipation", "excess")
@@ -196,7 +199,8 @@ class Energy:
         return tree.add(tree.add(total, self._consumed(), SCALAR), self.supply(), SCALAR)
 
     def _term(self, term: Any, scalars: Any) -> tuple[PrintedTerm, Node]:
-        nodes = [self._reader(*pair) for pair in zip(term.pieces, scalars.pieces, strict=True)]
+        pairs = zip(term.pieces, scalars.pieces, strict=True)
+        nodes = [(self._reader if k else self._vectors)(*pair) for k, pair in enumerate(pairs)]
         kind, vector, weight, by, whole = _TERMS[type(term)](term, nodes)
         said = Formula(by) if by is not None else None
         return PrintedTerm(kind, Formula(vector), Formula(weight), said, Formula(whole)), whole

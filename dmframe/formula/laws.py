@@ -11,9 +11,9 @@ from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
 from dmframe.diagram.model import BlockModel
 from dmframe.diagram.wiring import Zero, same_unit
-from dmframe.errors import BlockError, DmframeError, raise_all
+from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
-from dmframe.formula.fold import folded, names_of
+from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.read import UnreadableError, read
@@ -38,10 +38,9 @@ def laws_of(diagram: Diagram, *, docstrings: bool = False) -> dict[str, PrintedL
     docstring states another law than its code.
     """
     if docstrings:
-        from dmframe.formula.docstring import check_docstring
+        from dmframe.formula.docstring import check_docstrings
 
-        kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-        raise_all([fault for kind in kinds for fault in check_docstring(kind)])
+        check_docstrings(diagram)
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
@@ -197,7 +196,7 @@ class ReadBlock:
             given = [name for name, _ in again]
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
             second = reading.of_signs(signs, [expression for _, expression in again])
-            pairs.append(("equations", [f"{name}, named twice," for name in given], first, second))
+            pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
         for seed in range(POINTS):
             values = reading.values(signs, seed)
             for method, labels, first, second in pairs:
@@ -222,7 +221,12 @@ class ReadBlock:
             (rate_of(name, runs.shape), self._folded(self.stated.rates[name], runs, scalars))
             for name, runs in running.rates.items()
         ]
-        energy = Energy(self.certificate, self.scalars, lambda mine, theirs: self._folded(mine, theirs, self.elements))
+        energy = Energy(
+            self.certificate,
+            self.scalars,
+            lambda mine, theirs: self._folded(mine, theirs, self.elements),
+            lambda mine, theirs: self._vector(mine, theirs, self.elements),
+        )
         stored = bool(energy.terms("storage"))
         claims = stored or bool(energy.terms("dissipation"))
         consumption = energy.consumption()
@@ -250,6 +254,11 @@ class ReadBlock:
 
     def _folded(self, read_as: Any, runs: Any, elements: Elements) -> Node:
         return folded(self._node(read_as, runs, elements), self.names)
+
+    def _vector(self, read_as: Any, runs: Any, elements: Elements) -> Node:
+        """A difference of two signals says more than the name of the output that it is."""
+        node = self._node(read_as, runs, elements)
+        return node if is_difference(node) else folded(node, self.names)
 
     def _node(self, read_as: Any, runs: Any, elements: Elements) -> Node:
         """As matrices; else element by element of what runs; else by the names on which it depends."""

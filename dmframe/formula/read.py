@@ -34,7 +34,7 @@ class UnreadableError(Exception):
     """An expression that holds something that has no sign in print here."""
 
 
-MOST: Final = 400
+MOST: Final = 250
 """Nodes of a formula; a longer one is nothing to read."""
 
 FUNCTIONS: Final[Mapping[int, str]] = {
@@ -72,7 +72,10 @@ _SAME: Final = (ca.OP_PROJECT, ca.OP_ASSIGN)
 
 def read(expression: Any) -> Node:
     """The tree of an expression. Raises `UnreadableError`."""
-    return _Reader().node(expression)
+    try:
+        return _Reader().node(expression)
+    except RecursionError:
+        raise UnreadableError("nested deeper than a reader can take in") from None
 
 
 @final

@@ -12,6 +12,7 @@ from typing import final
 
 Shape = tuple[int, int]
 SCALAR: Shape = (1, 1)
+MINUS = Fraction(-1)
 
 
 @final
@@ -233,7 +234,7 @@ def add(left: Node, right: Node, shape: Shape) -> Node:
 
 def subtract(left: Node, right: Node, shape: Shape) -> Node:
     """Left - right; what is subtracted keeps its brackets."""
-    return add(left, scale(Fraction(-1), right), shape)
+    return add(left, scale(MINUS, right), shape)
 
 
 def _terms(node: Node) -> tuple[Node, ...]:
