@@ -81,6 +81,8 @@ class AbstractBlock(BaseModel):
     states: ClassVar[tuple[State, ...]] = ()
     truth: ClassVar[tuple[Port, ...]] = ()
     uses_robot: ClassVar[bool] = False
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
 
     def __init__(self, /, **values: Any) -> None:
         try:
@@ -164,8 +166,20 @@ def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
             of = port.derivative_of
             if of and of not in known:
                 yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    present = set(names_of(block))
+    for old, new in block.renamed.items():
+        if new not in present:
+            yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
+        if old in present:
+            yield f"says that {old} is renamed {new}, and still has {old}"
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
+
+
+def names_of(block: type[AbstractBlock]) -> list[str]:
+    """Names of a block's parameters, states and ports."""
+    ports, states = (*block.inputs, *block.outputs), block.states
+    return [*block.model_fields, *(port.name for port in ports), *(state.name for state in states)]
 
 
 def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:

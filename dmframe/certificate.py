@@ -17,6 +17,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.errors import BlockError
+
 SX = Any
 """A CasADi expression; the library is untyped."""
 
@@ -39,6 +41,13 @@ class Square:
     vector: SX
     weight: SX = 1
     of: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.vector, str):
+            raise BlockError(
+                f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
+                "from its expression"
+            )
 
     @property
     def pieces(self) -> tuple[SX, ...]:

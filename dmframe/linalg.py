@@ -10,6 +10,8 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.naming import operation
+
 
 @final
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     return L, d
 
 
+@operation
 def solve_spd(A: Any, b: Any) -> Any:
     r"""Solve :math:`A x = b` for a symmetric positive definite A, by :math:`L D L^\top` without a square root.
 

@@ -22,14 +22,14 @@ class DynamicCompensator(AbstractBlock):
     .. math::
 
         \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
+        \dot{\hat a}_d &= -\Gamma (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
     The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
     :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
-        S &= \tfrac12 \tilde a_d^\top \Gamma_d^{-1} \tilde a_d   \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}   \tag{3} \\
         \dot S &= -\sigma^\top Y_d \tilde a_d - e_f^\top Y_f \tilde a_d   \tag{4}
 
     Parameters

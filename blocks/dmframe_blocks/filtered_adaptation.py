@@ -21,13 +21,13 @@ class FilteredAdaptation(AbstractBlock):
 
     .. math::
 
-        \dot{\hat a}_d = -\Gamma_d Y_f^\top e_f                  \tag{1}
+        \dot{\hat a}_d = -\Gamma Y_f^\top e_f                  \tag{1}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}              \tag{2} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}              \tag{2} \\
         \dot S &= -e_f^\top Y_f \tilde a_d                        \tag{3}
 
     Parameters

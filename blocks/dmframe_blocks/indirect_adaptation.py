@@ -21,14 +21,14 @@ class IndirectAdaptation(AbstractBlock):
 
     .. math::
 
-        \epsilon &= Y_d(q, \dot q, \dot q, \ddot q)\, \hat a_d - \tau_d    \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d^\top \epsilon                      \tag{2}
+        \epsilon &= Y_d \hat a_d - \tau_d                \tag{1} \\
+        \dot{\hat a}_d &= -\Gamma Y_d^\top \epsilon    \tag{2}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}                                       \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}                                       \tag{3} \\
         \dot S &= -|\epsilon|^2 + \epsilon^\top (\epsilon - Y_d \tilde a_d)                \tag{4}
 
     Parameters

@@ -28,19 +28,13 @@ class Regressor(AbstractBlock):
         Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
 
-    The estimates may start at
-
-    .. math::
-
-        a_d^\ast = (\nu\, a_{inertia},\, 0,\, -\nu\, g(q))   \tag{2}
-
-    with the share :math:`\nu` that `nominal` says; the friction is unknown, and the bias is the gravity that the servo
-    holds at rest.
+    The estimates may start at the share `nominal` of the model's inertial parameters; the friction is unknown, and the
+    bias starts at the gravity that the servo holds at rest.
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes
-    the servo to compensate nothing.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; the start then
+    takes the servo to compensate nothing.
 
     Parameters
     ----------

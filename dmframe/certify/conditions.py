@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import casadi as ca
 
@@ -25,6 +26,7 @@ from dmframe.certificate import (
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
+from dmframe.certify.memories import memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
@@ -36,12 +38,13 @@ from dmframe.exact.rational import as_float
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
+    checked += memory_starts(claim)
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = projection_conditions(claim, numbers)
+    inside, unknown = projection_conditions(claim, numbers, start)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Any, Literal, final
 
 from dmframe.certificate import Assumption
 from dmframe.certify.checked import Checked, Numbers
@@ -78,7 +78,12 @@ class Verdict:
 
 
 def verify(
-    diagram: Diagram, *, trials: int = 3, seed: int = 0, uncertain: Mapping[str, Sequence[Interval]] | None = None
+    diagram: Diagram,
+    *,
+    trials: int = 3,
+    seed: int = 0,
+    uncertain: Mapping[str, Sequence[Interval]] | None = None,
+    start: Mapping[str, Any] | None = None,
 ) -> Verdict:
     """Prove dV/dt for a diagram, exactly, for all values of its gains and physical parameters.
 
@@ -90,10 +95,12 @@ def verify(
         Of the points and primes.
     uncertain
         True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
+    start
+        A graph's own start values, by a state's name or ``block.state``.
     """
     clock = _Clock()
     try:
-        return _verified(diagram, trials, seed, uncertain or {}, clock)
+        return _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
     except NotApplicableError as error:
         return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
 
@@ -121,7 +128,12 @@ class _Clock:
 
 
 def _verified(
-    diagram: Diagram, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]], clock: _Clock
+    diagram: Diagram,
+    trials: int,
+    seed: int,
+    uncertain: Mapping[str, Sequence[Interval]],
+    start: Mapping[str, Any],
+    clock: _Clock,
 ) -> Verdict:
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
@@ -144,7 +156,7 @@ def _verified(
     controls = negative_controls(claim, symbols, seed=seed)
     numbers = Numbers(claim, uncertain)
     signs = Signs(claim, numbers)
-    conditions, assumptions = conditions_of(claim, numbers)
+    conditions, assumptions = conditions_of(claim, numbers, start)
     bounds = bounds_of(claim, numbers, symbols)
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)

@@ -34,6 +34,11 @@ class Sizes:
         """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
 
+    def matrix(self, shape: str) -> tuple[int, int]:
+        """Rows and columns: ``"n"`` -> (3, 1)."""
+        rows, columns, *_ = (*self.of(shape), 1, 1)
+        return rows, columns
+
     def explain(self, shape: str) -> str:
         """``(n p) with n = 3 (bound by robot ur10), p = 36 (bound by model)``."""
         letters = [word for word in dict.fromkeys(shape.split()) if not word.isdigit()]
@@ -93,7 +98,11 @@ def _unbound(name: str, letter: str) -> DmframeError:
 
 
 def parameter_arrays(
-    name: str, block: AbstractBlock, sizes: Sizes, blocks: Mapping[str, AbstractBlock], robot: Any
+    name: str,
+    block: AbstractBlock,
+    sizes: Sizes,
+    blocks: Mapping[str, AbstractBlock] | None = None,
+    robot: Any = None,
 ) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
     """The block's numeric parameters as arrays of their bound sizes; `blocks` and `robot` give what a `Prior` needs."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
@@ -103,7 +112,7 @@ def parameter_arrays(
             continue
         try:
             if isinstance(value, Prior):
-                value = prior_rows(value, blocks, robot)
+                value = prior_rows(value, blocks or {name: block}, robot)
             words = spec.shape.split()
             size = (len(value), *sizes.of(" ".join(words[1:]))) if words[:1] == ["*"] else sizes.of(spec.shape)
             values[parameter] = array(value, spec, size)

@@ -1,7 +1,7 @@
-"""The comparison of Section V as a study: adaptive over kinematic error, for many servos, frictions and clocks.
+"""The comparison of Section V as a study: adaptive over kinematic error, for many servos, frictions, clocks and gains.
 
     python docs/study/section_v.py           run everything, write section_v.csv, then draw
-    python docs/study/section_v.py --draw    figures and table from section_v.csv alone
+    python docs/study/section_v.py --draw    figures and tables from section_v.csv alone
 
 One row of the CSV is one run. Every run is a packaged graph with other numbers, so each can be had alone by ``dmframe
 run GRAPH --set ...``, as `overrides` writes them.
@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import argparse
 import csv
-import itertools
-import multiprocessing
 import sys
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import astuple, dataclass, fields, replace
+from itertools import product
+from math import inf, isfinite, isnan, nan
 from pathlib import Path
 from typing import Any
 
@@ -25,56 +26,107 @@ FOLDER = Path(__file__).parent
 CSV, PAGE = FOLDER / "section_v.csv", FOLDER / "section_v.md"
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
-HORIZON = 100.531  # [s], 32 pi; its last eighth is two whole turns of the fast circle, one of the slow
+HORIZON = 200  # [s], the paper's
+TASKS = {"fast": 0.008, "slow": 0.09}  # the paper's sampling periods [s]
+FORMS = {"velocity": "(32)", "position": "(34)"}
+"""What the PID inverse ties to the robot, and the paper's equation."""
+GAINS = {
+    "paper": (1, False),
+    "tenth": (0.1, False),
+    "tenfold": (10, False),
+    "boxed_10": (10, True),
+    "boxed_100": (100, True),
+}
+"""Gamma, and whether w is kept in a box; all other gains are the paper's."""
+
+# The map: how the servo's stiffness, friction and the clock decide where adaptation helps.
 SERVOS = (0.1, 0.3, 1.0, 3.0, 10.0)
 FRICTIONS = (0.0, 1.0, 3.0)
 CLOCKS = (0.002, 0.008, 0.03, 0.09)  # [s]
-TASKS = ("fast", "slow")
-CONTROLLERS = {"kinematic": None, "paper": None, "boxed_10": 10, "boxed_100": 100}
-"""Gamma where it is ours; the boxed ones keep w in [0, 0.004] divided by the servo's factor."""
+MAPPED = ("paper", "boxed_10", "boxed_100")
+
+# The unknowns: what the paper does not give, at its own sampling periods. M_bar > 0 in all of it.
+STIFFNESS = (0.3, 1.0, 3.0)
+PROPORTIONAL = (0.5, 1.0, 3.0)  # of K_P/K_D = 2.2 1/s
+INTEGRAL = (0.3, 1.0, 2.0)  # of K_I/K_D = 0.7 1/s^2
+ASKED = ("paper", "tenth", "tenfold")
 
 STIFF, DAMPED, SHAKY = (800, 800, 400), (1760, 1760, 880), (560, 560, 280)  # K_D, K_P, K_I of the packaged graphs
 VISCOUS, COULOMB = (5, 5, 2), (8, 8, 4)
 W_LARGEST = 0.004  # [rad/(N m s)], above every 1/K_star of the packaged servo
 LIGHTEST = 0.6  # [kg m^2], the elbow's: about the least eigenvalue of the mass matrix at the start
 SMOOTHED = 0.005  # [rad/s], the robot's friction_velocity
+STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)  # [s]
+
+Place = tuple[str, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One run: where on the map, and what came out; `diverged` is a time, or nothing."""
+    """One run: where, with which law and gains, and what came out; `diverged` is a time, or nothing."""
 
     task: str
     servo: float
+    proportional: float
+    integral: float
     friction: float
     clock: float
-    controller: str
-    rms_mm: float = float("nan")
-    diverged: float = float("nan")
+    form: str  # kinematic, velocity or position
+    gains: str  # empty for the kinematic controller
+    rms_mm: float = nan
+    diverged: float = nan
 
     @property
-    def place(self) -> tuple[str, float, float, float]:
-        """Where on the map, whatever the controller."""
-        return self.task, self.servo, self.friction, self.clock
+    def place(self) -> Place:
+        """Where, whatever the controller."""
+        return self.task, self.servo, self.proportional, self.integral, self.friction, self.clock
+
+
+def mapped() -> list[Place]:
+    """The places of the map."""
+    return [(task, servo, 1.0, 1.0, rub, T) for task, servo, rub, T in product(TASKS, SERVOS, FRICTIONS, CLOCKS)]
+
+
+def unknown() -> list[Place]:
+    """The places where only what the paper does not give is varied."""
+    each = product(TASKS.items(), STIFFNESS, PROPORTIONAL, INTEGRAL, FRICTIONS)
+    return [(task, *unknowns, T) for (task, T), *unknowns in each]
 
 
 def cells() -> list[Cell]:
-    """Every run of the study."""
-    product = itertools.product(TASKS, SERVOS, FRICTIONS, CLOCKS, CONTROLLERS)
-    return [Cell(*each) for each in product]
+    """Every run of the study, once."""
+    found = dict[Cell, None]()
+    for places, gains in ((mapped(), MAPPED), (unknown(), ASKED)):
+        for place in places:
+            found[Cell(*place, "kinematic", "")] = None
+            found.update({Cell(*place, form, each): None for form, each in product(FORMS, gains)})
+    return list(found)
 
 
-def overrides(cell: Cell) -> tuple[str, list[str]]:
-    """The packaged graph of a cell, and its ``--set`` values."""
-    graph = f"ur10_{cell.task}" + ("_kinematic" if cell.controller == "kinematic" else "")
-    servo = zip(("K_D", "K_P", "K_I"), (STIFF, DAMPED, SHAKY), strict=True)
-    changes = [f"servo.{name}={_scaled(values, cell.servo)}" for name, values in servo]
-    changes += [f"arm.viscous={_scaled(VISCOUS, cell.friction)}", f"arm.coulomb={_scaled(COULOMB, cell.friction)}"]
-    changes += [f"clock={cell.clock:g}", f"duration={HORIZON}", f"solver.step={solver_step(cell):.3g}"]
-    Gamma = CONTROLLERS[cell.controller]
-    if Gamma is not None:
-        changes += [f"dynamics.Gamma={Gamma}", f"inverse.w_box=[0, {W_LARGEST / cell.servo:.6g}]"]
-    return graph, changes
+def graph_of(cell: Cell) -> str:
+    """The packaged graph of a cell."""
+    return f"ur10_{cell.task}" + {"kinematic": "_kinematic", "position": "_tied_position"}.get(cell.form, "")
+
+
+def numbers(cell: Cell) -> dict[str, Any]:
+    """What a cell changes in its graph, its clock, duration and step apart."""
+    proportional, integral = cell.servo * cell.proportional, cell.servo * cell.integral
+    servo = {"K_D": (STIFF, cell.servo), "K_P": (DAMPED, proportional), "K_I": (SHAKY, integral)}
+    arm = {"viscous": (VISCOUS, cell.friction), "coulomb": (COULOMB, cell.friction)}
+    changed: dict[str, Any] = {f"servo.{name}": _scaled(*each) for name, each in servo.items()}
+    changed |= {f"arm.{name}": _scaled(*each) for name, each in arm.items()}
+    if cell.form != "kinematic":
+        Gamma, boxed = GAINS[cell.gains]
+        changed["dynamics.Gamma"] = Gamma
+        if boxed:
+            changed["inverse.w_box"] = [0, float(f"{W_LARGEST / cell.servo:.6g}")]
+    return changed
+
+
+def overrides(cell: Cell) -> list[str]:
+    """The same as ``--set`` values."""
+    changes = {**numbers(cell), "clock": f"{cell.clock:g}", "duration": HORIZON, "solver.step": solver_step(cell)}
+    return [f"{label}={value}" for label, value in changes.items()]
 
 
 def solver_step(cell: Cell) -> float:
@@ -82,58 +134,70 @@ def solver_step(cell: Cell) -> float:
     slopes = zip(STIFF, VISCOUS, COULOMB, strict=True)
     # the elbow, the last, turns the lightest inertia
     *_, fastest = (cell.servo * K + cell.friction * (B + D / SMOOTHED) for K, B, D in slopes)
-    return min(1e-3, 2.0 * LIGHTEST / fastest)
+    return next(step for step in (*STEPS, 0.0) if step <= 2.0 * LIGHTEST / fastest)
 
 
 def _scaled(values: Iterable[float], factor: float) -> list[float]:
     return [float(f"{value * factor:.6g}") for value in values]
 
 
-def run(cell: Cell) -> Cell:
-    """Simulate a cell."""
+def run(asked: Sequence[Cell], told: Callable[[int], object] = lambda count: None) -> list[Cell]:
+    """Simulate cells, those of one graph, clock and step together."""
     from dmframe.config.graph import load_graph
     from dmframe.results.metrics import tracking_error
-    from dmframe.simulate import simulate
+    from dmframe.simulate import Run, simulate_many
 
-    name, changes = overrides(cell)
-    graph = load_graph(name, changes)
-    done = simulate(
-        graph.diagram(), graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start
-    )
-    if any("stiff" in notice for notice in done.notices):
-        raise RuntimeError(f"{cell}: {done.notices}")
-    if done.divergence is not None:
-        return Cell(*cell.place, cell.controller, diverged=round(done.divergence.time, 3))
-    error = tracking_error(done)
-    return Cell(*cell.place, cell.controller, rms_mm=float(f"{error.rms_final * 1e3:.4g}"))
+    def result(done: Run) -> tuple[float, float]:
+        if any("stiff" in notice for notice in done.notices):
+            raise RuntimeError(f"{done.notices}")
+        if done.divergence is not None:
+            return nan, float(f"{done.divergence.time:.4g}")
+        error = tracking_error(done)
+        return float(f"{error.rms_final * 1e3:.4g}"), nan
+
+    batches = defaultdict[Any, list[Cell]](list)
+    for cell in asked:
+        batches[graph_of(cell), GAINS.get(cell.gains, (0, False))[1], cell.clock, solver_step(cell)].append(cell)
+    found = dict[Cell, Cell]()
+    for (name, *_), batch in batches.items():
+        graph = load_graph(name, overrides(batch[0]))
+        done = simulate_many(
+            graph.diagram(),
+            [numbers(cell) for cell in batch],
+            HORIZON,
+            clock=graph.file.clock,
+            solver=graph.solver,
+            start=graph.start,
+            reduce=result,
+        )
+        for cell, values in zip(batch, done, strict=True):
+            if isinstance(values, Exception):
+                raise values
+            found[cell] = replace(cell, rms_mm=values[0], diverged=values[1])
+        told(len(found))
+    return [found[cell] for cell in asked]
 
 
-def ratios(rows: Iterable[Cell], controller: str) -> dict[tuple[str, float, float, float], float]:
+def ratios(rows: Iterable[Cell], form: str, gains: str) -> dict[Place, float]:
     """RMS over that of the kinematic controller at the same place; inf where the adaptive one diverged."""
-    found = {(cell.place, cell.controller): cell for cell in rows}
-    told = dict[tuple[str, float, float, float], float]()
-    for (place, name), cell in found.items():
-        if name == controller:
-            told[place] = np.inf if np.isfinite(cell.diverged) else cell.rms_mm / found[place, "kinematic"].rms_mm
-    return told
+    found = {(cell.place, cell.form, cell.gains): cell for cell in rows}
+    return {
+        place: inf if isfinite(cell.diverged) else cell.rms_mm / found[place, "kinematic", ""].rms_mm
+        for (place, *law), cell in found.items()
+        if law == [form, gains]
+    }
 
 
 def write(rows: Sequence[Cell]) -> None:
     """The CSV."""
+
+    def text(value: Any) -> str:
+        return value if isinstance(value, str) else "" if isnan(value) else f"{value:g}"
+
     with CSV.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([field.name for field in fields(Cell)])
-        writer.writerows(
-            [
-                ""
-                if isinstance(value, float) and np.isnan(value)
-                else f"{value:g}"
-                if isinstance(value, float)
-                else value
-                for value in (getattr(row, field.name) for field in fields(Cell))
-            ]
-            for row in rows
-        )
+        writer.writerows([text(value) for value in astuple(row)] for row in rows)
 
 
 def read() -> list[Cell]:
@@ -142,40 +206,66 @@ def read() -> list[Cell]:
         return [
             Cell(
                 row["task"],
-                *(float(row[key]) for key in ("servo", "friction", "clock")),
-                row["controller"],
+                *(float(row[key]) for key in ("servo", "proportional", "integral", "friction", "clock")),
+                row["form"],
+                row["gains"],
                 *(float(row[key] or "nan") for key in ("rms_mm", "diverged")),
             )
             for row in csv.DictReader(file)
         ]
 
 
-TITLES = {"paper": "the paper's gains", "boxed_10": "Gamma = 10, w boxed", "boxed_100": "Gamma = 100, w boxed"}
+TITLES = {
+    "paper": "the paper's gains",
+    "tenth": "Gamma = 0.1",
+    "tenfold": "Gamma = 10",
+    "boxed_10": "Gamma = 10, w boxed",
+    "boxed_100": "Gamma = 100, w boxed",
+}
 
 
 def draw(rows: Sequence[Cell]) -> None:
-    """One figure a task: controllers down, frictions across; in each field, servo across and sampling period down."""
+    """A map a task, forms down and gains across; and all places of the unknowns, ordered by their ratio."""
     import matplotlib.pyplot as plt
 
     for task in TASKS:
-        figure, axes = plt.subplots(len(TITLES), len(FRICTIONS), figsize=(10, 8.2), sharex=True, sharey=True)
-        for line, controller in zip(axes, TITLES, strict=True):
-            told = ratios(rows, controller)
-            for axis, friction in zip(line, FRICTIONS, strict=True):
-                field = [[told[task, servo, friction, clock] for servo in SERVOS] for clock in CLOCKS]
+        figure, axes = plt.subplots(len(FORMS), len(MAPPED), figsize=(11, 5.6), sharex=True, sharey=True)
+        for line, form in zip(axes, FORMS, strict=True):
+            for axis, gains in zip(line, MAPPED, strict=True):
+                told = ratios(rows, form, gains)
+                field = [[told[task, servo, 1.0, 1.0, 1.0, clock] for servo in SERVOS] for clock in CLOCKS]
                 _field(axis, np.array(field))
-                axis.set_title(f"{TITLES[controller]}, friction x {friction:g}", fontsize=9)
+                axis.set_title(f"{FORMS[form]} {TITLES[gains]}", fontsize=9)
         for axis in axes[-1]:
             axis.set_xticks(range(len(SERVOS)), [f"x {servo:g}" for servo in SERVOS])
             axis.set_xlabel("servo gains")
         for axis in axes[:, 0]:
             axis.set_yticks(range(len(CLOCKS)), [f"{clock * 1e3:g} ms" for clock in CLOCKS])
-        figure.suptitle(
-            f"{task} experiment: RMS task error, adaptive over kinematic (light: adaptation helps; div.: it diverges)"
-        )
-        figure.tight_layout()
-        figure.savefig(FOLDER / f"section_v_{task}.png", dpi=100, metadata={"Software": None})
-        plt.close(figure)
+        figure.suptitle(f"{task}: RMS task error, adaptive over kinematic (bold: adaptation helps; div.: it diverges)")
+        _save(figure, f"section_v_{task}.png")
+
+    figure, axes = plt.subplots(1, len(TASKS), figsize=(11, 4.2), sharey=True)
+    for axis, task in zip(axes, TASKS, strict=True):
+        for (form, number), gains in product(FORMS.items(), ASKED):
+            values = sorted(_of(rows, unknown(), task, form, gains))
+            look = {
+                "color": {"velocity": "C0", "position": "C1"}[form],
+                "ls": {"paper": "-", "tenth": ":"}.get(gains, "--"),
+            }
+            axis.semilogy(np.minimum(values, 99), label=f"{number}, {TITLES[gains]}", **look)
+        axis.axhline(1, color="k", lw=0.8)
+        axis.set(title=f"{task}, {TASKS[task] * 1e3:g} ms", xlabel="places, ordered by the ratio", ylim=(0.02, 10))
+    axes[0].set_ylabel("RMS task error, adaptive over kinematic")
+    axes[0].legend(fontsize=8)
+    _save(figure, "section_v_unknown.png")
+
+
+def _save(figure: Any, name: str) -> None:
+    import matplotlib.pyplot as plt
+
+    figure.tight_layout()
+    figure.savefig(FOLDER / name, dpi=100, metadata={"Software": None})
+    plt.close(figure)
 
 
 def _field(axis: Any, values: np.ndarray) -> None:
@@ -188,38 +278,48 @@ def _field(axis: Any, values: np.ndarray) -> None:
         axis.text(column, row, text, ha="center", va="center", color="w" if dark else "k", fontsize=9, weight=weight)
 
 
-def table(rows: Sequence[Cell]) -> str:
-    """Each servo and clock at the packaged friction: kinematic error, and the ratios."""
-    found = {(cell.place, cell.controller): cell for cell in rows}
-    told = {controller: ratios(rows, controller) for controller in TITLES}
-    lines = [
-        "| task | servo | period | kinematic | " + " | ".join(TITLES.values()) + " |",
-        "|" + "---|" * (4 + len(TITLES)),
-    ]
-    for task, servo, clock in itertools.product(TASKS, SERVOS, CLOCKS):
-        place = (task, servo, 1.0, clock)
-        parts = [f"{told[controller][place]:.2g}" for controller in TITLES]
-        parts = ["diverges" if part == "inf" else part for part in parts]
-        kinematic = f"{found[place, 'kinematic'].rms_mm:.3g} mm"
-        lines.append(f"| {task} | x {servo:g} | {clock * 1e3:g} ms | {kinematic} | " + " | ".join(parts) + " |")
+def _of(rows: Sequence[Cell], places: Iterable[Place], task: str, form: str, gains: str) -> list[float]:
+    told = ratios(rows, form, gains)
+    return [told[place] for place in places if place[0] == task]
+
+
+def counts(rows: Sequence[Cell], places: Sequence[Place], asked: Sequence[str]) -> str:
+    """How often each law helps, hurts and diverges, out of the places of each task."""
+    lines = ["| task | gains | form | better by half | better | not better | diverges |", "|" + "---|" * 7]
+    for task, gains, (form, number) in product(TASKS, asked, FORMS.items()):
+        values = np.array(_of(rows, places, task, form, gains))
+        half, better, diverges = np.sum(values < 0.5), np.sum(values < 1), np.sum(np.isinf(values))
+        parts = (half, better - half, len(values) - better - diverges, diverges)
+        lines.append(f"| {task} | {TITLES[gains]} | {number} | " + " | ".join(map(str, parts)) + " |")
     return "\n".join(lines)
 
 
-def counts(rows: Sequence[Cell]) -> str:
-    """How often each controller helps, hurts and diverges, out of all places."""
-    lines = ["| task | controller | better by half | better | not better | diverges |", "|---|---|---|---|---|---|"]
-    for task, controller in itertools.product(TASKS, TITLES):
-        values = np.array([value for place, value in ratios(rows, controller).items() if place[0] == task])
-        diverges = int(np.sum(np.isinf(values)))
-        half, better = int(np.sum(values < 0.5)), int(np.sum((values >= 0.5) & (values < 1)))
-        rest = len(values) - half - better - diverges
-        lines.append(f"| {task} | {TITLES[controller]} | {half} | {better} | {rest} | {diverges} |")
+def table(rows: Sequence[Cell]) -> str:
+    """Each servo and clock at the packaged ratios and friction: kinematic error, and the ratios."""
+    kinematic = {cell.place: cell.rms_mm for cell in rows if cell.form == "kinematic"}
+    laws = list(product(MAPPED, FORMS))
+    told = {law: ratios(rows, law[1], law[0]) for law in laws}
+    heads = [f"{TITLES[gains]} {FORMS[form]}" for gains, form in laws]
+    lines = ["| task | servo | period | kinematic | " + " | ".join(heads) + " |", "|" + "---|" * (4 + len(laws))]
+    for task, servo, clock in product(TASKS, SERVOS, CLOCKS):
+        place = (task, servo, 1.0, 1.0, 1.0, clock)
+        parts = [f"{value:.2g}" if isfinite(value := told[law][place]) else "diverges" for law in laws]
+        first = f"| {task} | x {servo:g} | {clock * 1e3:g} ms | {kinematic[place]:.3g} mm | "
+        lines.append(first + " | ".join(parts) + " |")
     return "\n".join(lines)
 
 
 def generated(rows: Sequence[Cell]) -> str:
     """What stands between the page's marks."""
-    return f"{BEGIN}\n{counts(rows)}\n\n{table(rows)}\n{END}"
+    parts = (
+        "What the paper does not give varied, at its sampling periods:",
+        counts(rows, unknown(), ASKED),
+        "The map:",
+        counts(rows, mapped(), MAPPED),
+        "Each servo and period of the map at the graphs' friction:",
+        table(rows),
+    )
+    return f"{BEGIN}\n" + "\n\n".join(parts) + f"\n{END}"
 
 
 def fill(page: str, rows: Sequence[Cell]) -> str:
@@ -232,15 +332,9 @@ def main(arguments: Sequence[str]) -> None:
     """Run, write, draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draw", action="store_true", help="from section_v.csv, without running")
-    parser.add_argument("--processes", type=int, default=2)
-    chosen = parser.parse_args(arguments)
-    if not chosen.draw:
-        with multiprocessing.Pool(chosen.processes) as pool:
-            rows = list[Cell]()
-            for row in pool.imap(run, cells(), chunksize=4):
-                rows.append(row)
-                sys.stderr.write(f"\r{len(rows)} of {len(cells())}")
-        write(rows)
+    if not parser.parse_args(arguments).draw:
+        every = cells()
+        write(run(every, lambda count: sys.stderr.write(f"\r{count} of {len(every)}")))
     rows = read()
     draw(rows)
     if PAGE.exists():

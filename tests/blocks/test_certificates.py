@@ -46,7 +46,7 @@ def build(robot: str, task: str, servo: str, folder: Path) -> Diagram:
         generator = "  geometry: {type: kinematics}\n  task: {type: task_tracking, gamma: 0.8}\n"
     else:
         source = f"{{type: sinusoid, center: {[0.4] * n}, amplitude: 0.3, rate: 1.1}}"
-        generator = "  task: {type: joint_tracking, alpha: 1.7}\n"
+        generator = "  task: {type: joint_tracking, alpha_bar: 1.7}\n"
     file = folder / "graph.yaml"
     file.write_text(
         f"dmframe: 1\n{model}\nclock: continuous\nduration: 1\nblocks:\n  path: {source}\n{generator}"

@@ -36,7 +36,7 @@ def graph(folder: Path, servo: str, position: str, clock: str = "continuous") ->
     file.write_text(
         f"dmframe: 1\nrobot: arm2\nclock: {clock}\nduration: 1\nblocks:\n"
         "  path: {type: sinusoid, center: [0.6, 0.9], amplitude: 0.3, rate: 2}\n"
-        "  task: {type: joint_tracking, alpha: 2}\n  model: {type: regressor, friction: [viscous]}\n"
+        "  task: {type: joint_tracking, alpha_bar: 2}\n  model: {type: regressor, friction: [viscous]}\n"
         f"  dynamics: {{type: dynamic_compensator, Gamma: 0.5}}\n  inverse: {inverse}\n{position}  servo: {law}\n"
         "  arm: {type: manipulator, viscous: 1}\n",
         encoding="utf-8",
@@ -69,7 +69,7 @@ def test_on_a_clock_the_servo_works_with_the_position_of_the_last_sample(
     file = tmp_path / "pendulum.yaml"
     file.write_text(
         "dmframe: 1\nrobot: pendulum\nclock: 50 ms\nduration: 1\nblocks:\n"
-        "  path: {type: sinusoid, center: [0.6], amplitude: 0.3, rate: 2}\n  task: {type: joint_tracking, alpha: 2}\n"
+        "  path: {type: sinusoid, center: [0.6], amplitude: 0.3, rate: 2}\n  task: {type: joint_tracking, alpha_bar: 2}\n"
         f"  inverse: {{type: kinematic_command}}\n{POSITION if position else ''}"
         f"  servo: {{type: {servo}_servo, {gains}}}\n"
         "  arm: {type: manipulator, viscous: 0.3}\n",

@@ -209,7 +209,7 @@ clock: 4 ms
 duration: 120 s
 blocks:
   path:     {type: sinusoid, center: [45 deg, 60 deg], amplitude: 0.1 deg, rate: [0.9 rad/s, 1.4 rad/s]}
-  task:     {type: joint_tracking, alpha: 2}
+  task:     {type: joint_tracking, alpha_bar: 2}
   model:    {type: regressor, friction: [viscous]}
   dynamics: {type: dynamic_compensator, Gamma: 10}
   inverse:  {type: pi_inverse, Lambda: 0.0001, Lambda_I: 1, w_I: 2, w_box: [0, 0.1], w_I_box: [0.5, 20]}

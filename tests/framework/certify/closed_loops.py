@@ -93,7 +93,7 @@ def loop_of(
     if task == "task":
         specs |= {"geometry": ("kinematics", {}), "task": ("task_tracking", {"gamma": 0.8})}
     else:
-        specs |= {"task": ("joint_tracking", {"alpha": 2})}
+        specs |= {"task": ("joint_tracking", {"alpha_bar": 2})}
     kinds = FRICTION[friction]
     compensator = {"Gamma": 1} | ({"a_d_hat_box": [-1e6, 1e6]} if boxes else {})
     specs |= {"model": ("regressor", {"friction": kinds}), "dynamics": ("dynamic_compensator", compensator)}
