@@ -162,7 +162,7 @@ class _Latex(Dialect):
         return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
 
     def part(self, text: str, piece: Piece) -> str:
-        return f"[{text}]_{{{_counted(piece)}}}"
+        return f"({text})_{{{_counted(piece)}}}"
 
     def choice(self, relation: str, yes: str, no: str) -> str:
         return rf"\begin{{cases}} {yes} & {relation} \\ {no} & \text{{else}} \end{{cases}}"
