@@ -409,7 +409,7 @@ class _Checker:
         self.tried = 0
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
-        """Hold all equations to a block; True when nothing is left to be shown."""
+        """Hold all equations to a block; returns whether nothing is left to be shown."""
         trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
         fine = set[Stated]()
         for item in self._equations:
@@ -424,7 +424,11 @@ class _Checker:
             self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
         self.tried += 1
-        return all(item in self._fine for item in self._equations)
+        # what the text says in names that mean nothing here is no law, and asks for no further options
+        return all(
+            item in self._fine or (not item.displayed and self._told[item][0] is _Verdict.UNREADABLE)
+            for item in self._equations
+        )
 
     def _not_yet(self, fine: set[Stated], trial: _Trial) -> dict[str, Stated]:
         """Left sides of which no equation holds for the defaults, each with the first of them."""
