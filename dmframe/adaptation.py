@@ -67,8 +67,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
-import casadi as ca
-
 from dmframe.certificate import (
     SX,
     Bounded,
@@ -82,7 +80,7 @@ from dmframe.certificate import (
     gathered,
     norm,
 )
-from dmframe.linalg import solve_spd
+from dmframe.linalg import metric, solve_spd, square, times
 from dmframe.parameter import Positive
 
 
@@ -123,7 +121,7 @@ class Estimate:
     value, truth, nominal
         The estimate, what it estimates, and where it starts.
     weight
-        W: S is half of |value - truth|_W^2.
+        W: S is half of |value - truth|_W^2; a matrix, or a column for a diagonal.
     """
 
     value: SX
@@ -231,10 +229,10 @@ class Fit:
         return self.regressor.T @ (self.by * self.error)
 
     def gained(self, gain: SX, gradient: SX) -> SX:
-        """P times a gradient, with Gamma the diagonal `gain`."""
+        """P times a gradient, with Gamma the `gain`: a matrix, or a column for a diagonal."""
         if self.forgetting is None:
-            return gain * gradient
-        return solve_spd(ca.diag(1 / gain) + self._memory, gradient)
+            return times(gain, gradient)
+        return solve_spd(square(metric(gain)) + self._memory, gradient)
 
     def rates(self, state: str) -> dict[str, SX]:
         """The rate of G, if there is forgetting, by the state's name."""

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from fractions import Fraction
 from typing import Any, ClassVar, final
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
@@ -80,6 +81,8 @@ class AbstractBlock(BaseModel):
     states: ClassVar[tuple[State, ...]] = ()
     truth: ClassVar[tuple[Port, ...]] = ()
     uses_robot: ClassVar[bool] = False
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
 
     def __init__(self, /, **values: Any) -> None:
         try:
@@ -102,6 +105,14 @@ class AbstractBlock(BaseModel):
         """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
         del robot
         return {}
+
+    def prior(self, robot: Any, others: Fraction) -> Sequence[Sequence[Fraction]] | None:
+        """How large the errors of the parameters may be that this block models: the gain for which relative errors
+        count alike, exactly; None for a block that models none. `others` is the size of a parameter about which it
+        knows nothing.
+        """
+        del robot, others
+        return None
 
     @abstractmethod
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -155,8 +166,20 @@ def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
             of = port.derivative_of
             if of and of not in known:
                 yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    present = set(names_of(block))
+    for old, new in block.renamed.items():
+        if new not in present:
+            yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
+        if old in present:
+            yield f"says that {old} is renamed {new}, and still has {old}"
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
+
+
+def names_of(block: type[AbstractBlock]) -> list[str]:
+    """Names of a block's parameters, states and ports."""
+    ports, states = (*block.inputs, *block.outputs), block.states
+    return [*block.model_fields, *(port.name for port in ports), *(state.name for state in states)]
 
 
 def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:

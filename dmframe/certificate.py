@@ -17,6 +17,8 @@ from typing import Any, Final, final
 
 import casadi as ca
 
+from dmframe.errors import BlockError
+
 SX = Any
 """A CasADi expression; the library is untyped."""
 
@@ -39,6 +41,13 @@ class Square:
     vector: SX
     weight: SX = 1
     of: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.vector, str):
+            raise BlockError(
+                f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
+                "from its expression"
+            )
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -141,7 +150,7 @@ class NormSquare:
     Parameters
     ----------
     vector, weight, of
-        As of a `Square`, the weight a column or a scalar of parameters.
+        As of a `Square`.
     by
         b, a column of signals.
     by_of
@@ -406,12 +415,17 @@ class Certificate:
 @final
 @dataclass(frozen=True)
 class Inequality:
-    """A condition: every element of `expression` is above zero (or not below, if not `strict`)."""
+    """A condition: every element of `expression` is above zero (or not below, if not `strict`).
+
+    `otherwise` is what to say where it fails, of one that the diagram itself must fulfil: the remedy, by name. The
+    identity may need it, so that it is told of a diagram that is refuted too.
+    """
 
     name: str
     expression: SX
     source: str
     strict: bool = True
+    otherwise: str = ""
 
 
 @final

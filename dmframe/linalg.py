@@ -10,6 +10,8 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.naming import operation
+
 
 @final
 @dataclass(frozen=True)
@@ -59,6 +61,7 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     return L, d
 
 
+@operation
 def solve_spd(A: Any, b: Any) -> Any:
     r"""Solve :math:`A x = b` for a symmetric positive definite A, by :math:`L D L^\top` without a square root.
 
@@ -83,3 +86,23 @@ def solve_spd(A: Any, b: Any) -> Any:
         for j in range(i + 1, n):
             x[i, :] -= L[j, i] * x[j, :]
     return x
+
+
+def square(gain: Any) -> Any:
+    """A gain as a matrix; a column stands for its diagonal."""
+    return ca.diag(gain) if gain.is_column() else gain
+
+
+def inverse_spd(A: Any) -> Any:
+    """The inverse of a symmetric positive definite matrix, zero where its blocks are."""
+    return solve_spd(A, ca.SX.eye(A.shape[0]))
+
+
+def metric(gain: Any) -> Any:
+    """The inverse of an adaptation gain: elementwise of a column, which stands for a diagonal."""
+    return 1 / gain if gain.is_column() else inverse_spd(gain)
+
+
+def times(gain: Any, vector: Any) -> Any:
+    """A gain times a column; a column for the gain stands for a diagonal."""
+    return gain * vector if gain.is_column() else gain @ vector

@@ -7,20 +7,24 @@ expression that comes out of the diagram; the value only enters a run.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, final
 
 import numpy as np
 from pydantic import BaseModel, Field
 from pydantic.fields import FieldInfo
 
+from dmframe.errors import nearest
+from dmframe.gain import Prior, check_definite
 from dmframe.units import to_unit
 
 Scalar = float
 """One number."""
 Diagonal = float | tuple[float, ...]
 """A positive diagonal matrix, or a column: one number stands for all its elements."""
+Gain = float | tuple[float, ...] | tuple[tuple[float, ...], ...] | Prior
+"""A symmetric positive definite matrix: its rows, its diagonal, one number for that, or a model's prior."""
 Vector = tuple[float, ...]
 """A column whose elements are all written out."""
 Table = tuple[tuple[float, ...], ...]
@@ -57,6 +61,11 @@ def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = 
 def Positive(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
     """A parameter whose elements are above zero."""
     return _field(Spec(shape, unit, "> 0"), default)
+
+
+def PositiveDefinite(shape: str, unit: str = "") -> Any:
+    """A gain: a symmetric positive definite matrix, or the diagonal of one; in equations a column where it is that."""
+    return _field(Spec(shape, unit, "> 0", "gain"), ...)
 
 
 def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
@@ -102,6 +111,8 @@ def read(value: Any, spec: Spec) -> Any:
     """
     if value is None and spec.form in PAIRS:
         return None
+    if spec.form == "gain":
+        return _gain(value, spec)
     numbers = _numbers(value, spec)
     depth = _depth(numbers)
     if spec.form in PAIRS:
@@ -146,6 +157,31 @@ def _pair(numbers: Any, value: Any, spec: Spec) -> tuple[Any, Any]:
     return first, second
 
 
+def _gain(value: Any, spec: Spec) -> Any:
+    if isinstance(value, Prior):
+        return value
+    if isinstance(value, Mapping) and "inverse_of" in value:
+        return _prior(value)
+    rows = _numbers(value, replace(spec, sign=""))
+    if _depth(rows) == 2:
+        check_definite(rows)
+        return rows
+    numbers = _numbers(value, spec)
+    if _depth(numbers) not in (0, 1):
+        raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
+    return numbers
+
+
+def _prior(value: Mapping[str, Any]) -> Prior:
+    positive, known = Spec("", "", "> 0"), [item.name for item in fields(Prior)]
+    for key in value:
+        if key not in known:
+            raise ValueError(f"expected the keys {', '.join(known)}; {nearest(str(key), known)}")
+    if not isinstance(value["inverse_of"], str):
+        raise ValueError(f"expected inverse_of to name a block, found {_shown(value['inverse_of'])}")
+    return Prior(value["inverse_of"], *(read(value.get(key, 1.0), positive) for key in known[1:]))
+
+
 def _depth(value: Any) -> int:
     """How deep lists are nested; -1 where they are ragged."""
     if not isinstance(value, tuple):
@@ -162,6 +198,8 @@ def _form(spec: Spec) -> str:
         return f"a list of rows of equally many numbers{unit}"
     if spec.form == "vector":
         return f"a list of numbers{unit}"
+    if spec.form == "gain":
+        return f"a number{unit}, a list of numbers, or the rows of a symmetric positive definite matrix"
     return f"a number{unit}" + (" or a list of numbers" if spec.shape else "")
 
 
@@ -176,13 +214,16 @@ def _shown(value: Any) -> str:
 def array(value: Any, spec: Spec, size: Sequence[int]) -> np.ndarray:
     """The value as an array of the size that the diagram has bound; one number fills it.
 
-    A box gains a last axis of two, lower and upper end; a ball too, centre and radius.
+    A box gains a last axis of two, lower and upper end; a ball too, centre and radius. A gain that is a full matrix has
+    two axes of the size.
     Raises `ValueError` where the size does not fit.
     """
     if spec.form in PAIRS:
         ends = [array(end, Spec(spec.shape, spec.unit), size) for end in value]
         return np.stack([np.atleast_1d(end) for end in ends], axis=-1)
     numbers = np.asarray(value, dtype=float)
+    if spec.form == "gain" and numbers.ndim == 2:
+        size = (*size, *size)
     if numbers.ndim and numbers.shape != tuple(size):
         raise ValueError(f"expected {list(size)} numbers, found {list(numbers.shape)}")
     return np.broadcast_to(numbers, tuple(size)).copy() if numbers.ndim == 0 else numbers

@@ -2,8 +2,9 @@
 
     python docs/make_paper.py
 
-What an equation is, and who states it, stands below in `ROWS`; tests and graphs are looked up. ``tests/docs`` says when
-the page is stale, when a block cites an equation that its row does not know, and when a row names what is not there.
+What an equation is, and who states it, stands in `paper_rows.yaml`; tests and graphs that it does not name are looked
+up. ``tests/docs`` says when the page is stale, when a block cites an equation that its row does not know, and when a
+row names what is not there.
 """
 
 from __future__ import annotations
@@ -13,164 +14,44 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "paper.md"
+PAGE, TABLE = ROOT / "docs" / "paper.md", ROOT / "docs" / "paper_rows.yaml"
 BLOCKS, GRAPHS, TESTS = (ROOT / part for part in ("blocks/dmframe_blocks", "blocks/dmframe_blocks/graphs", "tests"))
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
-NOT_GIVEN = "not given in our source"
 KNOWN_ANSWERS = "tests/blocks/test_known_answers.py"
+
+
+SHORT = {"E": "tests/blocks/test_paper_equations.py", "T": "tests/blocks/test_theorems.py"}
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the paper's table; `files` where no block states it, ``path`` or ``path::name``."""
+    """A line of the paper's table; files, tests and docs are ``path`` or ``path::name``, docs below `docs/`."""
 
-    what: str
+    number: str
     says: str
     blocks: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
     tests: tuple[str, ...] = ()
     graphs: tuple[str, ...] = ()
+    docs: tuple[str, ...] = ()
+    unused: str = ""
 
 
-SYMBOLIC, ROBOT = "dmframe/robot/symbolic.py", "tests/framework/robot/test_symbolic.py"
-INVERSE_PID = "the PID inverse: command, adaptation of w, w_P, w_I and a_d; our source gives (32)-(39) as one range"
-ROWS = (
-    Row("(1)", "x = f(q)", ("kinematics", "manipulator")),
-    Row("(2)", "dx = J(q) dq", ("kinematics",)),
-    Row(
-        "(3)",
-        "M ddq + C dq + B dq + g = K u",
-        ("manipulator",),
-        tests=(f"{KNOWN_ANSWERS}::test_the_manipulator_obeys_the_textbooks_equation_of_motion",),
-    ),
-    Row(
-        "(4)",
-        "J(q) psi = Y_k(q, psi) a_k",
-        ("adaptive_kinematics",),
-        (f"{SYMBOLIC}::kinematic_regressor",),
-        (f"{ROBOT}::test_the_task_velocity_is_linear_in_the_kinematic_parameters",),
-    ),
-    Row(
-        "(5)",
-        "M dzeta + C zeta + B zeta + g = Y_d(q, dq, zeta, dzeta) a_d",
-        ("regressor",),
-        (f"{SYMBOLIC}::regressor",),
-        (f"{ROBOT}::test_the_regressor_times_the_parameters_is_the_torque_for_any_parameters",),
-    ),
-    Row("(6)", "PI velocity servo", ("pi_servo",)),
-    Row("(7)", "PID position servo", ("pid_servo",)),
-    Row("(8)", "passive filter of the task feedback, dy", ("passive_filter",)),
-    Row("(9)", "filtered regulation, dq_ref = -K_2 y", ("filtered_regulation",)),
-    Row("(10), (11)", NOT_GIVEN),
-    Row(
-        "(12)",
-        "PI inverse with the dynamic compensation and the task's torque",
-        ("pi_inverse", "dynamic_compensator", "filtered_regulation"),
-    ),
-    Row("(13)", "da_k, driven by Dx", ("adaptive_kinematics", "filtered_regulation")),
-    Row("(14)", "dw = -Lambda tau_dc * sigma", ("pi_inverse",)),
-    Row("(15)", "da_d = -Gamma_d Y_d' sigma", ("dynamic_compensator",)),
-    Row("(16)", "dw_I = Lambda_I (q_c - q_r) * sigma", ("pi_inverse",)),
-    Row("(17), (18)", NOT_GIVEN),
-    Row("(19)", "task observer", ("task_observer",)),
-    Row(
-        "(20)",
-        "observed regulation, dq_ref = -gamma J_hat' (x_o - x_d): (30) with a goal at rest",
-        ("observed_tracking",),
-    ),
-    Row("(21)", "PI inverse for it: (12) without the task's torque", ("pi_inverse", "dynamic_compensator")),
-    Row("(22)", "da_k, driven by Dx - Dx_o", ("adaptive_kinematics", "observed_tracking")),
-    Row("(23)-(25)", NOT_GIVEN),
-    Row("(26)", "beta > 4 gamma / 9", ("observed_tracking", "task_observer")),
-    Row("(27)-(29)", NOT_GIVEN),
-    Row("(30)", "observed tracking; with known kinematics, Section V's", ("observed_tracking", "task_tracking")),
-    Row("(31)", "beta > 4 gamma / 9 again, for tracking", ("observed_tracking",)),
-    Row("(32)-(36), (38), (39)", INVERSE_PID, ("pid_inverse",)),
-    Row("(37)", "da_d = -Gamma_d Y_d' xi, with xi our sigma", ("dynamic_compensator", "pid_inverse")),
-    Row("(40)-(42)", NOT_GIVEN),
-    Row(
-        "(43)",
-        "z'' + w_P z' + w_I z = 0 uniformly exponentially stable",
-        ("pid_inverse",),
-        ("dmframe/certificate.py::CommonLyapunov", "dmframe/certify/stability.py"),
-        ("tests/framework/certify/test_conditions.py",),
-    ),
-    Row("(44)", NOT_GIVEN),
-    Row("(45)", "joint tracking", ("joint_tracking",)),
-    Row("(46)-(48)", NOT_GIVEN),
-    Row(
-        "(49)-(53)",
-        "a user's torque through the servo: PI and PID; our source names (50) and the range",
-        ("pi_torque_inverse", "pid_torque_inverse", "filtered_regressor"),
-    ),
-    Row(
-        "(54)-(58)",
-        "indirect adaptation from the prediction error; our source gives the range",
-        ("indirect_adaptation", "certainty_equivalence", "filtered_adaptation", "filtered_regressor"),
-    ),
-    Row(
-        "(59)",
-        "adaptive computed torque",
-        ("computed_torque", "certainty_equivalence", "direct_adaptation", "mass_estimate"),
-    ),
-    Row("(60)", "direct adaptation, driven by M_hat^-1 s_star", ("direct_adaptation", "computed_torque")),
-    Row("Property 1", NOT_GIVEN),
-    Row(
-        "Property 2",
-        "M symmetric, uniformly positive",
-        ("manipulator",),
-        (f"{SYMBOLIC}::mass_matrix",),
-        (f"{ROBOT}::test_the_mass_matrix_is_symmetric_entry_by_entry",),
-    ),
-    Row(
-        "Property 3",
-        "dM/dt - 2 C skew-symmetric",
-        ("manipulator",),
-        (f"{SYMBOLIC}::coriolis",),
-        (f"{ROBOT}::test_the_mass_matrix_rate_minus_twice_coriolis_is_exactly_skew",),
-    ),
-    Row(
-        "Property 4",
-        "linear in a_d: (5)",
-        ("regressor",),
-        (f"{SYMBOLIC}::regressor",),
-        (f"{ROBOT}::test_the_regressor_times_the_parameters_is_the_torque_for_any_parameters",),
-    ),
-    Row(
-        "Theorem 1",
-        "filtered regulation, PI servo",
-        ("filtered_regulation", "passive_filter", "pi_inverse"),
-        graphs=("theorem_1",),
-    ),
-    Row("Theorem 2", "observed regulation, PI servo", ("observed_tracking", "task_observer"), graphs=("theorem_2",)),
-    Row("Theorem 3", "observed tracking, PI servo", ("observed_tracking", "task_observer"), graphs=("theorem_3",)),
-    Row("Theorem 4", "PID servo, M_bar >= 0 in the passive case", ("pid_inverse",), graphs=("theorem_4",)),
-    Row("Remark 1", NOT_GIVEN),
-    Row(
-        "Remark 2",
-        "projection of w, w_P, w_I, a_d_hat, a_k_hat",
-        files=(
-            "dmframe/port.py::State",
-            "dmframe/diagram/projection.py::Projection",
-            "dmframe/simulate/step.py::project",
-        ),
-        tests=("tests/framework/simulate/test_simulate.py",),
-        graphs=("theorem_1", "theorem_4"),
-    ),
-    Row("Remarks 3, 4", NOT_GIVEN),
-    Row("Remark 5", "a K_c that makes M_bar positive", ("pid_inverse",)),
-    Row("Remarks after 5", NOT_GIVEN),
-    Row(
-        "Section V",
-        "the experiment and the kinematic controller that it is compared with",
-        ("task_tracking", "kinematic_command", "circle"),
-        ("docs/study/section_v.py",),
-        ("tests/blocks/test_section_v.py",),
-        ("ur10_fast", "ur10_slow"),
-    ),
-)
+def rows() -> tuple[Row, ...]:
+    """The table's data, in the order of the paper."""
+    stated = YAML(typ="safe").load(TABLE.read_text(encoding="utf-8"))
+    return tuple(Row(**{key: _value(key, value) for key, value in row.items()}) for row in stated)
+
+
+def _value(key: str, value: Any) -> Any:
+    if not isinstance(value, list):
+        return value
+    return tuple(re.sub(r"^([A-Z])::", lambda m: f"{SHORT[m[1]]}::", item) for item in value)
 
 
 def block_types() -> list[str]:
@@ -210,9 +91,7 @@ def _rank(name: str) -> tuple[bool, bool, str]:
 
 
 def tests_of(row: Row) -> list[str]:
-    """For a theorem, tests that name its graph; else for each block a test that names it, first a known answer."""
-    if row.graphs:
-        return [test for test, texts in _tests().items() if "theorem" in test and row.graphs[0] in texts][:2]
+    """For each block a test that names it, first a known answer."""
     return list(dict.fromkeys(test for block in row.blocks if (test := _test_of(block))))
 
 
@@ -245,16 +124,16 @@ def _link(target: str) -> str:
 
 def lines() -> Iterator[str]:
     """The table."""
-    yield "| number | what it says | block or file | test | graph |"
+    yield "| number | what it says | block, file, page | test | graph |"
     yield "|---|---|---|---|---|"
-    for row in ROWS:
+    for row in rows():
         where = [_link(f"blocks/dmframe_blocks/{block}.py::{block}") for block in row.blocks]
-        where += [_link(file) for file in row.files]
+        where += [_link(file) for file in (*row.files, *(f"docs/{page}" for page in row.docs))]
         tests = [_link(test) for test in row.tests or tests_of(row)]
         graphs = [f"`{name}`" for name in row.graphs or (graphs_of(row.blocks) if row.blocks else [])]
-        missing = "-" if row.says == NOT_GIVEN else "none yet"
-        cells = [", ".join(cell) or missing for cell in (where, tests, graphs)]
-        yield "| " + " | ".join([row.what, row.says, *cells]) + " |"
+        missing = "-" if row.unused else "none yet"
+        cells = [row.unused or ", ".join(where) or missing, *(", ".join(cell) or missing for cell in (tests, graphs))]
+        yield "| " + " | ".join([row.number, row.says.replace("|", "\\|"), *cells]) + " |"
 
 
 def fill(page: str) -> str:

@@ -11,7 +11,8 @@ from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Fit, Leak, adaptat
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.errors import MissingError, ValueFault
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.linalg import metric, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -24,32 +25,33 @@ class AdaptiveKinematics(AbstractBlock):
         \hat J &= J(q, \hat a_k)                                             \tag{1} \\
         \dot{\hat a}_k &= \Gamma_k Y_k(q, \dot q)^\top e_k                   \tag{2}
 
-    with :math:`J(q) \psi = Y_k(q, \psi) a_k`, so that :math:`\hat J \dot q - \dot x = Y_k \tilde a_k` with
+    with :math:`J(q) \psi = Y_k(q, \psi) a_k`, so that :math:`\hat J \dot q - \dot x = Y_k(q, \dot q)\, \tilde a_k` with
     :math:`\tilde a_k = \hat a_k - a_k`. The error :math:`e_k` comes from the reference generator, and so does the
-    weight :math:`\alpha` of the task in the Lyapunov function:
+    weight :math:`\alpha = \mathrm{task\_weight}` of the task in the Lyapunov function:
 
     .. math::
 
         S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}}                  \tag{3} \\
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)                 \tag{4}
 
-    The position itself is linear in the translations: :math:`\hat x = f(q, \hat a_k)` has the error
-    :math:`e_x = \hat x - x = W_k(q)\, \tilde a_k`, without any derivative. With R it is fitted too, and with
-    forgetting by least squares over the last :math:`1/\mu` seconds:
+    The position itself is linear in the translations: :math:`e_x = f(q, \hat a_k) - x` is :math:`W_k(q)\, \tilde a_k`,
+    without any derivative. With R it is fitted too, and with forgetting by least squares over the last :math:`1/\mu`
+    seconds, :math:`\mu = \mathrm{forgetting}`, with :math:`G = \tfrac12 (G_k + G_k^\top)`, which is :math:`G_k`:
 
     .. math::
 
-        \dot{\hat a}_k &= P (Y_k^\top e_k - W_k^\top R\, e_x), \quad P = (\Gamma_k^{-1} + G_k)^{-1}   \tag{5} \\
-        \dot G_k &= -\mu G_k + W_k^\top R\, W_k                                                     \tag{6} \\
-        S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}} + \tfrac12 \alpha |\tilde a_k|^2_{G_k}      \tag{7} \\
+        \dot{\hat a}_k &= P (Y_k(q, \dot q)^\top e_k - W_k(q)^\top R\, e_x), \quad
+                           P = (\operatorname{diag}(1/\Gamma_k) + G)^{-1}                            \tag{5} \\
+        \dot G_k &= -\mu G + W_k(q)^\top R\, W_k(q)                                               \tag{6} \\
+        S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}} + \tfrac12 \alpha |\tilde a_k|^2_G       \tag{7} \\
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)
-                  - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha \mu |\tilde a_k|^2_{G_k}            \tag{8}
+                  - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha \mu |\tilde a_k|^2_G              \tag{8}
 
     With R alone :math:`P = \Gamma_k`, and (8) spends :math:`\alpha |e_x|^2_R`.
 
     Parameters
     ----------
-    Gamma_k : diagonal (h,), > 0
+    Gamma_k : (h, h), positive definite, or its diagonal
         Adaptation gain. Larger adapts faster and passes more noise of the measured position.
     adapt : all, links or tool
         Which translations are adapted: those of the joints, that of the tool, or both. The others are known.
@@ -93,7 +95,7 @@ class AdaptiveKinematics(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
 
-    Gamma_k: Diagonal = Positive("h")
+    Gamma_k: Gain = PositiveDefinite("h")
     adapt: Literal["all", "links", "tool"] = "all"
     start_error: Diagonal = Real("h", "m", default=0.0)
     a_k_hat_box: Box = Interval("h", "m")
@@ -111,8 +113,8 @@ class AdaptiveKinematics(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2), or (1), (5) and (6)."""
         J_hat, law, fit = p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat)), adaptation(p), self._fit(u, x, p)
-        gradient = ca.jacobian(J_hat @ u.dq, x.a_k_hat).T @ law.drive(u.e_k)
-        gradient = p.Gamma_k * gradient if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
+        gradient = self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ law.drive(u.e_k)
+        gradient = times(p.Gamma_k, gradient) if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
         return Equations(
             outputs={"J_hat": J_hat},
             rates={
@@ -128,7 +130,7 @@ class AdaptiveKinematics(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4), or (7) and (8)."""
         law, alpha, fit = adaptation(p), truth.task_weight, self._fit(u, x, p)
-        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha / p.Gamma_k)
+        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha * metric(p.Gamma_k))
         dx_err = self.equations(u, x, p).outputs["J_hat"] @ u.dq - truth.dx
         robust = law.terms([a_k], u.e_k) + law.idle(u.e_k, -alpha * dx_err)
         return Certificate(
@@ -153,13 +155,18 @@ class AdaptiveKinematics(AbstractBlock):
                 "Gamma_k, and V's is then that of P"
             )
         x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
-        W_k = ca.jacobian(x_hat, x.a_k_hat)
+        W_k = self._columns(p.robot.position_regressor(u.q))
         forgetting, G_k = (None, None) if self.forgetting is None else (p.forgetting, x.G_k)
         return Fit(x_hat - u.x, W_k, p.R, forgetting, G_k)
 
     def _start(self, p: Signals) -> SX:
         """The true translations, wrong by `start_error`."""
         return self._adapted(p.robot.a_k) + p.start_error
+
+    def _columns(self, regressor: SX) -> SX:
+        """Those of the parameters that are adapted."""
+        links = regressor.shape[1] - 3
+        return {"all": regressor, "links": regressor[:, :links], "tool": regressor[:, links:]}[self.adapt]
 
     def _adapted(self, a_k: SX) -> SX:
         """The part of all kinematic parameters that is adapted."""

@@ -15,7 +15,7 @@ class CertaintyEquivalence(AbstractBlock):
 
     .. math::
 
-        \tau_d = Y_d(q, \dot q, \dot q, \ddot q_{ref})\, \hat a_d   \tag{1}
+        \tau_d = Y_d \hat a_d   \tag{1}
 
     Parameters
     ----------

@@ -17,9 +17,10 @@ class Circle(AbstractBlock):
 
     .. math::
 
-        x_d(t) = c + r\,(e_1 \sin(\omega t + \varphi) + e_2 \cos(\omega t + \varphi))   \tag{1}
+        x_d = c + r\, (\sin(\omega t + \varphi),\, \cos(\omega t + \varphi))   \tag{1}
 
-    with :math:`e_1, e_2` the two axes of `plane`; a task of two coordinates has only the one plane.
+    with :math:`c = \mathrm{center}`, :math:`r = \mathrm{radius}`, :math:`\omega = \mathrm{rate}` and
+    :math:`\varphi = \mathrm{phase}`, in the two axes of `plane`; a task of two coordinates has only the one plane.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
 import casadi as ca
@@ -20,15 +20,15 @@ class ComputedTorque(AbstractBlock):
 
     .. math::
 
-        \ddot q_{ref} &= \ddot q_d - 2 \bar\alpha\, \Delta\dot q - \bar\alpha^2 \Delta q   \tag{1} \\
-        s^\star       &= \Delta\dot q + \bar\alpha\, \Delta q                             \tag{2}
+        \ddot q_{ref} &= \ddot q_d - 2 \bar\alpha\, (\dot q - \dot q_d) - \bar\alpha^2 \Delta q   \tag{1} \\
+        s^\star       &= \dot q - \dot q_d + \bar\alpha\, \Delta q                           \tag{2}
 
     with :math:`\Delta q = q - q_d`, and :math:`\dot q_{ref} = \dot q` for the regressor:
 
     .. math::
 
         S &= \tfrac12 |s^\star|^2                                                                       \tag{3} \\
-        \dot S &= -\bar\alpha |s^\star|^2 + s^{\star\top} (\ddot q - \ddot q_{ref})                     \tag{4}
+        \dot S &= -\bar\alpha |s^\star|^2 + {s^\star}^\top (\ddot q - \ddot q_{ref})                     \tag{4}
 
     Parameters
     ----------
@@ -40,6 +40,7 @@ class ComputedTorque(AbstractBlock):
     [WangTAC2020]_ eqs. (59), (60).
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"alpha": "alpha_bar"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad"),
         Port("dq", "n", "rad/s"),

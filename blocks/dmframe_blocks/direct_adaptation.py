@@ -10,8 +10,8 @@ import casadi as ca
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Assumption, Certificate, Condition
-from dmframe.linalg import solve_spd
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
+from dmframe.linalg import metric, solve_spd, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Scalar
 from dmframe.port import Port, State
 
 
@@ -21,19 +21,19 @@ class DirectAdaptation(AbstractBlock):
 
     .. math::
 
-        \epsilon &= \hat M^{-1} s^\star                                              \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d(q, \dot q, \dot q, \ddot q)^\top \epsilon    \tag{2}
+        \epsilon &= \hat M^{-1} s^\star                       \tag{1} \\
+        \dot{\hat a}_d &= -\Gamma Y_d^\top \epsilon    \tag{2}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}          \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}          \tag{3} \\
         \dot S &= -\epsilon^\top Y_d \tilde a_d               \tag{4}
 
     Parameters
     ----------
-    Gamma : diagonal (p,), > 0
+    Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep M-hat invertible.
@@ -64,7 +64,7 @@ class DirectAdaptation(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
-    Gamma: Diagonal = Positive("p")
+    Gamma: Gain = PositiveDefinite("p")
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
     leak: Scalar | None = Leak()
@@ -74,7 +74,7 @@ class DirectAdaptation(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         law, epsilon = adaptation(p), solve_spd(u.M_hat, u.s_star)
-        gradient = -p.Gamma * (u.Y_d.T @ law.drive(epsilon))
+        gradient = -times(p.Gamma, u.Y_d.T @ law.drive(epsilon))
         return Equations(
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
             rates={"a_d_hat": law.rate(gradient, x.a_d_hat, u.a_d_nominal, epsilon)},
@@ -88,7 +88,7 @@ class DirectAdaptation(AbstractBlock):
         """(3) and (4)."""
         law, epsilon = adaptation(p), self.equations(u, x, p).outputs["epsilon"]
         effect = u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate(x.a_d_hat, truth.a_d, u.a_d_nominal, 1 / p.Gamma)
+        a_d = Estimate(x.a_d_hat, truth.a_d, u.a_d_nominal, metric(p.Gamma))
         robust = law.terms([a_d], epsilon) + law.idle(epsilon, effect)
         return Certificate(
             storage=(a_d.storage,),

@@ -10,7 +10,8 @@ import casadi as ca
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.linalg import metric, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -21,19 +22,19 @@ class DynamicCompensator(AbstractBlock):
     .. math::
 
         \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
+        \dot{\hat a}_d &= -\Gamma (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
     The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
     :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
 
-        S &= \tfrac12 \tilde a_d^\top \Gamma_d^{-1} \tilde a_d   \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}   \tag{3} \\
         \dot S &= -\sigma^\top Y_d \tilde a_d - e_f^\top Y_f \tilde a_d   \tag{4}
 
     Parameters
     ----------
-    Gamma : diagonal (p,), > 0
+    Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain. Larger adapts faster, passes more velocity noise, and lowers the sampling period up to which
         the loop is stable.
     a_d_hat : (p,)
@@ -69,7 +70,7 @@ class DynamicCompensator(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
-    Gamma: Diagonal = Positive("p")
+    Gamma: Gain = PositiveDefinite("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
@@ -80,7 +81,7 @@ class DynamicCompensator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         law = adaptation(p)
-        gradient = -p.Gamma * (u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
+        gradient = -times(p.Gamma, u.Y_d.T @ law.drive(u.sigma) + u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
             rates={"a_d_hat": law.rate(gradient, x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), u.sigma)},
@@ -93,7 +94,7 @@ class DynamicCompensator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
         law, effect = adaptation(p), u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), metric(p.Gamma))
         robust = law.terms([a_d], u.sigma) + law.idle(u.sigma, effect)
         return Certificate(
             storage=(a_d.storage,),

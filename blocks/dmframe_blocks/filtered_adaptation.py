@@ -10,7 +10,8 @@ import casadi as ca
 from dmframe.adaptation import Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.linalg import metric, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -20,18 +21,18 @@ class FilteredAdaptation(AbstractBlock):
 
     .. math::
 
-        \dot{\hat a}_d = -\Gamma_d Y_f^\top e_f                  \tag{1}
+        \dot{\hat a}_d = -\Gamma Y_f^\top e_f                  \tag{1}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}              \tag{2} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}              \tag{2} \\
         \dot S &= -e_f^\top Y_f \tilde a_d                        \tag{3}
 
     Parameters
     ----------
-    Gamma : diagonal (p,), > 0
+    Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat : (p,)
         The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
@@ -58,7 +59,7 @@ class FilteredAdaptation(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
-    Gamma: Diagonal = Positive("p")
+    Gamma: Gain = PositiveDefinite("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
@@ -66,7 +67,7 @@ class FilteredAdaptation(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        gradient = -p.Gamma * (u.Y_f.T @ u.e_f)
+        gradient = -times(p.Gamma, u.Y_f.T @ u.e_f)
         return Equations(
             outputs={"a_d_hat": x.a_d_hat},
             rates={"a_d_hat": adaptation(p).rate(gradient, x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), u.e_f)},
@@ -78,7 +79,7 @@ class FilteredAdaptation(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""
-        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), metric(p.Gamma))
         robust = adaptation(p).terms([a_d], u.e_f)
         return Certificate(
             storage=(a_d.storage,),

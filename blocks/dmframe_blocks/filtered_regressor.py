@@ -19,30 +19,32 @@ from dmframe.port import Port, State
 class FilteredRegressor(AbstractBlock):
     r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
 
-    Both sides of the dynamics, divided by the servo's stiffness, pass the filter :math:`F = \lambda / (s + \lambda)`.
-    The acceleration goes by parts: with :math:`P a_d = M \dot q`, and :math:`C^\top \dot q = \partial(\tfrac12
-    \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
-    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`:
+    Both sides of the dynamics, divided by the servo's stiffness, pass a filter of first order, of the rate
+    :math:`\lambda = \mathrm{bandwidth}`. The acceleration goes by parts: with :math:`P a_d = M \dot q`, and
+    :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
+    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`.
+    Filtered, its regressor is :math:`Y_f = \lambda P + Y_z` with :math:`\dot Y_z = \lambda (R - Y_f)`, and with
+    :math:`W = \mathrm{weight}`:
 
     .. math::
 
-        Y_f &= F[Y_d(q, \dot q, \dot q, \ddot q)] = \lambda P + Y_z, \quad
-        \dot Y_z = \lambda (R - Y_f)                                                        \tag{1} \\
         \dot v_f &= \lambda (\dot q_c - \dot q - v_f), \quad
-        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{2} \\
-        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{3} \\
-        \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{4}
+        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{1} \\
+        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{2} \\
+        \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{3}
 
     products element by element. No torque is measured, and nothing is divided by an estimate: with
-    :math:`K_\star = K K_P` and :math:`b = K_I (i - q + q_c) / K_P`, the constant offset of the servo's integrator,
+    :math:`K_\star = K K_P`, the constant offset of the servo's integrator :math:`b = K_I (i - q + q_c) / K_P`, and the
+    errors :math:`\tilde a_d = \hat a_d - a_d`, :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P` and
+    :math:`\tilde b = \hat b - b`,
 
     .. math::
 
-        K_\star \epsilon = Y_f \tilde a_d + K_\star (\tilde w\, Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h,
-        \quad \dot h = -\lambda h                                                          \tag{5}
+        K_\star \epsilon &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
+        h &= Y_f a_d + K K_I q_f - K_\star v_f + K_\star b                                                  \tag{5}
 
-    h is what the filters forget of their start; it is zero here, where they start at rest. With a_d_hat, w and w_I
-    adapted by e_f and the regressors of (5):
+    h, of :math:`\dot h = -\lambda h`, is what the filters forget of their start; it is zero here, where they start at
+    rest. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
 
     .. math::
 
@@ -105,7 +107,7 @@ class FilteredRegressor(AbstractBlock):
 
     bandwidth: Scalar = Positive("", "1/s")
     weight: Diagonal = Positive("n", default=1.0)
-    friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    friction: tuple[Literal["viscous", "coulomb"], ...] = ("viscous",)
     bias: bool = False
     Gamma_b: Diagonal | None = Positive("n", "1/s", default=None)
 
@@ -114,7 +116,7 @@ class FilteredRegressor(AbstractBlock):
         return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
+        """(1) to (3)."""
         if self.bias == (self.Gamma_b is not None):
             raise ValueFault(
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
@@ -46,6 +47,7 @@ class FilteredRegulation(AbstractBlock):
     [WangTAC2020]_ eqs. (9), (12), (13), Theorem 1.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("y", "n", "m^2/rad"),
         Port("x", "m", "m"),

@@ -10,7 +10,8 @@ import casadi as ca
 from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, start_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Lemma, Square
-from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Real, Scalar
+from dmframe.linalg import metric, times
+from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
 
@@ -20,19 +21,19 @@ class IndirectAdaptation(AbstractBlock):
 
     .. math::
 
-        \epsilon &= Y_d(q, \dot q, \dot q, \ddot q)\, \hat a_d - \tau_d    \tag{1} \\
-        \dot{\hat a}_d &= -\Gamma_d Y_d^\top \epsilon                      \tag{2}
+        \epsilon &= Y_d \hat a_d - \tau_d                \tag{1} \\
+        \dot{\hat a}_d &= -\Gamma Y_d^\top \epsilon    \tag{2}
 
     With :math:`\tilde a_d = \hat a_d - a_d`:
 
     .. math::
 
-        S &= \tfrac12 |\tilde a_d|^2_{\Gamma_d^{-1}}                                       \tag{3} \\
+        S &= \tfrac12 |\tilde a_d|^2_{\Gamma^{-1}}                                       \tag{3} \\
         \dot S &= -|\epsilon|^2 + \epsilon^\top (\epsilon - Y_d \tilde a_d)                \tag{4}
 
     Parameters
     ----------
-    Gamma : diagonal (p,), > 0
+    Gamma : (p, p), positive definite, or its diagonal
         Adaptation gain.
     a_d_hat : (p,)
         The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
@@ -65,7 +66,7 @@ class IndirectAdaptation(AbstractBlock):
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
-    Gamma: Diagonal = Positive("p")
+    Gamma: Gain = PositiveDefinite("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
     a_d_hat_box: Box = Interval("p")
     a_d_hat_ball: Ball = Around("p")
@@ -81,7 +82,7 @@ class IndirectAdaptation(AbstractBlock):
             outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
             rates={
                 "a_d_hat": law.rate(
-                    -p.Gamma * (u.Y_d.T @ epsilon), x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), error
+                    -times(p.Gamma, u.Y_d.T @ epsilon), x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), error
                 )
             },
         )
@@ -94,7 +95,7 @@ class IndirectAdaptation(AbstractBlock):
         """(3) and (4)."""
         law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
         epsilon = law.drive(error)
-        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), 1 / p.Gamma)
+        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), metric(p.Gamma))
         robust = law.terms([a_d], error)
         spent = Square(error) if law.width is None else self._beyond(error, law.width)
         return Certificate(

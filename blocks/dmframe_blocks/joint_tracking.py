@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -38,6 +39,7 @@ class JointTracking(AbstractBlock):
     [WangTAC2020]_ eq. (45).
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"alpha": "alpha_bar", "dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad"),
         Port("q_d", "n", "rad"),

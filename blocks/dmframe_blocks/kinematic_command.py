@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -31,6 +32,7 @@ class KinematicCommand(AbstractBlock):
     [WangTAC2020]_ Section V, the comparison.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
 

@@ -15,8 +15,10 @@ class Kinematics(AbstractBlock):
 
     .. math::
 
-        J(q) &= \partial f(q) / \partial q   \tag{1} \\
+        \hat J &= J(q)                       \tag{1} \\
         \dot x &= J(q) \dot q                \tag{2}
+
+    with :math:`J(q)` the derivative of :math:`f(q)`, the tool's position.
 
     The task velocity is computed, never measured; derived references such as the reference acceleration use it.
 

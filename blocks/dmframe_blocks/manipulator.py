@@ -21,20 +21,22 @@ class Manipulator(AbstractBlock):
 
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + (1 - c)\, g(q) = K u, \quad x = f(q) \tag{1}
 
-    A maker's servo may already compensate a share c of gravity, and viscous friction :math:`B_m` of the joints' own
-    :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g` and :math:`B = B_0 - B_m`.
+    A maker's servo may already compensate a share :math:`c = \mathrm{maker\_gravity}` of gravity, and viscous friction
+    :math:`B_m` of the joints' own :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g`
+    and :math:`B = B_0 - B_m`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
-    is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`:
+    is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`, and the torque along the reference
+    :math:`\tau_r = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref} + D\, \phi(\dot q_{ref})
+    + (1 - c)\, g(q)`, which is :math:`Y_d a_d`:
 
     .. math::
 
-        S &= \tfrac12 \sigma^\top M \sigma   \tag{2} \\
-        \dot S &= \sigma^\top (K u - B \sigma - Y_d a_d)
-                  - \sigma^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
+        S &= \tfrac12 |\sigma|^2_{M(q)}   \tag{2} \\
+        \dot S &= \sigma^\top (K u - B \sigma - \tau_r)
+                  - (\dot q - \dot q_{ref})^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
-    with :math:`Y_d a_d = M \ddot q_{ref} + C \dot q_{ref} + B \dot q_{ref} + D \phi(\dot q_{ref}) + (1 - c) g`; the
-    last term of (3) is not positive, since the friction does not decrease with velocity.
+    The last term of (3) is not positive, since the friction does not decrease with velocity.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ class MassEstimate(AbstractBlock):
 
     .. math::
 
-        \hat M(q) = M(q; \hat a_d)   \tag{1}
+        \hat M = M(q, \hat a_d)   \tag{1}
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -39,6 +39,7 @@ class NullSpacePosture(AbstractBlock):
     [Siciliano2009]_ section 3.5.1, the gradient of a cost projected onto the null space.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null"}
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_null", "n", "rad/s"),)
 

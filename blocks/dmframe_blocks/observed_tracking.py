@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, final
 
 import casadi as ca
@@ -48,6 +48,7 @@ class ObservedTracking(AbstractBlock):
     [WangTAC2020]_ eqs. (20), (22), (30), (31), Theorems 2 and 3.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("x", "m", "m"),
         Port("x_o", "m", "m"),

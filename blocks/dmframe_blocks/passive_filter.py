@@ -20,7 +20,7 @@ class PassiveFilter(AbstractBlock):
 
         \dot y = -K_1 y + K_1 \hat J^\top \Delta x, \quad \Delta x = x - x_d   \tag{1}
 
-    With :math:`K_2, \alpha` of `filtered_regulation`:
+    With :math:`K_2` and :math:`\alpha = \mathrm{task\_weight}` of `filtered_regulation`:
 
     .. math::
 

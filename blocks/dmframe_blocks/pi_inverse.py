@@ -27,9 +27,9 @@ class PiInverse(AbstractBlock):
         \dot w_I &= \Lambda_I ((q_c - q_r) \sigma - q_f e_f)                                       \tag{3}
 
     products element by element; the terms in :math:`e_f` are those of a composite adaptation, with a
-    `filtered_regressor`, and zero without. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with
-    :math:`K_\star = K K_P`. With the servo's integrator i and :math:`e = i + q_c - q_r`, so that
-    :math:`\dot e = \sigma`:
+    `filtered_regressor`, and zero without. :math:`\tilde w = w - 1/K_\star` and :math:`\tilde w_I = w_I - K_I/K_P` are
+    the estimates minus their true values, with :math:`K_\star = K K_P`. With the servo's integrator i and
+    :math:`e = i + q_c - q_r`, so that :math:`\dot e = \sigma`:
 
     .. math::
 
@@ -40,11 +40,7 @@ class PiInverse(AbstractBlock):
 
     S does not weigh the command. With the momentum :math:`M \dot q`, the true gains drive
     :math:`z_1 = q_c - q_r - M \dot q / K_\star`, and what is left beside :math:`z_1` is bounded, so
-    :math:`q_c - q_r` is too:
-
-    .. math::
-
-        \dot z_1 = -(K_I / K_P)\, z_1 + r                                                          \tag{6}
+    :math:`q_c - q_r` is too: :math:`\dot z_1 = -(K_I / K_P)\, z_1 + r`.
 
     Parameters
     ----------

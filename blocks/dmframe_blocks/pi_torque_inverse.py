@@ -24,10 +24,10 @@ class PiTorqueInverse(AbstractBlock):
         \dot w   &= -\Lambda (\tau_d\, \epsilon + \tau_f e_f)         \tag{2} \\
         \dot w_I &= -\Lambda_I ((q - q_c)\, \epsilon + q_f e_f)       \tag{3}
 
-    products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a
-    `filtered_regressor`. True values: :math:`1/K_\star` and :math:`K_I/K_P`, with :math:`K_\star = K K_P`. The
-    servo's integrator starts anywhere; its constant offset :math:`i - (q - q_c)` acts as the torque
-    :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
+    products element by element; :math:`\epsilon` drives the adaptation, or :math:`e_f` of a `filtered_regressor`.
+    Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_I = w_I - K_I/K_P`, with
+    :math:`K_\star = K K_P`. The servo's integrator starts anywhere; its constant offset :math:`i - (q - q_c)` acts as
+    the torque :math:`-K K_I (i - q + q_c)`, which the regressor's bias column takes up.
 
     .. math::
 

@@ -50,10 +50,7 @@ class PidInverse(AbstractBlock):
 
     S does not weigh the command. With :math:`z_2 = q_c - q_r - M \dot q / K_\star`, the true gains drive
 
-    .. math::
-
-        \dot z = z_2 + r_1, \quad \dot z_2 = -(K_I / K_D)\, z - (K_P / K_D)\, z_2 + r_2             \tag{8}
-
+    :math:`\dot z = z_2 + r_1` and :math:`\dot z_2 = -(K_I / K_D)\, z - (K_P / K_D)\, z_2 + r_2`,
     and what is left, r, is bounded; so are :math:`z` and :math:`q_c - q_r`, whatever w_P and w_I do.
 
     Parameters

@@ -27,7 +27,8 @@ class PidTorqueInverse(AbstractBlock):
         \dot w_P &= \Lambda_P (q_c - q)\, \epsilon               \tag{3} \\
         \dot w_I &= \Lambda_I z\, \epsilon                       \tag{4}
 
-    True values: :math:`1/K_\star`, :math:`K_P/K_D`, :math:`K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
+    Estimates minus true values: :math:`\tilde w = w - 1/K_\star`, :math:`\tilde w_P = w_P - K_P/K_D`,
+    :math:`\tilde w_I = w_I - K_I/K_D`, with :math:`K_\star = K K_D`. The servo's
     integrator starts anywhere; its constant offset i + z acts as the torque :math:`-K K_I (i + z)`, which the
     regressor's bias column takes up.
 

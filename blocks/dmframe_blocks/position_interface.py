@@ -18,7 +18,7 @@ class PositionInterface(AbstractBlock):
         q_{step} = q_t - q_c   \tag{1}
 
     with :math:`q_c` the integral of the velocity command, so that the servo's position error is :math:`q - q_t`. In
-    continuous time :math:`q_{step} = 0`, and what is proved is proved for both kinds of command. On a clock the
+    continuous time :math:`q_{step}` is zero, and what is proved is proved for both kinds of command. On a clock the
     position lags by half a period on average; the velocity still comes along, as a feed-forward.
 
     Parameters

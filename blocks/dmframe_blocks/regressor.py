@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from fractions import Fraction
 from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import SX, Certificate, Condition, Inequality
 from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Port
+from dmframe.robot.pseudo_inertia import natural_gain
 
 _HEAVY = 4
 """Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
@@ -25,24 +28,19 @@ class Regressor(AbstractBlock):
         Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
                     + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
 
-    The estimates may start at
-
-    .. math::
-
-        a_d^\ast = (\nu\, a_{inertia},\, 0,\, -\nu\, g(q))   \tag{2}
-
-    with the share :math:`\nu` that `nominal` says; the friction is unknown, and the bias is the gravity that the servo
-    holds at rest.
+    The estimates may start at the share `nominal` of the model's inertial parameters; the friction is unknown, and the
+    bias starts at the gravity that the servo holds at rest.
 
     :math:`a_d` holds ten inertial parameters a link (mass, first moments, inertia about the joint frame), then the
     elements of B and of D, as `friction` says; :math:`\phi(v) = \tanh(v / v_0)` smooths the sign in the plant too.
-    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; (2) then takes
-    the servo to compensate nothing.
+    Masses and first moments count twice, once in motion and once in gravity, where `gravity` is apart; the start then
+    takes the servo to compensate nothing.
 
     Parameters
     ----------
     friction : list of viscous, coulomb
-        Friction that the compensator estimates along with the inertial parameters.
+        Friction that the compensator estimates along with the inertial parameters. Left out, that of (5), viscous; each
+        kind that the plant has is needed, and one that it has not is learnt to be zero.
     gravity : together or apart
         Whether gravity is estimated by the masses that the motion has too, or apart from them, for a servo that may
         already compensate some of it.
@@ -79,7 +77,7 @@ class Regressor(AbstractBlock):
         Port("g_share"),
     )
 
-    friction: tuple[Literal["viscous", "coulomb"], ...] = ()
+    friction: tuple[Literal["viscous", "coulomb"], ...] = ("viscous",)
     gravity: Literal["together", "apart"] = "together"
     bias: bool = False
     nominal: Scalar | None = NonNegative(default=None)
@@ -88,6 +86,22 @@ class Regressor(AbstractBlock):
         """p: ten a link, four more where gravity is apart, and one a joint for each kind of friction."""
         apart = _HEAVY if self.gravity == "apart" else 0
         return {"p": (10 + apart + len(set(self.friction)) + self.bias) * robot.n}
+
+    def prior(self, robot: Any, others: Fraction) -> list[list[Fraction]]:
+        """Link by link the natural gain of the nominal inertia; `others`, squared, for each friction and bias.
+
+        The gravity's own masses and first moments, where it is apart, vary like those of the motion, and by themselves.
+        """
+        links = [natural_gain(row) for row in robot.inertia]
+        heavy = [[row[:_HEAVY] for row in link[:_HEAVY]] for link in links] if self.gravity == "apart" else []
+        rest = [[[others * others]]] * (self.sizes(robot)["p"] - sum(len(part) for part in links + heavy))
+        parts = [*links, *heavy, *rest]
+        size, done, rows = sum(map(len, parts)), 0, list[list[Fraction]]()
+        for part in parts:
+            left, right = [Fraction(0)] * done, [Fraction(0)] * (size - done - len(part))
+            rows += [[*left, *row, *right] for row in part]
+            done += len(part)
+        return rows
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and, if asked, (2)."""
@@ -123,6 +137,25 @@ class Regressor(AbstractBlock):
         if self.bias:
             parts.append(truth.bias)
         return Certificate(truth={"a_d": ca.vertcat(*parts)})
+
+    def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
+        """Whatever friction the plant has, the regressor has a column for it."""
+        kinds = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
+        lacking = [kind for kind in kinds if kind[0] not in self.friction and kind[2] in truth]
+        return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
+
+
+def _column_for(key: str, name: str, true: SX) -> Inequality:
+    """No such friction, or a column for it."""
+    owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
+    return Inequality(
+        f"the plant has no {name} friction: {owners} is zero",
+        -true * true,
+        "eq. (5)",
+        strict=False,
+        otherwise=f"the plant has {name} friction ({owners}), and the regressor has no column for it: add {key} to "
+        "friction",
+    )
 
 
 def _heavy(n: int) -> list[int]:

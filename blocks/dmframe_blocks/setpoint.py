@@ -13,11 +13,7 @@ from dmframe.port import Port, Side
 
 @final
 class Setpoint(AbstractBlock):
-    r"""A constant goal, in the task or at the joints.
-
-    .. math::
-
-        x_d(t) = x_d \quad\text{or}\quad q_d(t) = q_d   \tag{1}
+    """A constant goal, in the task or at the joints.
 
     Parameters
     ----------
@@ -44,5 +40,5 @@ class Setpoint(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1)."""
+        """The goal that is given."""
         return Equations(outputs={name: getattr(p, name) for name in ("x_d", "q_d") if name in p})

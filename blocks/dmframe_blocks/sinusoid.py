@@ -17,7 +17,10 @@ class Sinusoid(AbstractBlock):
 
     .. math::
 
-        q_{d,i}(t) = c_i + a_i \sin(\omega_i t + \varphi_i)   \tag{1}
+        q_d = c + a \sin(\omega t + \varphi)   \tag{1}
+
+    element by element, with :math:`c = \mathrm{center}`, :math:`a = \mathrm{amplitude}`, :math:`\omega = \mathrm{rate}`
+    and :math:`\varphi = \mathrm{phase}`.
 
     Parameters
     ----------

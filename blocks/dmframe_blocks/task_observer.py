@@ -41,6 +41,7 @@ class TaskObserver(AbstractBlock):
     [WangTAC2020]_ eqs. (19), (26).
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("x", "m", "m"),
         Port("J_hat", "m n", "m/rad"),

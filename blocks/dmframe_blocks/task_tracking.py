@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -18,14 +19,14 @@ class TaskTracking(AbstractBlock):
 
     .. math::
 
-        \dot q_r &= J^+ \dot x_d - \gamma J^\top (x - x_d) + (I - J^+ J)\, \dot q_{null}, \quad
-                    J^+ = J^\top (J J^\top)^{-1}                                \tag{1}
+        \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top (x - x_d) + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
+                    \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}           \tag{1}
 
     A redundant robot may move by :math:`\dot q_{null}` as far as its tool does not notice,
-    :math:`J (I - J^+ J) = 0`: see `null_space_posture`. Nobody needs to drive it.
+    :math:`\hat J (I - \hat J^+ \hat J) = 0`: see `null_space_posture`. Nobody needs to drive it.
 
-    With :math:`\Delta x = x - x_d`, :math:`b = J^\top \Delta x` and :math:`s = \dot q - \dot q_r` it is a cascade on
-    the servo level, of which it consumes :math:`|s|^2 / \gamma`:
+    With :math:`\Delta x = x - x_d`, :math:`b = \hat J^\top \Delta x` and :math:`s = \dot q - \dot q_r` it is a cascade
+    on the servo level, of which it consumes :math:`|s|^2 / \gamma`:
 
     .. math::
 
@@ -46,6 +47,7 @@ class TaskTracking(AbstractBlock):
     [WangTAC2020]_ eq. (30), with J for its estimate, as in Section V.
     """
 
+    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "dq_ref": "dq_r"}
     inputs: ClassVar[tuple[Port, ...]] = (
         Port("x", "m", "m"),
         Port("x_d", "m", "m"),

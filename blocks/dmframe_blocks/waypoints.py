@@ -17,11 +17,8 @@ from dmframe.port import TIME, Port, Side
 class Waypoints(AbstractBlock):
     r"""Straight lines from point to point, each with the least jerk that starts and ends at rest.
 
-    .. math::
-
-        x_d(t) &= x_0 + \sum_i (x_{i+1} - x_i)\, s(\tau_i), \quad
-        \tau_i = \min(\max(\tfrac{t - t_i}{t_{i+1} - t_i}, 0), 1)          \tag{1} \\
-        s(\tau) &= 10 \tau^3 - 15 \tau^4 + 6 \tau^5                        \tag{2}
+    Of each leg the share :math:`s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5` is behind, :math:`\tau` being the share of
+    its time that has passed: 0 before it begins, 1 after it ends.
 
     Twice continuously differentiable; it stays at the last point.
 
@@ -36,7 +33,7 @@ class Waypoints(AbstractBlock):
 
     References
     ----------
-    [Flash1985]_ for (2).
+    [Flash1985]_ for s.
     """
 
     side: ClassVar[Side] = Side.SOURCE
@@ -59,7 +56,7 @@ class Waypoints(AbstractBlock):
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
+        """A sum over the legs."""
         name = "x_d" if "x_d" in p else "q_d"
         points, times = ca.vertsplit(getattr(p, name)), ca.vertsplit(p.times)
         desired = points[0].T
@@ -69,5 +66,5 @@ class Waypoints(AbstractBlock):
 
 
 def _least_jerk(tau: Any) -> Any:
-    """(2)."""
+    """The share s."""
     return tau * tau * tau * (10 + tau * (6 * tau - 15))

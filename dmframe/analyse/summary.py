@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -11,7 +11,9 @@ from dmframe.analyse.linear import Linear, linearise
 from dmframe.analyse.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analyse.rational import Passivity, Rational
 from dmframe.analyse.servo import JointLoop, servo_transfer
+from dmframe.analyse.tie import TieGain, tie_gains
 from dmframe.diagram import Diagram
+from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 
 NOTE = (
@@ -36,6 +38,8 @@ class Analysis:
         Servo and inverse, joint by joint.
     periods
         How slow the clock may be.
+    ties
+        K_c of each PID inverse, joint by joint.
     """
 
     clock: float | None
@@ -43,6 +47,7 @@ class Analysis:
     moving: Linear
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
+    ties: tuple[TieGain, ...]
 
 
 def analyse(
@@ -52,8 +57,11 @@ def analyse(
     solver: Solver | None = None,
     start: Mapping[str, Any] | None = None,
     horizon: float = 20.0,
+    uncertain: Mapping[str, Sequence[Interval]] | None = None,
 ) -> Analysis:
-    """Linearise, find margins and poles, and search for the largest stable sampling period.
+    """Linearise, find margins and poles, search for the largest stable sampling period, and find the least K_c.
+
+    The least K_c holds over the intervals of `uncertain`; all else is at the graph's numbers.
 
     Raises
     ------
@@ -67,7 +75,8 @@ def analyse(
         linearised_period(moving),
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
     )
-    return Analysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods)
+    ties = tie_gains(diagram, uncertain)
+    return Analysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties)
 
 
 def summary(name: str, analysis: Analysis) -> dict[str, Any]:
@@ -84,6 +93,7 @@ def summary(name: str, analysis: Analysis) -> dict[str, Any]:
             "moving": _bracket(analysis.periods.moving),
             "simulated": _bracket(analysis.periods.simulated),
         },
+        "K_c": [_tie(tie) for tie in analysis.ties],
         "note": NOTE,
     }
 
@@ -112,6 +122,17 @@ def _joint(joint: JointLoop) -> dict[str, Any]:
         "inverse": None if joint.inverse is None else _rational(joint.inverse),
         "servo_with_inverse": None if joint.port is None else _rational(joint.port),
         "servo_with_inverse_passive": None if joint.passive_port is None else _passive(joint.passive_port),
+    }
+
+
+def _tie(tie: TieGain) -> dict[str, Any]:
+    return {
+        "block": tie.block,
+        "joint": tie.joint,
+        "own": float(tie.own),
+        "holds": tie.holds,
+        "least": float(tie.least),
+        "least_without_friction": float(tie.least_without_friction),
     }
 
 

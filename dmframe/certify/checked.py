@@ -29,7 +29,7 @@ class Checked:
     value
         The least value that must be positive; the margin. None where it could not be computed.
     how
-        How it was decided: ``exact``; ``sampled``; or ``undecided``, which never holds.
+        How it was decided: ``exact``; ``cases``, all of a few; ``sampled``; or ``undecided``, which never holds.
     """
 
     name: str

@@ -14,22 +14,26 @@ symbols.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from typing import final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX, Certificate, Dissipated
 from dmframe.certify.form import NotApplicableError, check_form
+from dmframe.certify.labels import labelled
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
-from dmframe.errors import BlockError
+from dmframe.errors import BlockError, DmframeError
+from dmframe.formula.law import PrintedLaw
+from dmframe.formula.laws import laws_of
+from dmframe.linalg import times
 from dmframe.port import Side
 
 
@@ -103,6 +107,7 @@ class Claim:
     parts: tuple[Part, ...]
     kappa: SX
     truths: Stated
+    laws: Mapping[str, PrintedLaw]
 
     @property
     def cascaded(self) -> bool:
@@ -153,21 +158,12 @@ class Claim:
         return total(own) - self.consumption
 
 
-def labelled(name: str, certificate: Certificate) -> Certificate:
-    """Interim."""
-
-    def told(role: str, terms: tuple[Any, ...]) -> tuple[Any, ...]:
-        return tuple(replace(term, of=f"{name}.{str(term.pieces[0])[:30]}") for k, term in enumerate(terms))
-
-    return replace(
-        certificate,
-        storage=told("S", certificate.storage),
-        dissipation=told("d", certificate.dissipation),
-        excess=told("e", certificate.excess),
-        driven=tuple(
-            replace(d, of=tuple(f"{name}.driven{k}" for k in range(len(d.bounded)))) for d in certificate.driven
-        ),
-    )
+def _laws(diagram: Diagram) -> Mapping[str, PrintedLaw]:
+    """The printed laws; one that is not what runs is a claim that nobody can read."""
+    try:
+        return laws_of(diagram, docstrings=True)
+    except DmframeError as error:
+        raise NotApplicableError(error.text) from None
 
 
 def total(items: Sequence[SX]) -> SX:
@@ -183,13 +179,17 @@ def claim_of(diagram: Diagram) -> Claim:
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
+    laws = _laws(diagram)
     field = Field(diagram)
-    parts = tuple(field.part(name, certificate) for name, certificate in stated.items())
+    for name, certificate in stated.items():
+        check_form(name, certificate)
+    named = labelled(stated, laws)
+    parts = tuple(field.part(name, certificate) for name, certificate in named.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths)
+    return Claim(diagram, loop, parts, kappa, truths, laws)
 
 
 @final
@@ -219,8 +219,7 @@ class Field:
 
     def part(self, name: str, certificate: Certificate) -> Part:
         """A block's part, with the time derivative of its storage."""
-        check_form(name, certificate)
-        joined = labelled(name, certificate.mapped(self.loop.joined))
+        joined = certificate.mapped(self.loop.joined)
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
@@ -258,11 +257,11 @@ class Field:
         if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
             (square,) = squares
             slope = ca.jacobian(square.vector, projection.state)
-            if square.weight.is_column() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
-                return ca.sum1(square.weight * square.vector * projection.correction)
+            if slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
+                return ca.dot(times(square.weight, square.vector), projection.correction)
         raise NotApplicableError(
-            f"{name}: {projection.name} is projected, but is not stored as one square of its error with a diagonal "
-            "weight, which the projection lemma needs"
+            f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
+            "projection lemma needs"
         )
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
+from typing import Any
 
 import casadi as ca
 
@@ -17,12 +19,14 @@ from dmframe.certificate import (
     Gathered,
     Inequality,
     Lemma,
+    NormSquare,
     Square,
     Stored,
 )
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
+from dmframe.certify.memories import memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
@@ -34,12 +38,13 @@ from dmframe.exact.rational import as_float
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
+    checked += memory_starts(claim)
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = projection_conditions(claim, numbers)
+    inside, unknown = projection_conditions(claim, numbers, start)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
@@ -77,7 +82,19 @@ def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     text = condition.name
     least = partial(numbers.least, condition.expression)
-    return decided(f"{name}: {text}", text, condition.source, least, condition.strict)
+    found = decided(f"{name}: {text}", text, condition.source, least, condition.strict)
+    if found.holds or not condition.otherwise:
+        return found
+    return replace(found, name=f"{name}: {condition.otherwise}")
+
+
+def remedies(claim: Claim, numbers: Numbers) -> list[str]:
+    """What blocks say of conditions that fail and that their identity needs, such as a friction without a column."""
+    try:
+        stated = [(name, item) for name, item in _stated(claim) if isinstance(item, Inequality) and item.otherwise]
+    except NotApplicableError:
+        return []
+    return [item.name for item in decide(stated, numbers)[0] if not item.holds]
 
 
 def _terms(claim: Claim) -> Iterator[tuple[Part, str, Stored | Dissipated]]:
@@ -119,7 +136,7 @@ def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Every weight that is a matrix is positive definite: by its factors, or as the mass matrix of the robot."""
     for part, role, term in _terms(claim):
-        if isinstance(term, Square) and not term.weight.is_column():
+        if isinstance(term, Square | NormSquare) and not term.weight.is_column():
             weight = (term.weight + term.weight.T) / 2
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):
                 yield _mass_matrix(claim, weight)

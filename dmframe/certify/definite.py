@@ -9,14 +9,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Gathered
+from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
-from dmframe.diagram.model import told_by
-from dmframe.diagram.view import view
 from dmframe.exact import zero_test
-from dmframe.exact.rational import Interval, evaluate
-from dmframe.robot.rational import decimal
+from dmframe.exact.rational import Interval
+from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 Number = Fraction | Interval
 
@@ -52,50 +50,9 @@ def is_semidefinite(matrix: Sequence[Sequence[Fraction]]) -> bool:
     return True
 
 
-def pseudo_inertia(row: Sequence[Fraction]) -> list[list[Fraction]]:
-    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
-    m, x, y, z, xx, xy, yy, xz, yz, zz = row
-    half = (xx + yy + zz) / 2
-    return [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
-
-
 def least_body_pivot(robot: Any) -> Fraction:
     """Above zero iff each link's inertia is that of some mass distribution, which makes M(q) > 0 at every q."""
     return min(min(pivots(pseudo_inertia(row))) for row in robot.inertia)
-
-
-def negative_memories(claim: Claim) -> list[str]:
-    """What is gathered and starts below zero, where the start is a number of the graph: it stays so for a while.
-
-    A start that is not given is zero; one that a block computes is left to the assumption that the claim carries.
-    """
-    found = dict[str, None]()
-    for part in claim.parts:
-        for term in (*part.certificate.storage, *part.certificate.dissipation):
-            if isinstance(term, Gathered):
-                start = _start_of(claim, part.block, term.memory)
-                if start is not None and not is_semidefinite(start):
-                    text = f"{part.block}: G of |{term.of}|_G^2 starts below zero; expected a positive semidefinite one"
-                    found[text] = None
-    return list(found)
-
-
-def _start_of(claim: Claim, block: str, memory: SX) -> list[list[Fraction]] | None:
-    """G at the start; None where it depends on more than its block's own states and their given numbers."""
-    model, seen = claim.diagram.models[block], view(claim.diagram, block, claim.truths)
-    with told_by(block, "start()"):
-        said = model.block.start(seen.u, seen.p, seen.truth)
-    if set(said) & set(model.states) - set(model.values):
-        return None
-    own = [np.broadcast_to(model.values.get(name, 0.0), leaf.shape) for name, leaf in model.states.items()]
-    leaves = ca.vertcat(ca.SX(0, 1), *(ca.vec(leaf) for leaf in model.states.values()))
-    function = ca.Function("G", [leaves], [ca.densify(memory)], {"allow_free": True})
-    if function.has_free():
-        return None
-    flat = [decimal(float(x)) for value in own for x in np.ravel(value, order="F")]
-    (values,) = evaluate(function, [flat])
-    rows = memory.shape[0]
-    return [[Interval.of(values[column * rows + row]).lower for column in range(rows)] for row in range(rows)]
 
 
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:

@@ -90,9 +90,9 @@ def _fits(term: object, pieces: Sequence[SX]) -> bool:
         rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
         fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
         return bool(scalars and fits)
-    if isinstance(term, NormSquare):
-        return pieces[2].is_column() and _columns(pieces[:2])
-    if isinstance(term, Square):
+    if isinstance(term, Square | NormSquare):
+        if not all(piece.is_column() for piece in pieces[2:]):
+            return False
         rows = pieces[0].shape[0]
         return pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
     return _columns(pieces)

@@ -12,6 +12,7 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.diagram import Diagram
+from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.model import BlockModel, hashes, symbols_in
 from dmframe.diagram.wiring import Wire
 from dmframe.linalg import Inverted
@@ -33,6 +34,7 @@ def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
     """All that cannot be decided from the graph, in the order in which a theorem states it."""
     found = [
         *_servo_and_robot(claim.diagram),
+        *_known(claim.diagram),
         *_ranks(claim),
         *(item for name in claim.diagram.blocks for item in _divisors(claim, name)),
         *_open(closure),
@@ -51,6 +53,12 @@ def _servo_and_robot(diagram: Diagram) -> Iterator[Assumption]:
             f"the robot and its servo are what the graph says, rigid, with constant parameters: {types}",
             "eqs. (3), (6), (7)",
         )
+
+
+def _known(diagram: Diagram) -> Iterator[Assumption]:
+    """True numbers of the robot that a controller computes with."""
+    for known in known_truths(diagram):
+        yield Assumption(f"{known.block} ({known.kind}) knows exactly {known.words}", "its equations hold them")
 
 
 def _ranks(claim: Claim) -> Iterator[Assumption]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import final
 
 import casadi as ca
@@ -26,6 +27,8 @@ from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
 
+SEED = 7
+BITS = 149
 MORE = 3
 """Points beyond the number of constants, each a further test."""
 
@@ -142,8 +145,8 @@ def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) 
 def _sampled(symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
     """All elements at random points that share their parameters."""
     tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
-    rng = random.Random(7)
-    shift = Shift(random_prime(rng, 149), rng)
+    rng = random.Random(SEED)
+    shift = Shift(_prime(), rng)
     fixed = {
         group.label: [shift.random() for _ in range(group.symbol.numel())]
         if group.values is None
@@ -163,6 +166,11 @@ def _sampled(symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[i
         if len(points) == count:
             return shift.prime, points
     return None
+
+
+@cache
+def _prime() -> int:
+    return random_prime(random.Random(SEED), BITS)
 
 
 def _listed(names: Sequence[str]) -> str:

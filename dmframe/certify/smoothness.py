@@ -75,6 +75,8 @@ def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
     for part in claim.parts:
         for kind, text in (*_symbols(diagram, claim, part), *_operations(claim, part)):
             found[kind][text] = None
+    for kind, text in _field(claim):
+        found[kind][text] = None
     for leaf in _differentiated(diagram, claim):
         for kind, text in _followed(diagram, leaf):
             found[kind][text] = None
@@ -131,6 +133,23 @@ def _operations(claim: Claim, part: Part) -> Told:
             elif code in EDGES:
                 text = f"{where}: the argument of {NAMES[code]} stays inside the region where it has a derivative"
                 yield "assumed", text
+
+
+def _field(claim: Claim) -> Told:
+    """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
+    loop = claim.loop
+    for variable in (*loop.controller, *loop.plant):
+        (rate,) = loop.joined([variable.rate])
+        symbols = ca.symvar(rate)
+        function = ca.Function("rate", [stack(symbols)], [rate])
+        if not JUMPS & {function.instruction_id(k) for k in range(function.n_instructions())}:
+            continue
+        still = hashes(stack(parameter.symbol for parameter in loop.parameters))
+        moving = [symbol.element_hash() not in still for symbol in symbols]
+        jumps = {code for _, code in moving_operations(Tape.from_function(function), moving)} & JUMPS
+        if jumps:
+            names = ", ".join(sorted(NAMES[code] for code in jumps))
+            yield "assumed", f"d {variable.label}/dt holds {names}: where it jumps, the motion is Filippov's solution"
 
 
 def is_smooth_over(tape: Tape, kink: int) -> bool:
@@ -242,10 +261,11 @@ def _step(function: ca.Function, p: np.ndarray) -> tuple[int, float, float, floa
         steps = np.abs(np.diff(row))
         odd = np.abs(steps - (np.roll(steps, 1) + np.roll(steps, -1)) / 2)
         scale = float(np.max(np.abs(row[np.isfinite(row)]), initial=0.0))
-        for k in np.argsort(np.where(np.isfinite(odd), odd, np.inf))[-SUSPECTS:]:
-            found = _narrowed(function, p, element, float(time[k]), float(time[k + 1]))
-            if not abs(found[3] - found[2]) <= 1e-6 * max(scale, 1e-6):
-                return found
+        suspects = np.argsort(np.where(np.isfinite(odd), odd, np.inf))[-SUSPECTS:]
+        steps_found = [_narrowed(function, p, element, float(time[k]), float(time[k + 1])) for k in suspects]
+        jumps = [found for found in steps_found if not abs(found[3] - found[2]) <= 1e-6 * max(scale, 1e-6)]
+        if jumps:  # the first one, and one with two sides before one without
+            return min(jumps, key=lambda found: (not np.isfinite(found[3] - found[2]), found[1]))
     return None
 
 

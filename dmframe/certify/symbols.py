@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
@@ -40,12 +41,16 @@ class Symbols:
 
         Raises `NotApplicableError` where they hold any other symbol.
         """
-        inputs = [stack([group.symbol]) for group in self.groups] + [ca.vec(symbol) for symbol in more]
+        inputs = [*self._inputs, *map(ca.vec, more)]
         function = ca.Function(name, inputs, [ca.vec(x) for x in expressions], {"allow_free": True})
         if function.has_free():
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise NotApplicableError(f"a certificate holds {free}, which is no signal and no parameter of this diagram")
         return function
+
+    @cached_property
+    def _inputs(self) -> list[SX]:
+        return [stack([group.symbol]) for group in self.groups]
 
     @property
     def fixed(self) -> dict[int | str, Sequence[Fraction]]:

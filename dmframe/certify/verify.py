@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Any, Literal, final
 
 from dmframe.certificate import Assumption
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
-from dmframe.certify.conditions import conditions_of, decide
+from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses
@@ -78,7 +78,12 @@ class Verdict:
 
 
 def verify(
-    diagram: Diagram, *, trials: int = 3, seed: int = 0, uncertain: Mapping[str, Sequence[Interval]] | None = None
+    diagram: Diagram,
+    *,
+    trials: int = 3,
+    seed: int = 0,
+    uncertain: Mapping[str, Sequence[Interval]] | None = None,
+    start: Mapping[str, Any] | None = None,
 ) -> Verdict:
     """Prove dV/dt for a diagram, exactly, for all values of its gains and physical parameters.
 
@@ -90,10 +95,12 @@ def verify(
         Of the points and primes.
     uncertain
         True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
+    start
+        A graph's own start values, by a state's name or ``block.state``.
     """
     clock = _Clock()
     try:
-        return _verified(diagram, trials, seed, uncertain or {}, clock)
+        return _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
     except NotApplicableError as error:
         return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
 
@@ -121,7 +128,12 @@ class _Clock:
 
 
 def _verified(
-    diagram: Diagram, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]], clock: _Clock
+    diagram: Diagram,
+    trials: int,
+    seed: int,
+    uncertain: Mapping[str, Sequence[Interval]],
+    start: Mapping[str, Any],
+    clock: _Clock,
 ) -> Verdict:
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
@@ -137,11 +149,14 @@ def _verified(
         return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(claim, symbols, seed=seed)
-        return Verdict("refuted", _blame(refutation), claim, test, refutation, build=clock.build, check=clock.check)
+        lacking = remedies(claim, Numbers(claim, uncertain))
+        return Verdict(
+            "refuted", _blame(refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
+        )
     controls = negative_controls(claim, symbols, seed=seed)
     numbers = Numbers(claim, uncertain)
     signs = Signs(claim, numbers)
-    conditions, assumptions = conditions_of(claim, numbers)
+    conditions, assumptions = conditions_of(claim, numbers, start)
     bounds = bounds_of(claim, numbers, symbols)
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)
@@ -165,7 +180,9 @@ def _verified(
     )
 
 
-def _blame(refutation: Refutation) -> str:
+def _blame(refutation: Refutation, lacking: Sequence[str]) -> str:
+    if lacking:
+        return f"{refutation.says} is not what the blocks claim; {'; '.join(lacking)}"
     where = ", ".join(refutation.blame)
     if refutation.says != "dV/dt":
         return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"

@@ -1,4 +1,4 @@
-"""``dmframe analyse``: poles, margins, passivity, and how slow the clock may be."""
+"""``dmframe analyse``: poles, margins, passivity, how slow the clock may be, the least K_c."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from dmframe.analyse.linear import Linear
 from dmframe.analyse.period import Bracket
 from dmframe.analyse.servo import JointLoop
 from dmframe.analyse.summary import NOTE, Analysis, analyse, summary
+from dmframe.analyse.tie import TieGain
+from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
 from dmframe.config import Graph, load_graph
 from dmframe.units import plain
@@ -22,7 +24,15 @@ from dmframe.units import plain
 def analyse_graph(name: str, overrides: Sequence[str], *, horizon: float, as_json: bool) -> None:
     """Analyse one graph and print it."""
     graph = load_graph(name, overrides)
-    found = analyse(graph.diagram(), graph.file.clock, solver=graph.solver, start=graph.start, horizon=horizon)
+    diagram = graph.diagram()
+    found = analyse(
+        diagram,
+        graph.file.clock,
+        solver=graph.solver,
+        start=graph.start,
+        horizon=horizon,
+        uncertain=intervals(diagram, graph.file.uncertain),
+    )
     typer.echo(json.dumps(summary(graph.name, found), indent=2) if as_json else page(graph, found))
 
 
@@ -41,6 +51,7 @@ def page(graph: Graph, found: Analysis) -> str:
         "largest stable sampling period",
         columns(_periods(found)),
         "",
+        *_least_K_c(graph, found.ties),
         *(f"  {text}" for text in _wrapped(NOTE)),
     ]
     return "\n".join(parts)
@@ -82,6 +93,20 @@ def _periods(found: Analysis) -> Iterator[tuple[str, str]]:
         yield name, _bracket(bracket)
     yield "simulated", _bracket(periods.simulated)
     yield "", periods.simulated.meaning
+
+
+def _least_K_c(graph: Graph, ties: Sequence[TieGain]) -> Iterator[str]:
+    if ties:
+        over = "the intervals of uncertain:" if graph.file.uncertain else "the graph's own servo gains"
+        yield f"K_c of the PID inverse [1/s]: the least that makes M_bar >= 0 over {over}, rounded upwards"
+        heads = ("joint", "K_c of the graph", "least K_c", "least without friction")
+        yield columns([heads, *(_tie(tie) for tie in ties)])
+        yield ""
+
+
+def _tie(tie: TieGain) -> tuple[str, ...]:
+    own = f"{float(tie.own):.6g}" + ("" if tie.holds else ", too small")
+    return tie.joint, own, f"{float(tie.least):g}", f"{float(tie.least_without_friction):g}"
 
 
 def _bracket(bracket: Bracket) -> str:

@@ -133,12 +133,35 @@ def analyse(
     graph: OneGraph,
     overrides: Overrides = [],  # noqa: B006 - as above
     horizon: Annotated[float, typer.Option(metavar="S", help="Length of the runs that look for the period.")] = 20,
+    rank: Annotated[
+        bool, typer.Option("--rank", help="Instead: the kinematic parameters with which J_hat keeps its rank.")
+    ] = False,
+    tube: Annotated[
+        str, typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.")
+    ] = "0.05 rad",
+    least: Annotated[
+        float | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
+    ] = None,
+    shape: Annotated[str, typer.Option(metavar="SHAPE", help="With --rank: box or ball.")] = "box",
+    centre: Annotated[str, typer.Option(metavar="AT", help="With --rank: about the truth or the start.")] = "truth",
+    scale: Annotated[str, typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.")] = (
+        "uniform"
+    ),
+    boxes: Annotated[
+        int, typer.Option(metavar="N", help="With --rank: the most boxes; more take longer and find a larger region.")
+    ] = 40_000,
     as_json: AsJson = False,
-) -> None:
+) -> int:
     """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
+    if rank:
+        from dmframe.cli.rank import rank_of
+
+        options = {"least": least, "shape": shape, "centre": centre, "scale": scale, "boxes": boxes}
+        return rank_of(graph, overrides, tube=tube, as_json=as_json, **options)
     from dmframe.cli.analyse import analyse_graph
 
     analyse_graph(graph, overrides, horizon=horizon, as_json=as_json)
+    return 0
 
 
 @app.command()

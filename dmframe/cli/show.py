@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import inspect
 import re
+import textwrap
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Source, Time, Wire
+from dmframe.formula import Line
+from dmframe.formula.alone import options_of, plainest
+from dmframe.formula.docstring import check_docstring
+from dmframe.formula.names import unicode_name
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
+from dmframe.report.laws import law_of
 from dmframe.units import plain
 
 
@@ -21,9 +29,16 @@ def columns(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
     table = [list(row) for row in rows]
     if not table:
         return f"{indent}none"
-    widths = [max(len(row[k]) for row in table) for k in range(len(table[0]))]
-    lines = ("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) for row in table)
+    widths = [max(_width(row[k]) for row in table) for k in range(len(table[0]))]
+    lines = (
+        "  ".join(cell + " " * (width - _width(cell)) for cell, width in zip(row, widths, strict=True)) for row in table
+    )
     return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+
+def _width(text: str) -> int:
+    """How many places a text takes: accents stand above their letters."""
+    return sum(not unicodedata.combining(letter) for letter in text)
 
 
 def graph_list(graphs: Mapping[str, Path]) -> str:
@@ -98,14 +113,55 @@ def _first_line(kind: type[AbstractBlock]) -> str:
 
 
 def block_page(kind: type[AbstractBlock]) -> str:
-    """A block's law, ports, states, parameters and source."""
-    parts = [f"{type_name(kind)} ({kind.side.value})", readable(inspect.getdoc(kind) or "")]
+    """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
+    about = law_of(kind)
+    parts = [f"{type_name(kind)} ({kind.side.value})", _plain(about.summary), *_laws(kind)]
+    parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
-    states = ((s.name, f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
+    states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
+    names = dict[str, list[str]]()
+    for name, text in about.parameters.items():
+        names.setdefault(text, []).append(name)
+    said = [f"{', '.join(several)}: {_plain(text)}" for text, several in names.items()]
+    parts += ["\n".join(textwrap.fill(text, WIDE, **_INDENT) for text in said)] * bool(said)
+    parts += [textwrap.fill(_plain(text), WIDE) for text in (about.notes, about.source) if text]
     return "\n\n".join(parts)
+
+
+WIDE: Final = 112
+"""Columns of a page."""
+_INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}
+
+
+def _laws(kind: type[AbstractBlock]) -> Iterable[str]:
+    """The equations at the options' defaults, and what each option changes."""
+    found = plainest(kind)
+    if found is None:
+        yield "law\n  none without numbers of its own: see it in a graph's report"
+        return
+    label, law = found
+    yield f"law{f', with {label}' * bool(label)}\n{_equations(law.lines)}"
+    for option, lines in options_of(kind):
+        yield f"with {option}\n{_equations(lines)}"
+
+
+def _equations(lines: Sequence[Line]) -> str:
+    """Equations under one another, equals signs too; a long one goes on in the next line."""
+    wide = max((_width(line.left.unicode) for line in lines), default=0)
+    rows = []
+    for line in lines:
+        left = line.left.unicode + " " * (wide - _width(line.left.unicode))
+        text = textwrap.wrap(line.right.unicode, WIDE - wide, break_long_words=False, break_on_hyphens=False)
+        rows += [f"  {left} = {text[0]}", *(f"  {' ' * wide}   {more}" for more in text[1:])]
+    return "\n".join(rows) or "  none"
+
+
+def _plain(text: str) -> str:
+    """Marked text without its marks."""
+    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("$", "").replace("`", ""))
 
 
 def _said(state: State) -> str:
@@ -113,10 +169,10 @@ def _said(state: State) -> str:
     return f"projected onto {' or '.join(sets)}" if sets else "optional" * state.optional
 
 
-def _port(port: Port) -> tuple[str, str, str, str]:
+def _port(port: Port) -> tuple[str, ...]:
     said = [] if port.access is Access.INTERNAL else [port.access.value]
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
-    return port.name, f"({port.shape})", port.unit or "-", ", ".join(said)
+    return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
 
 
 def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:
@@ -138,12 +194,3 @@ def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]
 
 def _absent(spec: Spec | None) -> str:
     return "no bound" if spec is not None and spec.form in PAIRS else "none"
-
-
-def readable(docstring: str) -> str:
-    """A docstring without its markup; formulas stay as LaTeX, one a line."""
-    text = re.sub(r":math:`([^`]*)`", r"\1", docstring)
-    text = re.sub(r"^\.\. math::\n", "", text, flags=re.MULTILINE)
-    text = re.sub(r"^( +.*?)\s*\\tag\{(\w+)\}(.*)$", r"\1   (\2)\3", text, flags=re.MULTILINE)
-    text = text.replace(" \\\\\n", "\n").replace("&=", "=").replace("&", "")
-    return re.sub(r"\n\n\n+", "\n\n", re.sub(r"\[(\w+)\]_", r"[\1]", text))

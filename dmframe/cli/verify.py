@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from dmframe.certify import Verdict, verify
-from dmframe.certify.conditions import Checked
+from dmframe.certify.checked import Checked
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
@@ -47,7 +47,7 @@ def verify_graphs(
 
 def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
     try:
-        return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain))
+        return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain), start=graph.start)
     except DmframeError as error:
         raise placed(error, graph.document, graph.overrides) from None
 

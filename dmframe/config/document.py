@@ -146,7 +146,7 @@ def read_document(text: str, name: str) -> Document:
             f"expected a graph, keys with their values, found {_kind(root.value)}; a graph begins with dmframe: 1",
             location=f"{name}:{root.line}:{root.column}",
         )
-    return Document(name, {key: _plain(value) for key, (_, value) in root.value.items()}, root)
+    return Document(name, mapping_of(root), root)
 
 
 def _check_size(count: int, name: str) -> None:
@@ -175,6 +175,11 @@ def _kind(value: object) -> str:
     if isinstance(value, dict):
         return "a mapping"
     return "a list" if isinstance(value, list) else f"the value {shorten(str(value), 30)}"
+
+
+def mapping_of(node: Node) -> dict[str, Any]:
+    """A mapping's node as plain data."""
+    return {key: _plain(value) for key, (_, value) in node.value.items()} if isinstance(node.value, dict) else {}
 
 
 def _plain(node: Node) -> Plain:

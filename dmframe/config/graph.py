@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection, robot_name
 from dmframe.config.overrides import overridden, target
+from dmframe.config.renamed import with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate import Log, Solver
@@ -142,9 +144,17 @@ def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
     ------
     DmframeError
         All faults of the file at once, each with its line and column.
+
+    Notes
+    -----
+    A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
     path = find_graph(str(source))
-    return make_graph(read_file(path), path, overrides)
+    read = with_new_names(read_file(path), overrides, path.parent)
+    raise_all(read.faults)
+    for notice in read.notices:
+        sys.stderr.write(f"{notice}\n")
+    return make_graph(read.document, path, read.overrides)
 
 
 def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) -> Graph:

@@ -13,6 +13,13 @@ from dmframe.parameter import Spec, spec_of
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 NUMBER = {"type": ["number", "string"]}
+PRIOR = {
+    "type": "object",
+    "properties": {"inverse_of": {"type": "string"}, "scale": NUMBER, "others": NUMBER},
+    "required": ["inverse_of"],
+    "additionalProperties": False,
+}
+"""As `dmframe.gain.Prior`."""
 
 
 def json_schema() -> dict[str, Any]:
@@ -72,6 +79,7 @@ def _number(spec: Spec) -> dict[str, Any]:
         "diagonal": either if spec.shape else dict(NUMBER),
         "vector": row,
         "table": {"type": "array", "items": row, "minItems": 1},
+        "gain": {"anyOf": [NUMBER, row, {"type": "array", "items": row, "minItems": 1}, PRIOR]},
         "ball": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
         "box": {"type": "array", "items": either, "minItems": 2, "maxItems": 2},
     }

@@ -13,6 +13,7 @@ from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.model import BlockModel, model_block
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
+from dmframe.diagram.symmetric import unique
 from dmframe.diagram.wiring import End, Outputs, Source, check_truths, check_wires, wire_blocks
 from dmframe.errors import DmframeError, MissingError, WiringError, raise_all
 from dmframe.port import Port
@@ -75,7 +76,7 @@ class Diagram:
         values = dict[str, Any]()
         if not faults:
             for name, block in blocks.items():
-                values[name], wrong = parameter_arrays(name, block, sizes)
+                values[name], wrong = parameter_arrays(name, block, sizes, blocks, robot)
                 faults += wrong
         if faults:
             _, more = wire_blocks(blocks, _declared(blocks), wires or {})
@@ -154,9 +155,9 @@ def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]
     for name, model in models.items():
         units = {key: spec.unit for key, spec in specs(type(model.block)).items()}
         units |= {f"{key}_0": unit for key, unit in units.items()}
-        found += [
-            Parameter(f"{name}.{key}", leaf, model.values[key], units[key]) for key, leaf in model.parameters.items()
-        ]
+        for key, leaf in model.parameters.items():
+            symbols, value = unique(specs(type(model.block)).get(key), leaf, model.values[key])
+            found.append(Parameter(f"{name}.{key}", symbols, value, units[key]))
     if robot is not None:
         values = robot.values()
         found += [Parameter(c.name, c.symbol, values[c.name], c.unit) for c in robot.constants]

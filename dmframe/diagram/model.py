@@ -15,8 +15,10 @@ import numpy as np
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
 from dmframe.diagram.sizes import Sizes
+from dmframe.diagram.symmetric import symmetric_symbol
 from dmframe.errors import BlockError, DmframeError, nearest
 from dmframe.linalg import Inverted, inverting
+from dmframe.parameter import specs
 from dmframe.port import Port, State
 
 
@@ -101,6 +103,10 @@ def symbol(name: str, size: tuple[int, ...]) -> SX:
     return ca.SX.sym(name, *(size or (1,)))
 
 
+def _plain(name: str, value: np.ndarray) -> SX:
+    return symbol(name, value.shape)
+
+
 def signals_of(
     name: str, inputs: Mapping[str, SX], states: Mapping[str, SX], parameters: Mapping[str, SX], robot: Any
 ) -> tuple[Signals, Signals, Signals]:
@@ -114,7 +120,12 @@ def model_block(
 ) -> BlockModel:
     """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
     states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
-    parameters = {key: symbol(f"{name}.{key}", value.shape) for key, value in values.items() if key not in states}
+    gains = {key for key, spec in specs(type(block)).items() if spec.form == "gain"}
+    parameters = {
+        key: (symmetric_symbol if key in gains and value.ndim == 2 else _plain)(f"{name}.{key}", value)
+        for key, value in values.items()
+        if key not in states
+    }
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None

@@ -14,6 +14,7 @@ from typing import final
 import casadi as ca
 
 from dmframe.certificate import SX
+from dmframe.linalg import square, times
 
 
 @final
@@ -40,8 +41,10 @@ class Box:
         return ca.vertcat(truth - self.lower, self.upper - truth)
 
     def askew(self, weight: SX) -> SX:
-        """Zero where the correction is normal to the box in the metric of a diagonal weight: always."""
-        return ca.SX.zeros(1)
+        """Zero where the correction is normal to the box in the metric of the weight: where that is diagonal."""
+        if weight.is_column():
+            return ca.SX.zeros(1)
+        return ca.vec(ca.densify(weight - ca.diag(ca.diag(weight))))
 
 
 @final
@@ -49,8 +52,10 @@ class Box:
 class Ball:
     r"""The ellipsoid :math:`f = \sum_i (\theta_i - c_i)^2 / r_i^2 - 1 \le 0`, a ball where all half axes are equal.
 
-    `gain` is the adaptation's diagonal :math:`\Gamma`; the normal in the metric :math:`\Gamma^{-1}` is
-    :math:`\Gamma \nabla f`.
+    `gain` is the adaptation's :math:`\Gamma`, a matrix or a column for a diagonal. The normal in the metric
+    :math:`\Gamma^{-1}` is :math:`\Gamma \nabla f`: with :math:`c = -\mu \Gamma \nabla f`, :math:`\mu \ge 0`,
+    :math:`(\theta - \theta_{true})^\top \Gamma^{-1} c = -\mu (\theta - \theta_{true})^\top \nabla f`, which is not above
+    zero on the boundary, since f is convex and not above zero at the true value.
     """
 
     center: SX
@@ -65,8 +70,9 @@ class Ball:
         gradient = (state - self.center) / (self.radius * self.radius)
         outward = ca.dot(gradient, nominal)
         out = ca.logic_and(self._reach(state) >= 1, outward > 0)
-        steepness = ca.dot(gradient, self.gain * gradient)
-        return ca.if_else(out, -self.gain * gradient * (outward / steepness), ca.SX.zeros(state.shape[0]))
+        normal = times(self.gain, gradient)
+        steepness = ca.dot(gradient, normal)
+        return ca.if_else(out, -normal * (outward / steepness), ca.SX.zeros(state.shape[0]))
 
     def held(self, state: SX) -> SX:
         """The point of the set on the way to its centre; the nearest one, of a ball."""
@@ -78,9 +84,12 @@ class Ball:
         return 1 - self._reach(truth)
 
     def askew(self, weight: SX) -> SX:
-        """Zero where the weight is a multiple of 1/gain, whose metric the correction is normal in."""
-        ratio = weight * self.gain
-        return ratio - ratio[0]
+        """Zero where the weight is a multiple of the gain's inverse, whose metric the correction is normal in."""
+        if weight.is_column() and self.gain.is_column():
+            ratio = weight * self.gain
+            return ratio - ratio[0]
+        product = (ca.diag(weight) if weight.is_column() else weight) @ square(self.gain)
+        return ca.vec(ca.densify(product - product[0, 0] * ca.SX.eye(product.shape[0])))
 
     def _reach(self, point: SX) -> SX:
         away = (point - self.center) / self.radius

@@ -176,6 +176,13 @@ class Resolver:
         if len(chosen) > 1:
             text = f"{model.name}: expected one of {declared.box} and {declared.ball}, found both"
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.ball)))
+        gain = model.parameters.get(declared.gain)
+        if chosen[0] == declared.box and gain is not None and not gain.is_column():
+            text = (
+                f"{model.name}: expected no {declared.box} beside a {declared.gain} that is a full matrix: a box is "
+                f"normal to its coordinates in the metric of a diagonal alone; choose {declared.ball}"
+            )
+            self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
         name, leaf = f"{model.name}.{state}", model.states[state]
         correction = symbol(f"{name}.correction", leaf.shape)
         first, second = ca.horzsplit(model.parameters[chosen[0]])

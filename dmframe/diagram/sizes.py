@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from fractions import Fraction
 from typing import Any, final
 
 import numpy as np
 
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError
+from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault
+from dmframe.gain import Prior, Rows, check_definite
 from dmframe.parameter import PAIRS, array, specs
 from dmframe.port import Port, State
+from dmframe.robot.rational import decimal
 
 
 @final
@@ -30,6 +33,11 @@ class Sizes:
     def of(self, shape: str) -> tuple[int, ...]:
         """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
+
+    def matrix(self, shape: str) -> tuple[int, int]:
+        """Rows and columns: ``"n"`` -> (3, 1)."""
+        rows, columns, *_ = (*self.of(shape), 1, 1)
+        return rows, columns
 
     def explain(self, shape: str) -> str:
         """``(n p) with n = 3 (bound by robot ur10), p = 36 (bound by model)``."""
@@ -68,6 +76,8 @@ def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[
         ends = value if spec.form in PAIRS else (value,)
         for end in ends:
             shape = np.shape(end)
+            if spec.form == "gain":
+                shape = shape[:1]
             if shape and len(shape) == len(letters) and letters[-1] != "*" and not letters[-1].isdigit():
                 yield sizes.bind(letters[-1], shape[-1], f"{name}.{parameter}", ("blocks", name, parameter))
 
@@ -87,19 +97,49 @@ def _unbound(name: str, letter: str) -> DmframeError:
     )
 
 
-def parameter_arrays(name: str, block: AbstractBlock, sizes: Sizes) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
-    """The block's numeric parameters as arrays of their bound sizes."""
+def parameter_arrays(
+    name: str,
+    block: AbstractBlock,
+    sizes: Sizes,
+    blocks: Mapping[str, AbstractBlock] | None = None,
+    robot: Any = None,
+) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
+    """The block's numeric parameters as arrays of their bound sizes; `blocks` and `robot` give what a `Prior` needs."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
     for parameter, spec in specs(type(block)).items():
         value = getattr(block, parameter)
         if value is None:
             continue
         try:
+            if isinstance(value, Prior):
+                value = prior_rows(value, blocks or {name: block}, robot)
             words = spec.shape.split()
             size = (len(value), *sizes.of(" ".join(words[1:]))) if words[:1] == ["*"] else sizes.of(spec.shape)
             values[parameter] = array(value, spec, size)
+        except DmframeError as fault:
+            fault.text, fault.path = f"{name}.{parameter}.{fault.text}", ("blocks", name, parameter)
+            faults.append(fault)
         except ValueError as error:
             faults.append(ShapeError(f"{name}.{parameter}: {error}", path=("blocks", name, parameter)))
         except KeyError as error:
             raise BlockError(f"{name}.{parameter}: the shape {spec.shape!r} uses the unbound letter {error}") from None
     return values, faults
+
+
+def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) -> Rows:
+    """The gain that another block's model gives, in decimals, in which it is positive definite."""
+    if prior.inverse_of not in blocks:
+        raise UnknownNameError("inverse_of", "block", prior.inverse_of, blocks)
+    exact = blocks[prior.inverse_of].prior(robot, decimal(prior.others))
+    if exact is None:
+        able = "; ".join(name for name, block in blocks.items() if block.prior(robot, Fraction(1)) is not None)
+        raise ValueFault(
+            f"inverse_of: expected a block that models its parameters, found {prior.inverse_of}; the graph has "
+            f"{able or 'none'}"
+        )
+    rows = tuple(tuple(float(decimal(prior.scale) * value) for value in row) for row in exact)
+    try:
+        check_definite(rows)
+    except ValueError as error:
+        raise ValueFault(f"inverse_of: {error}; the model holds a link that is no physical body") from None
+    return rows

@@ -6,9 +6,12 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
+from dmframe.diagram.model import BlockModel
 from dmframe.diagram.sizes import parameter_arrays
-from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, raise_all
+from dmframe.diagram.symmetric import unique
+from dmframe.errors import DmframeError, Faults, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.parameter import specs
 
 
@@ -40,18 +43,28 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
         except DmframeError as error:
             faults += error.faults if isinstance(error, Faults) else (error,)
             continue
-        arrays, wrong = parameter_arrays(name, blocks[name], diagram.sizes)
+        arrays, wrong = parameter_arrays(name, blocks[name], diagram.sizes, blocks, diagram.robot)
         faults += wrong
         models[name] = replace(models[name], block=blocks[name], values=arrays)
     raise_all(faults)
     parameters = tuple(
-        replace(parameter, value=models[block].values[name])
-        if (block := parameter.label.partition(".")[0]) in by_block
-        and (name := parameter.label.partition(".")[2]) in models[block].values
-        else parameter
+        _valued(parameter, models) if parameter.label.partition(".")[0] in by_block else parameter
         for parameter in diagram.loop.parameters
     )
     return replace(diagram, blocks=blocks, models=models, loop=replace(diagram.loop, parameters=parameters))
+
+
+def _valued(parameter: Parameter, models: Mapping[str, BlockModel]) -> Parameter:
+    """With the value that its block now has."""
+    block, _, name = parameter.label.partition(".")
+    model = models[block]
+    if name not in model.values:
+        return parameter
+    try:
+        _, value = unique(specs(type(model.block)).get(name), model.parameters[name], model.values[name])
+    except ValueError as error:
+        raise ShapeError(f"values.{parameter.label}: {error}") from None
+    return replace(parameter, value=value)
 
 
 def _numbers(diagram: Diagram) -> list[str]:

@@ -6,6 +6,7 @@ import re
 
 from dmframe.diagram import Diagram
 from dmframe.draw.netlist import Box, netlist
+from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
 
@@ -27,13 +28,13 @@ def mermaid(diagram: Diagram, title: str = "") -> str:
             lines.append("  end")
     for (source, port), targets in net.nets.items():
         for target, pin in targets:
-            label = port if port == pin else f"{port} → {pin}"
+            label = unicode_name(port) if port == pin else f"{unicode_name(port)} → {unicode_name(pin)}"
             lines.append(f'  {ids[source]} -- "{_plain(label)}" --> {ids[target]}')
     for box in net.boxes.values():
         for derived in box.inputs:
             if derived.order:
                 power = "" if derived.order == 1 else f"^{derived.order}"
-                label = f"{derived.name} = d{power} {derived.root}/dt{power}"
+                label = f"{unicode_name(derived.name)} = d{power} {unicode_name(derived.root)}/dt{power}"
                 lines.append(f'  {ids[box.name]} -. "{_plain(label)}" .-> {ids[box.name]}')
     return "\n".join(lines) + "\n"
 

@@ -8,6 +8,7 @@ from typing import final
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, End, Wire
+from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
 SWEEPS = 8
@@ -34,6 +35,7 @@ class Box:
     kind: str
     side: Side
     states: tuple[str, ...]
+    """As they print."""
     inputs: tuple[Pin, ...]
     outputs: tuple[str, ...]
     """Those that a wire leaves."""
@@ -66,7 +68,7 @@ def netlist(diagram: Diagram) -> Netlist:
             name=name,
             kind=diagram.type_of(name),
             side=block.side,
-            states=tuple(diagram.models[name].states),
+            states=tuple(map(unicode_name, diagram.models[name].states)),
             inputs=tuple(inputs.get(name, ())),
             outputs=tuple(port.name for port in block.outputs if (name, port.name) in nets),
         )

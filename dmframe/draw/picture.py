@@ -10,6 +10,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import End
 from dmframe.draw.layout import MARGIN, Layout, Placed, lay_out, segments
 from dmframe.draw.netlist import netlist
+from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
 _STYLE = """
@@ -117,7 +118,7 @@ def _box(item: Placed) -> Iterator[str]:
     yield _text(middle, item.y + 18, box.name, "name")
     yield _text(middle, item.y + 33, box.kind, "kind")
     for pin, height in item.inputs.items():
-        yield _text(item.x + 7, item.y + height + 4, pin, "pin")
+        yield _text(item.x + 7, item.y + height + 4, unicode_name(pin), "pin")
     first = item.y + item.height - 6 - 13 * (len(item.states) - 1)
     for index, line in enumerate(item.states):
         yield _text(middle, first + 13 * index, line, "states")
@@ -158,7 +159,7 @@ def _labels(layout: Layout) -> Iterator[str]:
     """Signal names: on each wire as it leaves its box, and on the lanes."""
     for item in layout.placed.values():
         for port in item.outputs:
-            yield _text(item.x + item.width + 5, item.output_y(port) - 4, port, "label")
+            yield _text(item.x + item.width + 5, item.output_y(port) - 4, unicode_name(port), "label")
     for (end, way), (height, first, last) in layout.lanes.items():
         source = layout.placed[end[0]].column
         under = {source + 1 if way == "top" else source}
@@ -166,7 +167,7 @@ def _labels(layout: Layout) -> Iterator[str]:
             under |= {i for i in range(first, last) if _last_before(layout, i)}
         for index in sorted(under):
             left, right = layout.spans[index]
-            yield _text((left + right) / 2, height - 4, end[1], "label middle")
+            yield _text((left + right) / 2, height - 4, unicode_name(end[1]), "label middle")
 
 
 def _last_before(layout: Layout, index: int) -> bool:

@@ -21,8 +21,8 @@ from dmframe.exact.tape import Tape
 INSTANTS: Final = 200
 """Switching instants that are followed; a function that switches for ever is left there."""
 
-CONTINUOUS: Final = Decimal("1e-30")
-"""What 60 digits may leave of a step that is none, in proportion to the function."""
+CONTINUOUS: Final = Decimal("1e-13")
+"""What rounded literals, such as sin(1) in the code, may leave of a step that is none, relative to the function."""
 
 COMPARISONS: Final = frozenset((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE))
 JUMPS: Final = COMPARISONS | {

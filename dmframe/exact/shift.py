@@ -38,8 +38,8 @@ class _Frozen(Trial):
     def cos_sin(self, angle: int) -> tuple[int, int]:
         return self._told_before() or self._tell(super().cos_sin(angle))
 
-    def sign(self, value: int) -> int:
-        return (self._told_before() or self._tell((super().sign(value), 0)))[0]
+    def signed(self, value: int, *, jumps: bool) -> int:
+        return (self._told_before() or self._tell((super().signed(value, jumps=jumps), 0)))[0]
 
     def opaque(self, key: str) -> int:
         if key.split(" ", 1)[0] not in BOUNDED:

@@ -102,11 +102,11 @@ class Trial:
 
     def sign(self, value: int) -> int:
         """+1, -1 or 0 (0 at 0) of a reduced residue, as the script of `next_signs` says."""
-        return self._signed(value, jumps=True)
+        return self.signed(value, jumps=True)
 
     def size(self, value: int) -> int:
         """The absolute value of a reduced residue: the residue times its sign."""
-        sign = self._signed(value, jumps=False)
+        sign = self.signed(value, jumps=False)
         return value if sign == 0 and self.zero_is_its_own_size else value * sign % self.prime
 
     @property
@@ -114,7 +114,8 @@ class Trial:
         """True while the script has some sign at 0."""
         return 0 in self._script
 
-    def _signed(self, value: int, *, jumps: bool) -> int:
+    def signed(self, value: int, *, jumps: bool) -> int:
+        """The sign of a reduced residue; for absolute values alone, which do not jump, never 0 elsewhere than at 0."""
         if value == 0:
             return 0
         key = min(value, self.prime - value)

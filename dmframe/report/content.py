@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 from dmframe.certify import Verdict
@@ -13,13 +13,14 @@ from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
+from dmframe.formula import PrintedLaw, laws_of
 from dmframe.parameter import specs
-from dmframe.report.laws import Law, law_of
+from dmframe.report.laws import Law, Row, law_of
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
-from dmframe.report.notation import latex, marked, marked_prose
+from dmframe.report.notation import marked, marked_prose, signal_latex
 from dmframe.report.planar import RobotModel, robot_model
-from dmframe.report.terms import Terms, shown, terms_of
+from dmframe.report.terms import Terms, rows_of_lines, shown, terms_of
 from dmframe.report.words import Meaning, meaning_of
 from dmframe.units import plain
 
@@ -40,12 +41,13 @@ class Value:
 @final
 @dataclass(frozen=True)
 class BlockLaw:
-    """A block of the graph with its law and its numbers."""
+    """A block of the graph with its law, printed from its code, and its numbers."""
 
     name: str
     type: str
     side: str
     law: Law
+    equations: tuple[Row, ...]
     values: tuple[Value, ...]
 
 
@@ -139,6 +141,7 @@ def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[st
     from dmframe.results.resolved import resolved_text
 
     resolved = resolved_text(graph)
+    laws = verdict.claim.laws if verdict.claim is not None else laws_of(diagram)
     return Content(
         name=graph.name,
         title=graph.file.title,
@@ -147,11 +150,11 @@ def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[st
         facts=tuple(_facts(graph, diagram)),
         picture=svg(diagram),
         mermaid=mermaid(diagram),
-        laws=tuple(_law(diagram, name) for name in diagram.blocks),
+        laws=tuple(_law(diagram, name, law) for name, law in laws.items()),
         terms=terms_of(verdict.claim) if verdict.claim is not None else None,
         conditions=tuple(map(_condition, verdict.conditions)),
         assumptions=tuple((marked(item.text), item.source) for item in verdict.assumptions),
-        follows=tuple(_follows(verdict.statements)) if verdict.outcome == "proved" else (),
+        follows=tuple(_follows(verdict.statements, laws)) if verdict.outcome == "proved" else (),
         controls=tuple((marked(control.fault), control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
         uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
@@ -182,7 +185,7 @@ def _facts(graph: Graph, diagram: Diagram) -> list[tuple[str, str]]:
     return facts
 
 
-def _law(diagram: Diagram, name: str) -> BlockLaw:
+def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
     block = diagram.blocks[name]
     law, units = law_of(type(block)), {key: spec.unit for key, spec in specs(type(block)).items()}
     values, model = list[Value](), diagram.models[name]
@@ -197,7 +200,8 @@ def _law(diagram: Diagram, name: str) -> BlockLaw:
             option = getattr(block, key)
             text = ", ".join(map(str, option)) if isinstance(option, tuple) else str(option)
             values.append(Value(key, text or "none", "", marked_prose(law.parameters.get(key, ""))))
-    return BlockLaw(name, diagram.type_of(name), block.side.value, law, tuple(values))
+    rows = [replace(row, tag=str(place)) for place, row in enumerate(rows_of_lines(printed.lines), start=1)]
+    return BlockLaw(name, diagram.type_of(name), block.side.value, law, tuple(rows), tuple(values))
 
 
 def _condition(checked: Checked) -> Condition:
@@ -206,7 +210,7 @@ def _condition(checked: Checked) -> Condition:
     return Condition(marked(checked.name + said), margin, checked.holds, checked.how, marked(checked.source))
 
 
-def _follows(statements: tuple[Statement, ...]) -> list[Follows]:
+def _follows(statements: tuple[Statement, ...], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
     """Statements that say the same by the same step, together."""
     grouped = dict[tuple[str, str], list[Statement]]()
     for item in statements:
@@ -215,7 +219,7 @@ def _follows(statements: tuple[Statement, ...]) -> list[Follows]:
         Follows(
             says,
             marked(step),
-            tuple(latex(item.signal) for item in items),
+            tuple(signal_latex(item.signal, laws) for item in items),
             tuple(dict.fromkeys(marked(text) for item in items for text in item.assumes)),
         )
         for (says, step), items in grouped.items()

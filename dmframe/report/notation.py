@@ -7,13 +7,12 @@ and the Markdown are made from it.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from typing import Final
 
-GREEK: Final = frozenset(
-    "alpha beta gamma delta epsilon zeta eta theta iota kappa lambda mu nu xi pi rho sigma tau phi chi psi omega "
-    "Gamma Delta Theta Lambda Xi Pi Sigma Phi Psi Omega".split()
-)
-_HATS: Final = {"hat": r"\hat", "bar": r"\bar", "err": r"\tilde"}
+from dmframe.formula import PrintedLaw
+from dmframe.formula.names import LETTERS, latex_name
+
 _DOTS: Final = {1: r"\dot", 2: r"\ddot"}
 _SIGNS: Final = {">=": r"\ge ", "<=": r"\le ", "*": r"\,", "~": r"\sim "}
 _ARTICLES: Final = frozenset({"a", "A", "I", "s"})
@@ -26,37 +25,27 @@ _LABEL: Final = re.compile(r"\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
 """``inverse.w``, and ``d inverse.w/dt``."""
 
 
-def name_latex(name: str) -> str:
-    """A name of the code as the paper writes it: ``a_d_hat``, ``ddq_ref``, ``K_star``, ``M_bar``."""
-    head, *tail = name.split("_")
-    hats = [_HATS[word] for word in tail if word in _HATS]
-    below = [word for word in tail if word not in _HATS]
-    dots = re.fullmatch(r"(d{1,2})([a-z])", head)
-    if dots:
-        head, hats = dots.group(2), [*hats, _DOTS[len(dots.group(1))]]
-    symbol = _letter(head)
-    for hat in hats:
-        symbol = f"{hat}{{{symbol}}}"
-    return f"{symbol}_{{{','.join(map(_index, below))}}}" if below else symbol
+def signal_latex(text: str, laws: Mapping[str, PrintedLaw]) -> str:
+    """What a statement is about, as LaTeX: found among the formulas of the laws that print as this text."""
+    known = _known(laws)
+    if text in known:
+        return known[text]
+    inner = re.fullmatch(r"d\((.*)\)/dt", text)
+    if inner:
+        return rf"\tfrac{{d}}{{dt}} ({signal_latex(inner[1], laws)})"
+    of_block = re.fullmatch(r"(.*) \((\w+)\)", text)
+    if of_block and of_block[2] in laws:
+        return rf"{signal_latex(of_block[1], laws)} \;\text{{({_escaped(of_block[2])})}}"
+    return latex(text)
 
 
-def _letter(head: str) -> str:
-    if head in GREEK:
-        return f"\\{head}"
-    if head == "sum":
-        return r"\sum"
-    split = re.fullmatch(r"([A-Za-z])(\d+)", head)
-    if split:
-        return f"{split.group(1)}_{{{split.group(2)}}}"
-    return head if len(head) == 1 else rf"\mathrm{{{head}}}"
-
-
-def _index(word: str) -> str:
-    if word == "star":
-        return r"\star"
-    if word in GREEK:
-        return f"\\{word}"
-    return word if len(word) == 1 or word.isdigit() else rf"\mathrm{{{word}}}"
+def _known(laws: Mapping[str, PrintedLaw]) -> dict[str, str]:
+    """The LaTeX of what the terms of certificates are made of, by the text under which they are called."""
+    formulas = [formula for law in laws.values() for formulas in law.driven for formula in formulas]
+    for law in laws.values():
+        for term in (*law.storage, *law.dissipation, *law.excess):
+            formulas += [term.vector, *([term.by] if term.by is not None else [])]
+    return {formula.text: formula.latex for formula in formulas}
 
 
 def latex(text: str) -> str:
@@ -88,7 +77,7 @@ def _is_formula(token: re.Match[str], text: str) -> bool:
     head, *below = name.split("_")
     if below:
         return True
-    return len(name) == 1 or name in GREEK or re.fullmatch(r"d{1,2}[a-z]", head) is not None
+    return len(name) == 1 or name in LETTERS or re.fullmatch(r"d{1,2}[a-z]", head) is not None
 
 
 def _piece(token: re.Match[str]) -> str:
@@ -106,10 +95,10 @@ def _piece(token: re.Match[str]) -> str:
 def _primed(name: str, primes: int) -> str:
     """J' is a transpose, z'' a second derivative."""
     if not primes:
-        return name_latex(name)
+        return latex_name(name)
     if name[0].isupper():
-        return f"{name_latex(name)}^{{\\top}}"
-    return f"{_DOTS.get(primes, _DOTS[2])}{{{name_latex(name)}}}"
+        return f"{latex_name(name)}^{{\\top}}"
+    return f"{_DOTS.get(primes, _DOTS[2])}{{{latex_name(name)}}}"
 
 
 def marked(text: str) -> str:

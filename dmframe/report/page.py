@@ -58,7 +58,7 @@ def _cited(contents: Sequence[Content]) -> list[tuple[str, str]]:
         text
         for content in contents
         for block in content.laws
-        for text in (block.law.source, block.law.notes, *(part for part in block.law.body if isinstance(part, str)))
+        for text in (block.law.summary, block.law.source, block.law.notes)
     ]
     keys = sorted({found[3] for text in texts for found in MARKED.finditer(text) if found[3]})
     return [(key, reference(key)) for key in keys]

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final, final
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Bounded, Clipped, Dissipated, Gathered, Lemma, NormSquare, Stored
-from dmframe.certify.claim import Claim, Part, total
-from dmframe.report.expression import expression_latex
-from dmframe.report.laws import Row, law_of
-from dmframe.report.notation import GREEK, latex, name_latex
+from dmframe.certificate import SX, Clipped, Gathered, Lemma
+from dmframe.certify.claim import Claim, Part
+from dmframe.formula import Line, PrintedLaw, PrintedTerm
+from dmframe.formula.names import latex_name
+from dmframe.formula.tree import Name, Node
+from dmframe.report.laws import Row
 
 FEW = 4
 """Elements of a diagonal up to which each is written out."""
-
-_STATED: Final = re.compile(rf"((?:[A-Za-z]|{'|'.join(sorted(GREEK))})(?:_[A-Za-z0-9]+)?)[.,;:]")
 
 
 @final
@@ -32,11 +30,11 @@ class TermRow:
     symbol
         W_i, D_i or l_i, by which the formula calls its weight (or, of a lemma, the term itself); LaTeX.
     of
-        The vector whose square it is, LaTeX; of a lemma, its name as text.
+        The vector whose square it is, or the difference of a lemma, LaTeX.
     factor
         ``kappa`` or ``1``, as in the JSON.
     weight
-        The weight in the graph's parameters, LaTeX.
+        The weight in the block's symbols, LaTeX.
     value
         The weight at the graph's numbers.
     by
@@ -79,22 +77,22 @@ class Terms:
     excess: tuple[TermRow, ...]
     projections: tuple[tuple[str, str], ...]
     consumption: str
+    definitions: tuple[Row, ...]
     legend: tuple[Legend, ...]
 
 
 def terms_of(claim: Claim) -> Terms:
-    """Write out what a claim says."""
-    names = Names(claim)
-    storage = _numbered(claim, names, "storage", "W")
-    dissipation = _numbered(claim, names, "dissipation", "D")
-    excess = _numbered(claim, names, "excess", "E")
+    """Write out what a claim says, in the words of its blocks' laws."""
+    laws = claim.laws
+    storage = _numbered(claim, laws, "storage", "W")
+    dissipation = _numbered(claim, laws, "dissipation", "D")
+    excess = _numbered(claim, laws, "excess", "E")
     projections = tuple((rf"\pi_{{{k}}}", p.name) for k, p in enumerate(claim.loop.projections, start=1))
-    consumed = [part.certificate.consumes for part in claim.parts if part.certificate.consumes is not None]
-    share = names.weight(total(consumed)) if consumed else ""
-    consumption = rf"{rf'({share})' if ' + ' in share else share}\, |\sigma|^2" if share else ""
+    consumed = [law.consumption.whole.latex for law in laws.values() if law.consumption is not None]
     lost = [(row, _formula(row)) for row in dissipation]
     left = [(row, _formula(row)) for row in excess]
-    gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {consumption}"] * bool(consumption)
+    gained = [rf"+ {_kappa(claim)}{symbol}" for symbol, _ in projections] + [f"+ {term}" for term in consumed]
+    named = _used(claim, laws)
     return Terms(
         V=(Row("V", "= " + _sum([(row, rf"\tfrac12 {_formula(row)}") for row in storage], "")),),
         rate=(Row(r"\dot V", "= " + " ".join([_sum(lost, "-") or "0", *[_sum(left, "+")] * bool(left), *gained])),),
@@ -102,9 +100,16 @@ def terms_of(claim: Claim) -> Terms:
         dissipation=dissipation,
         excess=excess,
         projections=projections,
-        consumption=consumption,
-        legend=names.legend(),
+        consumption=" + ".join(consumed),
+        definitions=tuple(rows_of_lines([item for _, law, names in named for item in _definitions(law, names)])),
+        legend=tuple(_legend(claim, named)),
     )
+
+
+def rows_of_lines(lines: Sequence[Line]) -> list[Row]:
+    """Equations as rows, each once."""
+    rows = (Row(line.left.latex, f"= {line.right.latex}") for line in lines)
+    return list(dict.fromkeys(rows))
 
 
 def _formula(row: TermRow) -> str:
@@ -126,94 +131,96 @@ def _sum(rows: Sequence[tuple[TermRow, str]], sign: str) -> str:
     return text.strip().replace(r"\kappa\, \tfrac12", r"\tfrac{\kappa}{2}")
 
 
-def _numbered(claim: Claim, names: Names, role: str, letter: str) -> tuple[TermRow, ...]:
+def _numbered(claim: Claim, laws: Mapping[str, PrintedLaw], role: str, letter: str) -> tuple[TermRow, ...]:
     rows, counts = list[TermRow](), {letter: 0, r"\ell": 0, r"\varepsilon": 0}
     for part in claim.parts:
-        for term in getattr(part.certificate, role):
+        for term, printed in zip(getattr(part.certificate, role), getattr(laws[part.block], role), strict=True):
             mine = r"\ell" if isinstance(term, Lemma) else r"\varepsilon" if isinstance(term, Clipped) else letter
             counts[mine] += 1
-            rows.append(_row(claim, names, part, term, f"{mine}_{{{counts[mine]}}}"))
+            rows.append(_row(claim, part, term, printed, f"{mine}_{{{counts[mine]}}}"))
     return tuple(rows)
 
 
-def _row(claim: Claim, names: Names, part: Part, term: Stored | Dissipated | Bounded, symbol: str) -> TermRow:
-    factor = "1" if part.cascade or claim.kappa.is_constant() else "kappa"
-    if isinstance(term, Lemma):
-        weight, value = names.weight(term.weight), names.value(term.weight)
-        return TermRow(part.block, "lemma", symbol, term.of, factor, weight, value)
-    if isinstance(term, Clipped):
-        width = names.weight(term.width)
-        return TermRow(part.block, "clipped", symbol, latex(term.of), factor, width, names.value(term.width))
-    written = names.mass(part.block, term.weight)
-    if not written:
-        written = names.weight(term.weight) if term.weight.is_column() else r"\text{a full matrix}"
-    by = rf"|{latex(term.by_of)}|\, " if isinstance(term, NormSquare) else ""
-    value, metric = names.value(term.weight), r"\, G" if isinstance(term, Gathered) else ""
-    kind = "gathered" if metric else "square"
-    return TermRow(part.block, kind, symbol, latex(term.of), factor, written, value, by, metric)
+def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str) -> TermRow:
+    by = rf"|{printed.by.latex}|\, " if printed.kind == "norm square" and printed.by is not None else ""
+    weight = term.width if isinstance(term, Clipped) else term.weight
+    return TermRow(
+        block=part.block,
+        kind=printed.kind if printed.kind in ("lemma", "clipped", "gathered") else "square",
+        symbol=symbol,
+        of=printed.vector.latex,
+        factor="1" if part.cascade or claim.kappa.is_constant() else "kappa",
+        weight=printed.weight.latex,
+        value=_value(claim, ca.SX(weight)),
+        by=by,
+        metric=r"\, G" if isinstance(term, Gathered) else "",
+    )
 
 
-@final
-class Names:
-    """What the symbols of a claim are called, and which of them have been used."""
+def _value(claim: Claim, weight: SX) -> str:
+    """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""
+    loop = claim.loop
+    function = ca.Function("value", [loop.p], loop.joined([ca.vec(ca.densify(weight))]), {"allow_free": True})
+    return "varies with the pose" if function.has_free() else shown(function(loop.p_values).full().ravel())
 
-    def __init__(self, claim: Claim) -> None:
-        self.claim = claim
-        self._parameters = {parameter.label: parameter for parameter in claim.loop.parameters}
-        variables = (*claim.loop.controller, *claim.loop.plant)
-        known = {parameter.label: parameter.symbol for parameter in claim.loop.parameters}
-        known |= {variable.label: variable.symbol for variable in variables}
-        known |= {leaf.name: leaf.symbol for leaf in claim.loop.trajectories}
-        self._owner = {
-            element.element_hash(): (label, place)
-            for label, symbol in known.items()
-            for place, element in enumerate(_elements(symbol), start=1)
-        }
-        self._names = _distinct({label: _notation(claim, label, symbol) for label, symbol in known.items()})
-        self._used = dict[str, None]()
 
-    def __call__(self, symbol: SX) -> str:
-        """The LaTeX of a scalar symbol, its index left away: what is diagonal is written once for all elements."""
-        label, place = self._owner.get(symbol.element_hash(), ("", 0))
-        if not label:
-            return name_latex(symbol.name())
-        self._used[label] = None
-        # the robot's numbers are of many kinds, in one column
-        return rf"{self._names[label]}_{{{place}}}" if label.startswith("robot.") else self._names[label]
+Used = tuple[str, PrintedLaw, list[str]]
+"""A block, its law, and the names that its weights hold."""
 
-    def weight(self, weight: SX) -> str:
-        """A diagonal weight: one formula, where it is the same for all elements."""
-        written = [expression_latex(element, self) for element in ca.vertsplit(ca.densify(weight))]
-        if None in written:
-            return r"\text{a function of the state}"
-        found = list(dict.fromkeys(str(text) for text in written))
-        return found[0] if len(found) == 1 else r"\mathrm{diag}(" + r",\; ".join(found) + ")"
 
-    def mass(self, block: str, weight: SX) -> str:
-        """``M(q)`` if the weight is the robot's, recognised by its values at a random state; else empty."""
-        loop, model = self.claim.loop, self.claim.diagram.models[block]
-        if model.robot is None or "q" not in model.states:
-            return ""
-        M = model.robot.mass_matrix(model.states["q"])
-        if M.shape != weight.shape:
-            return ""
-        difference = ca.Function("difference", [loop.state, loop.p], [weight - M], {"allow_free": True})
-        state = np.random.default_rng(0).uniform(-1, 1, loop.state.numel())
-        alike = not difference.has_free() and np.allclose(difference(state, loop.p_values).full(), 0, atol=1e-12)
-        return "M(q)" if alike else ""
+def _used(claim: Claim, laws: Mapping[str, PrintedLaw]) -> list[Used]:
+    """What the weights of each block are made of, named parts with what they are made of in turn."""
+    found = list[Used]()
+    for part in claim.parts:
+        law = laws[part.block]
+        formulas = [term.weight for term in (*law.storage, *law.dissipation, *law.excess)]
+        formulas += [] if law.consumption is None else [law.consumption.weight]
+        names = list(dict.fromkeys(name for formula in formulas for name in names_in(formula.node)))
+        for line in law.definitions[::-1]:
+            if line.name in names:
+                names += [name for name in names_in(line.right.node) if name not in names]
+        found.append((part.block, law, names))
+    return found
 
-    def value(self, weight: SX) -> str:
-        """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""
-        loop = self.claim.loop
-        function = ca.Function("value", [loop.p], loop.joined([ca.vec(ca.densify(weight))]), {"allow_free": True})
-        if function.has_free():
-            return "varies with the pose"
-        return shown(function(loop.p_values).full().ravel())
 
-    def legend(self) -> tuple[Legend, ...]:
-        """The parameters that have been named so far."""
-        used = [self._parameters[label] for label in self._used if label in self._parameters]
-        return tuple(Legend(self._names[p.label], p.label, shown(p.value.ravel()), p.unit) for p in used)
+def names_in(item: Any) -> Iterator[str]:
+    """All names of a formula, from left to right."""
+    if isinstance(item, Name):
+        yield item.name
+    elif isinstance(item, tuple):
+        for part in item:
+            yield from names_in(part)
+    elif isinstance(item, Node) and is_dataclass(item):
+        for field in fields(item):
+            yield from names_in(getattr(item, field.name))
+
+
+def _definitions(law: PrintedLaw, names: Sequence[str]) -> Iterator[Line]:
+    yield from (line for line in law.definitions if line.name in names)
+
+
+def _legend(claim: Claim, used: Sequence[Used]) -> Iterator[Legend]:
+    """The parameters behind the names: the block's own, or those that another block hands out as a truth."""
+    known = {parameter.label: parameter for parameter in claim.loop.parameters}
+    told = set[tuple[str, str]]()
+    for block, _, names in used:
+        for name in names:
+            label = f"{block}.{name}"
+            parameter = known.get(label) or known.get(_handed_out(claim, name))
+            if parameter is None or (name, parameter.label) in told:
+                continue
+            told.add((name, parameter.label))
+            yield Legend(latex_name(name), parameter.label, shown(parameter.value.ravel()), parameter.unit)
+
+
+def _handed_out(claim: Claim, name: str) -> str:
+    """The parameter that an output of this name is."""
+    for block, model in claim.diagram.models.items():
+        expression = model.equations.outputs.get(name)
+        for key, symbol in model.parameters.items():
+            if expression is not None and expression.shape == symbol.shape and ca.is_equal(expression, symbol):
+                return f"{block}.{key}"
+    return ""
 
 
 def shown(values: np.ndarray) -> str:
@@ -226,32 +233,3 @@ def shown(values: np.ndarray) -> str:
     if values.size <= FEW:
         return ", ".join(f"{value:.4g}" for value in values)
     return f"{values.size} values from {np.min(values):.4g} to {np.max(values):.4g}"
-
-
-def _elements(symbol: SX) -> list[Any]:
-    return list(ca.vertsplit(ca.vec(ca.densify(symbol)))) if symbol.numel() else []
-
-
-def _notation(claim: Claim, label: str, symbol: SX) -> str:
-    """What the block calls a parameter in its equations: as its page says first, ``B_0.`` or ``c, the share of``, or by
-    the output that is that parameter.
-    """
-    block, _, key = label.partition(".")
-    model = claim.diagram.models.get(block)
-    if model is not None and key in model.parameters:
-        stated = _STATED.match(law_of(type(model.block)).parameters.get(key, ""))
-        if stated:
-            return name_latex(stated[1])
-        for port, expression in model.equations.outputs.items():
-            if expression.shape == symbol.shape and ca.is_equal(expression, symbol):
-                return name_latex(port)
-    return name_latex(key)
-
-
-def _distinct(names: Mapping[str, str]) -> dict[str, str]:
-    """Where two blocks have a parameter of one name, each carries its block's name."""
-    values = list(names.values())
-    return {
-        label: name if values.count(name) == 1 else rf"{name}^{{\text{{{label.partition('.')[0]}}}}}"
-        for label, name in names.items()
-    }

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from dmframe.certify import Verdict
-from dmframe.report.notation import latex, marked
+from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
 
 HEADLINES: Final = {"proved": "Proved", "refuted": "Refuted", "not_applicable": "Not proved, and not refuted"}
@@ -44,10 +44,13 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
 
 def _sentence(verdict: Verdict) -> str:
     """What V and its derivative bring about, and whether that is the stability of the whole loop."""
-    told = [f"${latex(item.signal)}$" for item in verdict.statements if item.concludes]
+    laws = verdict.claim.laws if verdict.claim is not None else {}
+    told = [f"${signal_latex(item.signal, laws)}$" for item in verdict.statements if item.concludes]
     if not told:
         told = [
-            f"${latex(item.signal)}$" for item in verdict.statements if item.says == "goes to zero" and not item.assumes
+            f"${signal_latex(item.signal, laws)}$"
+            for item in verdict.statements
+            if item.says == "goes to zero" and not item.assumes
         ]
     goes = f" {_listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
     under = "under the conditions checked and the assumptions listed below."

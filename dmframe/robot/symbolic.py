@@ -7,9 +7,10 @@ occur (and tanh in the friction law).
 
 from __future__ import annotations
 
+import copy
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
 
@@ -76,11 +77,11 @@ class SymbolicRobot:
         self.chain = chain
         self.n, self.m, self.k = chain.n, chain.m, chain.k
         flatten = itertools.chain.from_iterable
-        kinematic = tuple(x for joint in chain.joints for x in joint.translation) + chain.tool
+        kinematic = _kinematic(chain)
         self._inertia = _constant(f"{prefix}.inertia", tuple(flatten(chain.inertia)), "")
         self._a_k = _constant(f"{prefix}.a_k", kinematic, "m")
         self._gravity = _constant(f"{prefix}.gravity", _nonzero(chain.gravity), "m/s^2")
-        odd = [x for joint in chain.joints for x in (*flatten(joint.rotation), *joint.axis) if x not in (0, 1, -1)]
+        odd = [x for x in _turns(chain) if x not in (0, 1, -1)]
         self._rotations = _constant(f"{prefix}.rotations", tuple(odd), "")
         self._friction = _constant(f"{prefix}.friction_velocity", (decimal(chain.friction_velocity),), "rad/s")
         everything = (self._inertia, self._a_k, self._gravity, self._rotations, self._friction)
@@ -97,6 +98,31 @@ class SymbolicRobot:
         pairs = zip(ca.vertsplit(self._a_k.symbol), kinematic, strict=True)
         self.a_k = ca.vertcat(*(ca.SX(0) if value == 0 else symbol for symbol, value in pairs))
         self.inertia = self._inertia.symbol
+
+    def with_numbers(self, chain: SerialChain) -> SymbolicRobot:
+        """The same symbols with the numbers of another chain behind them, which has the same joints.
+
+        What is computed from symbols alone does not change; so it shows who reads the numbers themselves.
+        """
+        other = copy.copy(self)
+        other.chain = chain
+        kept = [x != 0 for x in self.chain.gravity]
+        pairs = zip(_turns(self.chain), _turns(chain), strict=True)
+        values = {
+            "inertia": tuple(itertools.chain.from_iterable(chain.inertia)),
+            "a_k": _kinematic(chain),
+            "gravity": tuple(itertools.compress(chain.gravity, kept)),
+            "rotations": tuple(new for old, new in pairs if old not in (0, 1, -1)),
+            "friction_velocity": (decimal(chain.friction_velocity),),
+        }
+        other.constants = tuple(replace(c, values=values[c.name.rpartition(".")[2]]) for c in self.constants)
+        return other
+
+    def with_free_axes(self) -> tuple[SymbolicRobot, Any]:
+        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; and these, as a column."""
+        other = copy.copy(self)
+        other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
+        return other, ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
 
     def values(self) -> dict[str, NDArray[np.float64]]:
         """The numeric value of each constant, by name."""
@@ -136,6 +162,11 @@ class SymbolicRobot:
         """
         a_k = ca.SX.sym("a_k", self.k)
         return ca.jacobian(self.jacobian(q, a_k) @ psi, a_k)
+
+    def position_regressor(self, q: Any) -> Any:
+        r"""W_k(q) of :math:`f(q) = W_k(q) a_k + f_p(q)`, SX (m, k), with :math:`f_p` of prismatic joints alone."""
+        a_k = ca.SX.sym("a_k", self.k)
+        return ca.densify(ca.jacobian(self.position(q, a_k), a_k))
 
     # Dynamics
 
@@ -333,6 +364,16 @@ def _project(links: Sequence[Link], wrenches: Sequence[tuple[Any, Any]]) -> Any:
         torques.append(ca.dot(link.axis, moment if link.revolute else force))
         force, moment = _carry(link, force, moment)
     return ca.vertcat(*reversed(torques))
+
+
+def _kinematic(chain: SerialChain) -> Vector:
+    """a_k: the translations of the joints, and the tool's."""
+    return tuple(x for joint in chain.joints for x in joint.translation) + chain.tool
+
+
+def _turns(chain: SerialChain) -> Vector:
+    """Rotation and axis of each joint, entry by entry."""
+    return tuple(x for joint in chain.joints for x in (*itertools.chain.from_iterable(joint.rotation), *joint.axis))
 
 
 def _half(x: Any) -> Any:

@@ -1,13 +1,21 @@
-"""Reading a URDF with faults that name the file, the line and the element."""
+"""Reading a URDF with faults that name the file, the line and the element.
+
+Pinocchio's reader drops what it cannot parse, a link's whole inertia for one letter O among its digits, with a message
+on the terminal; the robot is then another one. So every number is read here first (`dmframe.robot.urdf_numbers`), the
+reader gets the file with its numbers written plainly, and what it made of the inertias is compared with the file.
+"""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
-from dmframe.errors import MissingError, RobotError
+import numpy as np
+
+from dmframe.errors import MissingError, RobotError, raise_all
+from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, numbers, spelled_plainly
 
 URDF_PATH = ("robot", "model")
 
@@ -20,7 +28,8 @@ def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
     MissingError
         No such file.
     RobotError
-        Not readable, not XML (with line and column), not a URDF, or a number in it that is none.
+        Not readable, not XML (with line and column), not a URDF, a number in it that is none, or an inertial element
+        that is not complete; several of the latter as `Faults`.
     """
     import pinocchio as pin
 
@@ -31,53 +40,80 @@ def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as fault:
         raise RobotError(f"{where}: expected a readable URDF file in UTF-8: {fault}", path=URDF_PATH) from None
-    root = _parse(text, where)
-    _check_inertials(root, where)
+    root, lines = _parse(text, where)
+    raise_all([RobotError(text, path=URDF_PATH) for text in faults_of(root, lines, where)])
+    spelled_plainly(root)
     try:
-        model = pin.buildModelFromXML(text)
+        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as fault:
         reason = str(fault).strip().rstrip(".")
         raise RobotError(f"{where}: expected a valid URDF; the parser says: {reason}", path=URDF_PATH) from None
-    mimics = (joint.get("name", "") for joint in root.iter("joint") if joint.find("mimic") is not None)
+    _check_read(model, root, lines, where)
+    mimics = (joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None)
     return model, frozenset(mimics)
 
 
-def _parse(text: str, where: str) -> ElementTree.Element:
+def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:
+    """The tree, and the line of each element, which ElementTree's own parser does not keep."""
+    builder, lines = ElementTree.TreeBuilder(), Lines()
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        lines.of[builder.start(tag, attributes)] = parser.CurrentLineNumber
+
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = lambda tag: builder.end(tag)
+    parser.CharacterDataHandler = builder.data
     try:
-        root = ElementTree.fromstring(text)
-    except ElementTree.ParseError as fault:
-        line, column = fault.position
-        reason = str(fault).split(":")[0]
+        parser.Parse(text, True)
+    except expat.ExpatError as fault:
+        reason = expat.ErrorString(fault.code)
         raise RobotError(
-            f"{where}:{line}:{column + 1}: expected a valid URDF, found broken XML: {reason}", path=URDF_PATH
+            f"{where}:{fault.lineno}:{fault.offset + 1}: expected a valid URDF, found broken XML: {reason}",
+            path=URDF_PATH,
         ) from None
+    root = builder.close()
     if root.tag != "robot":
         raise RobotError(f"{where}: expected a valid URDF, <robot>; found <{root.tag}>", path=URDF_PATH)
     if any("xacro" in str(element.tag) for element in root.iter()):
         raise RobotError(f"{where}: expected a URDF, found a xacro file; expand it with xacro first", path=URDF_PATH)
     if root.find("link") is None:
         raise RobotError(f"{where}: expected a valid URDF, found no link in it", path=URDF_PATH)
-    return root
+    return root, lines
 
 
-def _check_inertials(root: ElementTree.Element, where: str) -> None:
-    """Check masses and inertias here, because the URDF parser drops a link's whole inertia where one number is bad."""
-    for link in root.iter("link"):
-        for inertial in link.findall("inertial"):
-            for element in inertial:
-                for key, value in element.attrib.items():
-                    if key in ("xyz", "rpy"):
-                        continue
-                    _check_number(value, element.tag, key, f"{where}: link {link.get('name', '')}")
+def _check_read(model: Any, root: ElementTree.Element, lines: Lines, where: str) -> None:
+    """The inertia behind each joint is the file's: a second look, should the reader change one all the same."""
+    import pinocchio as pin
+
+    frames = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
+    behind, links = [pin.Inertia.Zero() for _ in model.inertias], dict[int, ElementTree.Element]()
+    for link in root.findall("link"):
+        inertial, frame = link.find("inertial"), frames.get(link.get("name", ""))
+        if inertial is not None and frame is not None:
+            behind[frame.parentJoint] += frame.placement.act(_inertia(inertial))
+            links.setdefault(frame.parentJoint, link)
+    for joint, link in links.items():
+        expected, found = (item.toDynamicParameters() for item in (behind[joint], model.inertias[joint]))
+        if not np.allclose(found, expected, rtol=1e-9, atol=1e-9 * (1 + np.max(np.abs(expected)))):
+            raise RobotError(
+                f"{where}:{lines.of[link]}: link {link.get('name', '')}: Pinocchio read another inertia than the file "
+                f"states, of it and what is fixed to it: expected a mass of {expected[0]:g}, found {found[0]:g}",
+                path=URDF_PATH,
+            )
 
 
-def _check_number(value: str, tag: str, key: str, where: str) -> None:
-    name = "mass" if tag == "mass" else key
-    try:
-        number = float(value)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise RobotError(f"{where}: expected a finite {name}, found {value!r}", path=URDF_PATH)
-    if tag == "mass" and number < 0:
-        raise RobotError(f"{where}: expected a mass >= 0, found {value}", path=URDF_PATH)
+def _inertia(inertial: ElementTree.Element) -> Any:
+    """What the file states, as a `pin.Inertia` in the link's frame."""
+    import pinocchio as pin
+
+    origin, mass, inertia = (inertial.find(tag) for tag in ("origin", "mass", "inertia"))
+    assert mass is not None  # it was checked
+    assert inertia is not None
+    place = {} if origin is None else origin.attrib
+    roll, pitch, yaw = numbers(place.get("rpy", "0 0 0"))
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "")) for key in INERTIA)
+    about = pin.Inertia(float(mass.get("value", "")), np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    at = pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), np.array(numbers(place.get("xyz", "0 0 0"))))
+    return at.act(about)

@@ -16,8 +16,10 @@ from jsonschema import Draft202012Validator
 from dmframe.block import Signals
 from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
-from dmframe.certify.conditions import Checked, Numbers, conditions_of, payment
+from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.conditions import conditions_of
 from dmframe.certify.definite import pivots, pseudo_inertia
+from dmframe.certify.payment import payment
 from dmframe.certify.schema import verdict_schema
 from dmframe.certify.stability import common_margin
 from dmframe.certify.summary import summary
@@ -39,7 +41,8 @@ def built(kind: str = "PID", reference: str = "joint", friction: str = "none", *
 
 
 def checked(diagram: Diagram, uncertain: dict[str, Any] | None = None) -> dict[str, Checked]:
-    found, _ = conditions_of(claim_of(diagram), intervals(diagram, uncertain or {}))
+    claim = claim_of(diagram)
+    found, _ = conditions_of(claim, Numbers(claim, intervals(diagram, uncertain or {})))
     return {condition.name: condition for condition in found}
 
 
@@ -254,7 +257,7 @@ def weighing(make: Any, role: str = "storage") -> Verdict:
         W = make(u)
 
         def split(term: Square) -> tuple[Square, Square]:
-            return Square("part", term.vector, W), Square("rest", term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
+            return Square(term.vector, W), Square(term.vector, ca.diag(term.weight * ca.SX.ones(2)) - W)
 
         storage = (*split(c.storage[0]), *c.storage[1:]) if role == "storage" else c.storage
         spent = (*split(c.dissipation[0]), *c.dissipation[1:]) if role == "dissipation" else c.dissipation

@@ -43,8 +43,8 @@ class FilteredDamping(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2)."""
         return Certificate(
-            storage=(Square("y", x.y, p.beta),),
-            dissipation=(Square("y", x.y, p.beta * p.k),),
+            storage=(Square(x.y, p.beta),),
+            dissipation=(Square(x.y, p.beta * p.k),),
             supply=ca.dot(u.sigma, p.beta * x.y),
         )
 
@@ -77,7 +77,7 @@ class SaturatedDamping(AbstractBlock):
         """(1): tanh never decreases."""
         still = ca.SX.zeros(u.sigma.shape)
         return Certificate(
-            dissipation=(Lemma("saturated damping", p.beta, u.sigma, still, p.v),),
+            dissipation=(Lemma(p.beta, u.sigma, still, p.v),),
             supply=ca.dot(u.sigma, p.beta * ca.tanh(u.sigma / p.v)),
         )
 
@@ -106,6 +106,6 @@ class OddDamping(AbstractBlock):
         """As above."""
         still = ca.SX.zeros(u.sigma.shape)
         return Certificate(
-            dissipation=(Lemma("saturated damping", p.beta, u.sigma, still, p.v),),
+            dissipation=(Lemma(p.beta, u.sigma, still, p.v),),
             supply=ca.dot(u.sigma, p.beta * ca.tanh(u.sigma / p.v)),
         )

@@ -7,19 +7,33 @@ from typing import Any
 
 import pytest
 
+from dmframe.catalogue import graphs
+
 
 def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
     said = dmframe("analyse", "pendulum", "--horizon", "2")
     assert (said.status, said.err) == (0, "")
     for expected in ("crossover", "phase margin", "slowest pole", "poles at zero", "linearised, moving", "simulated"):
         assert expected in said.out
-    (row,) = (line for line in said.out.splitlines() if line.split()[:1] == ["joint1"])
-    assert row.split()[-2:] == ["no", "yes"]  # a PID servo is passive only with its inverse
+    loop, tie = (line for line in said.out.splitlines() if line.split()[:1] == ["joint1"])
+    assert loop.split()[-2:] == ["no", "yes"]  # a PID servo is passive only with its inverse
+    assert tie.split()[1:] == ["1", "0.3024", "0.3028"]  # 20.3 k^2 + 60 k = 20, and 20 k^2 + 60 k = 20
+    assert "over the graph's own servo gains" in said.out
 
 
 def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> None:
     told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=2 ms", "--json").out)
-    assert set(told) == {"graph", "clock", "set_point", "at_rest", "moving", "joints", "largest_stable_period", "note"}
+    assert set(told) == {
+        "graph",
+        "clock",
+        "set_point",
+        "at_rest",
+        "moving",
+        "joints",
+        "largest_stable_period",
+        "K_c",
+        "note",
+    }
     assert told["clock"] == 0.002
     assert max(real for real, _ in told["at_rest"]["poles"]) < 0
     assert told["at_rest"]["spectral_radius"] < 1
@@ -38,3 +52,20 @@ def test_a_horizon_that_is_no_time_is_refused(dmframe: Any) -> None:
     said = dmframe("analyse", "pendulum", "--horizon", "-1")
     assert said.status == 2
     assert "horizon: expected a positive number of seconds, found -1" in said.err
+
+
+def test_a_tie_that_is_too_weak_for_the_uncertain_gains_is_told(dmframe: Any, tmp_path: Any) -> None:
+    text = graphs()["pendulum"].read_text(encoding="utf-8")
+    file = tmp_path / "mine.yaml"
+    file.write_text(text + "uncertain: {servo.K_I: [1, 2000]}\n", encoding="utf-8")
+    said = dmframe("analyse", str(file), "--horizon", "0.1")
+    assert "over the intervals of uncertain:" in said.out
+    assert ", too small" in said.out
+    (tie,) = json.loads(dmframe("analyse", str(file), "--horizon", "0.1", "--json").out)["K_c"]
+    assert tie.keys() == {"block", "joint", "own", "holds", "least", "least_without_friction"}
+    assert tie["holds"] is False
+    assert tie["own"] < tie["least"] <= tie["least_without_friction"]
+
+
+def test_a_graph_without_a_pid_inverse_has_no_K_c(dmframe: Any) -> None:
+    assert "K_c" not in dmframe("analyse", "arm2_joint", "--horizon", "0.1").out

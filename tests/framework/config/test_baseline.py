@@ -18,7 +18,7 @@ clock: 8 ms
 duration: 1 s
 blocks:
   path:     {type: setpoint, q_d: [0.5, 0.3]}
-  task:     {type: joint_tracking, alpha: 5}
+  task:     {type: joint_tracking, alpha_bar: 5}
   model:    {type: regressor}
   dynamics: {type: dynamic_compensator, Gamma: 10}
   inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 1}
@@ -47,8 +47,8 @@ def test_the_baseline_has_its_own_blocks_and_none_that_is_left_out(tmp_path: Pat
 
 
 def test_an_override_changes_both(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha=3"])
-    assert graph.file.blocks["task"]["alpha"] == graph.baseline().file.blocks["task"]["alpha"] == 3
+    graph = load_graph(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha_bar=3"])
+    assert graph.file.blocks["task"]["alpha_bar"] == graph.baseline().file.blocks["task"]["alpha_bar"] == 3
 
 
 def test_the_resolved_graph_keeps_its_baseline(tmp_path: Path) -> None:

@@ -54,18 +54,18 @@ def test_a_continuous_clock_is_no_period() -> None:
 
 def test_an_override_goes_before_the_file_and_leaves_it_alone() -> None:
     graph = load_graph(
-        "pendulum", ["task.alpha=3", "clock=4 ms", "blocks.servo.K_D=[25]", "robot.friction_velocity=0.01"]
+        "pendulum", ["task.alpha_bar=3", "clock=4 ms", "blocks.servo.K_D=[25]", "robot.friction_velocity=0.01"]
     )
-    assert graph.blocks["task"].alpha == 3.0  # type: ignore[attr-defined]
+    assert graph.blocks["task"].alpha_bar == 3.0  # type: ignore[attr-defined]
     assert graph.blocks["servo"].K_D == (25.0,)  # type: ignore[attr-defined]
     assert graph.file.clock == 0.004
     assert graph.robot.friction_velocity == 0.01
-    assert graph.data["blocks"]["task"]["alpha"] == 3
-    assert graph.document.data["blocks"]["task"]["alpha"] == 2
+    assert graph.data["blocks"]["task"]["alpha_bar"] == 3
+    assert graph.document.data["blocks"]["task"]["alpha_bar"] == 2
 
 
 def test_the_last_override_of_a_value_holds() -> None:
-    assert load_graph("pendulum", ["task.alpha=3", "task.alpha=4"]).blocks["task"].alpha == 4.0  # type: ignore[attr-defined]
+    assert load_graph("pendulum", ["task.alpha_bar=3", "task.alpha_bar=4"]).blocks["task"].alpha_bar == 4.0  # type: ignore[attr-defined]
 
 
 def test_a_fault_that_an_override_brought_is_placed_there() -> None:

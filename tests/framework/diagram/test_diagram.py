@@ -360,7 +360,7 @@ def test_the_reference_acceleration_of_the_ur10_is_the_derivative_of_its_referen
     for k, t in enumerate(run.time):
         state = np.concatenate([run.states[v.label][k] for v in (*loop.controller, *loop.plant)])
         found.append(function(state, *path(t, loop.p_values), loop.p_values).full().ravel())
-    expected = differences(run["task.dq_ref"], 0.002)
+    expected = differences(run["inverse.dq_ref"], 0.002)
     # the servo's first transient is too fast for differences over 2 ms
     np.testing.assert_allclose(np.array(found)[102:-2], expected[100:], atol=2e-6)
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from dmframe.errors import ValueFault
 from dmframe.exact import MERSENNE_127, Tape, Trial, ZeroDivision, rational_reconstruction
+from dmframe.exact.trial import SIGN_LIMIT
 
 P = MERSENNE_127
 
@@ -78,11 +79,13 @@ def test_matrices_are_dense_and_column_major_on_both_sides() -> None:
     assert tape.inputs == (("i0", 4),)
 
 
-def test_constants_are_the_exact_value_of_the_float() -> None:
+def test_constants_are_what_was_written() -> None:
     x = ca.SX.sym("x")
     t = trial()
     [[residue]] = Tape.from_function(ca.Function("f", [x], [x * 0.1])).evaluate([[1]], t)
-    assert residue == t.residue(Fraction(0.1)) != t.residue(Fraction(1, 10))
+    assert residue == t.residue(Fraction(1, 10)) != t.residue(Fraction(0.1))
+    [[residue]] = Tape.from_function(ca.Function("f", [x], [x * (0.1 + 0.2)])).evaluate([[1]], t)
+    assert residue == t.residue(Fraction(0.1 + 0.2))
 
 
 def test_cosine_and_sine_of_equal_arguments_share_one_point_of_the_circle() -> None:
@@ -130,14 +133,24 @@ def test_signs_walk_through_all_their_choices() -> None:
         seen.append(tuple(signed[:2]))
         if not t.next_signs():
             break
-    assert sorted(seen) == [(-1, -1), (-1, 1), (1, -1), (1, 1)]
+    assert sorted(seen) == [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1)]
     assert t.sign(0) == 0
+
+
+def test_an_absolute_value_without_a_sign_is_not_read_on_its_switch() -> None:
+    x = ca.SX.sym("x")
+    tape = Tape.from_function(ca.Function("f", [x], [ca.fabs(x)]))
+    t = trial()
+    seen = [tape.evaluate([[3]], t)[0][0]]
+    while t.next_signs():
+        seen.append(tape.evaluate([[3]], t)[0][0])
+    assert seen == [3, P - 3]
 
 
 def test_beyond_the_limit_a_sign_is_a_free_value() -> None:
     t = trial()
-    assert all(t.sign(k) in (-1, 1) for k in range(1, 9))
-    assert t.sign(9) not in (-1, 1)
+    assert all(t.sign(k) in (-1, 1) for k in range(1, SIGN_LIMIT + 1))
+    assert t.sign(SIGN_LIMIT + 1) not in (-1, 0, 1)
 
 
 def test_a_vanishing_denominator_asks_for_another_point() -> None:

@@ -191,7 +191,7 @@ def test_a_file_that_is_no_text_says_so(tmp_path):
 )
 def test_a_bad_number_in_an_inertia_is_named_with_its_link(urdf, keywords, reason):
     error = fault(urdf(link("base"), link("a", **keywords), joint("j1", "base", "a")))
-    check(error, RobotError, f"robot arm.urdf: link a: {reason}", "model")
+    check(error, RobotError, f"robot arm.urdf:1: link a: {reason}", "model")
 
 
 def test_a_free_joint_without_inertia_behind_it_is_named(urdf):

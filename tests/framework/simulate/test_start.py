@@ -20,14 +20,14 @@ clock: 4 ms
 duration: 2 s
 blocks:
   goal:    {type: setpoint, q_d: [0.6, 0.9]}
-  task:    {type: joint_tracking, alpha: 2}
+  task:    {type: joint_tracking, alpha_bar: 2}
   inverse: {type: kinematic_command}
   servo:   {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
   arm:     {type: manipulator, viscous: [1, 0.5], K: [2, 3]}
 """
 PID = ("{type: pi_servo, K_P: [60, 30], K_I: [240, 120]}", "{type: pid_servo, K_D: 60, K_P: 180, K_I: 100}")
 TASK = (
-    "  goal:    {type: setpoint, q_d: [0.6, 0.9]}\n  task:    {type: joint_tracking, alpha: 2}\n",
+    "  goal:    {type: setpoint, q_d: [0.6, 0.9]}\n  task:    {type: joint_tracking, alpha_bar: 2}\n",
     "  goal:    {type: setpoint, x_d: [0.5, 0.4]}\n  geometry: {type: kinematics}\n"
     "  task:     {type: task_tracking, gamma: 1}\n",
 )

@@ -1,0 +1,192 @@
+r"""A lower bound of a matrix's least singular value over boxes of its arguments, by interval arithmetic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.exact.enclosure import Enclosing, Enclosure, down, up
+
+Array = NDArray[np.float64]
+Shape = Literal["box", "ball"]
+
+_AT_ONCE: Final = 1024
+"""Boxes that are enclosed together; more need more memory and save no time."""
+
+_ROUNDS: Final = 4
+"""Of the power iteration that sharpens the bound of a norm."""
+
+
+@final
+@dataclass(frozen=True)
+class Bound:
+    """What is certain over each box of poses.
+
+    Parameters
+    ----------
+    least
+        (N,) below every singular value of the matrix over the box and over the set of parameters; not a number where
+        nothing can be told.
+    share
+        (N, n) how much each joint's width adds to the doubt.
+    """
+
+    least: Array
+    share: Array
+
+
+@final
+class MatrixBound:
+    r"""Bounds :math:`\sigma_{min}(J(q, a))` from below over boxes of q and a box or ball of a.
+
+    With X near the pseudoinverse of J at the middle :math:`(q_m, a_m)`, the mean value theorem gives, entry by entry,
+
+    .. math::
+
+        J(q, a) X - I \in J(q_m, a_m) X - I + \sum_v [\partial_v J] X\, (v - v_m) = E,
+
+    the derivatives enclosed over the whole box. Of E only the symmetric part :math:`E_s` counts, since
+    :math:`y^\top J X y \ge (1 - |E_s|) |y|^2` for every y: where :math:`|E_s| < 1`, J has full row rank, and
+
+    .. math::
+
+        \sigma_{min}(J) \ge (1 - |E_s|) / |X|.
+
+    The sum over v is taken after the product with X, so that what moves several columns of J together counts once; and
+    what only turns the task, as a robot's first joint does, counts little, its part of E being antisymmetric.
+
+    Parameters
+    ----------
+    matrix
+        J, SX (m, n'), an expression of `q`, `a` and `p` alone.
+    values
+        p, each element a number or an enclosure.
+
+    References
+    ----------
+    [Rump2010]_ for the method: an approximate inverse, and a residual that is enclosed.
+    """
+
+    def __init__(self, matrix: Any, q: Any, a: Any, p: Any, values: Sequence[Any]) -> None:
+        matrix = ca.densify(matrix)
+        arguments = [q, a, p]
+        slope = ca.jacobian(ca.vec(matrix), ca.vertcat(q, a))
+        self.rows, self.columns = (int(size) for size in matrix.shape)
+        self.n, self.h = int(q.numel()), int(a.numel())
+        self.value = ca.Function("matrix", arguments, [ca.cse(ca.vec(matrix))])
+        self.slope = ca.Function("slope", arguments, [ca.cse(slope)])
+        self._value, self._slope = Enclosing(self.value), Enclosing(self.slope)
+        self._p = list(values)
+
+    def over(self, low: Array, high: Array, middle: Array, half: Array, shape: Shape = "box") -> Bound:
+        """The bound over boxes of q, (N, n) from `low` to `high`, and the set of a about `middle` (h,).
+
+        The set is the box of half-widths `half` (h,), or the ball, an ellipsoid of these half axes.
+        """
+        parts = [
+            self._over(low[k : k + _AT_ONCE].T, high[k : k + _AT_ONCE].T, middle, half, shape)
+            for k in range(0, len(low), _AT_ONCE)
+        ]
+        return Bound(np.concatenate([part.least for part in parts]), np.concatenate([part.share for part in parts]))
+
+    def _over(self, low: Array, high: Array, middle: Array, half: Array, shape: Shape) -> Bound:
+        centre = np.clip((low + high) / 2, low, high)
+        around = up(np.maximum(high - centre, centre - low))
+        J = self._filled(self._value([list(centre), list(middle), self._p]), 1, low.shape[1])
+        box = [Enclosure(*ends) for ends in zip(low, high, strict=True)]
+        numbers = [Enclosure(down(a - r), up(a + r)) for a, r in zip(middle, half, strict=True)]
+        slopes = self._filled(self._slope([box, numbers, self._p]), self.n + self.h, low.shape[1])
+        with np.errstate(all="ignore"):  # where the middle is singular, the bound is no number, and tells nothing
+            U, s, Vt = np.linalg.svd(np.nan_to_num((J.lower + J.upper)[0].transpose(2, 0, 1) / 2), full_matrices=False)
+            turned = np.swapaxes(Vt, 1, 2) / s[:, None, :]
+            X = np.ascontiguousarray(np.moveaxis(turned @ np.swapaxes(U, 1, 2), 0, 2))
+            U = np.ascontiguousarray(np.moveaxis(U, 0, 2))
+            doubt = _symmetric(_times(slopes, X)).magnitude
+            moved = up(around[:, None, None, :] * doubt[: self.n])
+            middles = _symmetric(_times(J, X)) - np.eye(self.rows)[:, :, None]
+            error = up(middles.magnitude[0] + _sum(moved))
+            error = up(error + _spread(doubt[self.n :], half, shape))
+            least = down(down(1 - _norm(error)) / _size(X, U))
+        # X that is no number would make every comparison false, which is right; a zero would not be.
+        return Bound(np.where(np.isfinite(X).all(axis=(0, 1)), least, np.nan), np.sqrt((moved**2).sum(axis=(1, 2))).T)
+
+    def _filled(self, found: list[list[Enclosure]], count: int, boxes: int) -> Enclosure:
+        """Stored elements, as `count` matrices: (count, rows, columns, boxes)."""
+        pattern = (self._value if count == 1 else self._slope).sparsity[0]
+        lower, upper = (np.zeros((count, self.columns, self.rows, boxes)) for _ in range(2))
+        for entry, place, variable in zip(found[0], pattern.row(), pattern.get_col(), strict=True):
+            where = (variable, place // self.rows, place % self.rows)
+            lower[where], upper[where] = entry.lower, entry.upper
+        return Enclosure(lower.swapaxes(1, 2), upper.swapaxes(1, 2))
+
+
+def _times(matrices: Enclosure, X: Array) -> Enclosure:
+    """Products of (v, m, n, N) and (n, k, N)."""
+    total = Enclosure.of(0.0)
+    for j, row in enumerate(X):
+        column = Enclosure(matrices.lower[:, :, j, None], matrices.upper[:, :, j, None])
+        total = Enclosure.of(row) * column + total
+    return total
+
+
+def _symmetric(matrices: Enclosure) -> Enclosure:
+    """Half the sum of each matrix (v, m, m, N) and its transpose."""
+    other = Enclosure(matrices.lower.swapaxes(1, 2), matrices.upper.swapaxes(1, 2))
+    return (matrices + other) * 0.5
+
+
+def _sum(parts: Array) -> Array:
+    """Upper bound of a sum of nonnegative numbers over the first axis."""
+    total = np.zeros(parts.shape[1:])
+    for part in parts:
+        total = up(total + part)
+    return total
+
+
+def _spread(doubt: Array, half: Array, shape: Shape) -> Array:
+    """The most by which each entry of E moves while the parameters stay in their set."""
+    parts = up(half[:, None, None, None] * doubt)
+    return _sum(parts) if shape == "box" else up(np.sqrt(_sum(up(parts * parts))))
+
+
+def _norm(error: Array) -> Array:
+    """Upper bound of the spectral norm of each matrix whose entries are at most `error` (m, m, N).
+
+    It is at most that of the nonnegative matrix, whose square is the largest eigenvalue of G = error' error: by Collatz
+    and Wielandt at most max_i (G v)_i / v_i for any positive v, here v near the eigenvector.
+    """
+    G = _sum(up(error[:, :, None] * error[:, None, :]))
+    v = np.ones(G.shape[1:])
+    for _ in range(_ROUNDS):
+        v = np.einsum("ijk,jk->ik", G, v)
+        v = v / np.max(v, axis=0) + 1e-3  # positive; any v is right, a near one is sharp
+    v = np.where(np.isfinite(v), v, 1.0)
+    return up(np.sqrt(np.max(up(_sum(up(G.swapaxes(0, 1) * v[:, None])) / v), axis=0)))
+
+
+def _size(X: Array, U: Array) -> Array:
+    """Upper bound of |X| (n, m, N), with U (m, m, N) nearly orthogonal and the columns of X U nearly so.
+
+    |X| <= |X U| / sqrt(1 - |U' U - I|), and a symmetric matrix's norm is at most its largest sum of a row.
+    """
+    product = _times(Enclosure.of(X[None]), U)
+    turned = Enclosure(product.lower[0], product.upper[0])
+    gram = _gram(turned).magnitude
+    wrong = (_gram(Enclosure.of(U)) - np.eye(len(U))[:, :, None]).magnitude
+    square = np.max(_sum(gram), axis=0)
+    room = down(1 - np.max(_sum(wrong), axis=0))
+    return up(np.sqrt(up(square / np.where(room > 0, room, np.nan))))
+
+
+def _gram(A: Enclosure) -> Enclosure:
+    """A' A."""
+    total = Enclosure.of(0.0)
+    for lower, upper in zip(A.lower, A.upper, strict=True):
+        row = Enclosure(lower[:, None], upper[:, None])
+        total = row * Enclosure(lower[None], upper[None]) + total
+    return total

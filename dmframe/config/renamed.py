@@ -1,0 +1,184 @@
+"""Graph files that use a name from before: it is read as the new one, with a notice.
+
+A block class says which of its parameters, states and ports had another name (`AbstractBlock.renamed`). The old names
+are put right before anything else reads the file: in blocks and the baseline, in wires, start values, uncertain
+parameters and logged signals, and in what ``--set`` says. So no other part of the framework knows an old name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, final
+
+from dmframe.block import AbstractBlock
+from dmframe.catalogue import find_block
+from dmframe.config.document import Document, Node, mapping_of
+from dmframe.config.overrides import target
+from dmframe.errors import DmframeError, ValueFault
+
+Names = Mapping[str, Mapping[str, str]]
+"""Old names and the new ones, by block."""
+SECTIONS = ("blocks", "baseline")
+
+
+@final
+@dataclass(frozen=True)
+class Renamed:
+    """A document and overrides with new names alone, what to tell the user, and where both names were given."""
+
+    document: Document
+    overrides: tuple[str, ...]
+    notices: tuple[str, ...] = ()
+    faults: tuple[DmframeError, ...] = ()
+
+
+def with_new_names(document: Document, overrides: Sequence[str], base: Path) -> Renamed:
+    """Put old names right, in the file and in what ``--set`` says; block files are looked for in the folder `base`."""
+    kinds = _kinds(document.data, overrides, base)
+    if not any(kind.renamed for section in kinds.values() for kind in section.values()):
+        return Renamed(document, tuple(overrides))
+    work = _Work(document.name, kinds)
+    root = work.graph(document.root)
+    changed = Document(document.name, mapping_of(root), root)
+    texts = work.overrides(overrides, changed.data)
+    return Renamed(changed, texts, tuple(work.notices), tuple(work.faults))
+
+
+def _kinds(data: Mapping[str, Any], overrides: Sequence[str], base: Path) -> dict[str, dict[str, type[AbstractBlock]]]:
+    """The classes of the blocks of both sections; one that cannot be found is told where blocks are made."""
+    found = dict[str, dict[str, type[AbstractBlock]]]()
+    for section in SECTIONS:
+        entries = data.get(section)
+        specs = entries.items() if isinstance(entries, dict) else ()
+        types = {name: spec.get("type") for name, spec in specs if isinstance(spec, dict)}
+        for text in overrides:  # one may choose another type
+            keys = target(text, data)
+            if len(keys) == 3 and keys[0] == section and keys[2] == "type":
+                types[keys[1]] = text.partition("=")[2].strip()
+        found[section] = {}
+        for name, kind in types.items():
+            try:
+                found[section][name] = find_block(str(kind), base)
+            except DmframeError:
+                continue
+    return found
+
+
+@final
+class _Work:
+    """Goes through one graph, and gathers what it has to tell."""
+
+    def __init__(self, file: str, kinds: Mapping[str, Mapping[str, type[AbstractBlock]]]) -> None:
+        self.file = file
+        self.notices, self.faults = list[str](), list[DmframeError]()
+        self.sections: dict[str, Names] = {
+            section: {name: kind.renamed for name, kind in blocks.items()} for section, blocks in kinds.items()
+        }
+        self.labels: Names = {**self.sections["baseline"], **self.sections["blocks"]}
+        self.states = {
+            old: new
+            for blocks in kinds.values()
+            for kind in blocks.values()
+            for old, new in kind.renamed.items()
+            if new in {state.name for state in kind.states}
+        }
+
+    def graph(self, root: Node) -> Node:
+        """All sections of a file."""
+        for section, names in self.sections.items():
+            blocks = _at(root, section)
+            if blocks is not None:
+                for block, old in names.items():
+                    blocks = _with(blocks, block, self._keys(_at(blocks, block), partial(_renamed, old)))
+                root = _with(root, section, blocks)
+        root = _with(root, "start", self._keys(_at(root, "start"), self._start))
+        root = _with(root, "uncertain", self._keys(_at(root, "uncertain"), self._label))
+        wires = self._keys(_at(root, "wires"), self._label)
+        if wires is not None and isinstance(wires.value, dict):
+            wires = replace(wires, value={key: (at, self._text(node)) for key, (at, node) in wires.value.items()})
+        root = _with(root, "wires", wires)
+        log = _at(root, "log")
+        signals = _at(log, "signals")
+        if signals is not None and isinstance(signals.value, list):
+            signals = replace(signals, value=[self._text(node) for node in signals.value])
+        return root if log is None else _with(root, "log", _with(log, "signals", signals))
+
+    def overrides(self, texts: Sequence[str], data: Mapping[str, Any]) -> tuple[str, ...]:
+        """Overrides with new names; they go before what the file says, under whichever name."""
+        changed, given = list[str](), dict[tuple[str, ...], str]()
+        for text in texts:
+            keys, (said, _, value) = target(text, data), text.partition("=")
+            old, new = keys[-1] if keys else "", ""
+            if len(keys) == 3 and keys[0] in SECTIONS:
+                new = self.sections[keys[0]].get(keys[1], {}).get(old, old)
+            elif len(keys) == 2 and keys[0] == "start":
+                new = self._start(old)
+            if new and new != old:
+                self._tell(f"--set {text}", old, new)
+                text = f"{said.strip().removesuffix(old)}{new}={value}"
+            name = new or old
+            if (other := given.setdefault((*keys[:-1], name), old)) != old:
+                self.faults.append(_both(f"--set {text}", other if old == name else old, name))
+            changed.append(text)
+        return tuple(changed)
+
+    def _label(self, text: str) -> str:
+        """``task.alpha`` as ``task.alpha_bar``; any other text as it is."""
+        block, dot, name = text.partition(".")
+        return f"{block}.{self.labels.get(block, {}).get(name, name)}" if dot else text
+
+    def _start(self, text: str) -> str:
+        """A key of ``start``: a label, or a state's name alone."""
+        return self._label(text) if "." in text else self.states.get(text, text)
+
+    def _keys(self, node: Node | None, new: Callable[[str], str]) -> Node | None:
+        """A mapping with new keys."""
+        if node is None or not isinstance(node.value, dict):
+            return node
+        changed = dict[str, tuple[Node, Node]]()
+        for key, (at, value) in node.value.items():
+            name = new(key)
+            if name != key:
+                place = f"{self.file}:{at.line}:{at.column}"
+                if name in node.value:
+                    self.faults.append(_both(place, key, name))
+                    continue
+                self._tell(place, key, name)
+            changed[name] = (replace(at, value=name), value)
+        return replace(node, value=changed)
+
+    def _text(self, node: Node) -> Node:
+        """A label as a value."""
+        if not isinstance(node.value, str) or (new := self._label(node.value)) == node.value:
+            return node
+        self._tell(f"{self.file}:{node.line}:{node.column}", node.value, new)
+        return replace(node, value=new)
+
+    def _tell(self, place: str, old: str, new: str) -> None:
+        notice = f"{place}: notice: {old} is called {new} now; the old name still works, better write {new}"
+        if notice not in self.notices:  # an alias stands in several places
+            self.notices.append(notice)
+
+
+def _renamed(names: Mapping[str, str], key: str) -> str:
+    return names.get(key, key)
+
+
+def _both(place: str, old: str, new: str) -> ValueFault:
+    return ValueFault(f"{old} is called {new} now, and both are given; keep {new} alone", location=place)
+
+
+def _at(node: Node | None, key: str) -> Node | None:
+    if node is None or not isinstance(node.value, dict) or key not in node.value:
+        return None
+    return node.value[key][1]
+
+
+def _with(node: Node, key: str, value: Node | None) -> Node:
+    """The mapping with another value under a key that it has."""
+    if value is None or not isinstance(node.value, dict) or key not in node.value:
+        return node
+    return replace(node, value={**node.value, key: (node.value[key][0], value)})

@@ -1,0 +1,235 @@
+"""What the controller knows of the true robot: the numbers that its equations hold, block by block.
+
+A block that uses the robot gets its symbolic model, true numbers and all. A proof holds for all values of those
+numbers, but for the same ones in the controller and in the plant: that the controller knows them exactly is an
+assumption, and has to be listed. So the equations are searched, in three ways:
+
+- for the robot's symbols, which is how they are meant to be read;
+- for numbers taken out of the chain itself, which leave no symbol: the equations are stated once more with a robot of
+  other numbers, and whatever changes was read;
+- for joint axes and rotations that are 0 or 1 and so leave no symbol either: the equations are stated once more with
+  all of them as symbols.
+
+Only what acts counts: a rate of the controller, or what it commands. The value from which an estimate starts, such as
+``a_d_nominal``, is one of an assumption's many possible values and not held, unless a rate reads it, as a leak does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.certificate import SX
+from dmframe.diagram.diagram import Diagram
+from dmframe.diagram.model import BlockModel, hashes, same_expression, signals_of, stated_by, symbols_in
+from dmframe.diagram.wiring import Derived, End, Wire
+from dmframe.errors import DmframeError
+from dmframe.port import Side
+
+WORDS: Final[Mapping[str, str]] = {
+    "lengths": "the link lengths",
+    "axes": "the joint axes",
+    "tool": "the tool offset",
+    "gravity": "gravity",
+    "friction_velocity": "the friction velocity v_0",
+    "inertia": "the masses and inertias",
+}
+"""Groups of the robot's true numbers, in the order in which a sentence lists them."""
+
+
+@final
+@dataclass(frozen=True)
+class Known:
+    """What one controller block knows exactly.
+
+    Parameters
+    ----------
+    block, kind
+        Its name and type.
+    groups
+        Keys of `WORDS`, in their order; and labels ``block.port`` of the plant's own numbers that it hands out.
+    held_by
+        For each group, the outputs and states of the block whose equations hold it.
+    """
+
+    block: str
+    kind: str
+    groups: tuple[str, ...]
+    held_by: Mapping[str, tuple[str, ...]]
+
+    @property
+    def words(self) -> str:
+        """``the link lengths, the joint axes and gravity``."""
+        named = [WORDS.get(group, group) for group in self.groups]
+        return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+
+
+def known_truths(diagram: Diagram) -> tuple[Known, ...]:
+    """Each controller block whose equations hold true numbers of the robot or the plant; those with none left out."""
+    live = _live(diagram)
+    found = []
+    for name, model in diagram.models.items():
+        if model.block.side is not Side.CONTROLLER:
+            continue
+        holding = dict[str, list[str]]()
+        for group, signal in (*_of_robot(diagram, model), *_handed_out(diagram, model)):
+            if (name, signal) in live and signal not in holding.setdefault(group, []):
+                holding[group].append(signal)
+        order = [*(group for group in WORDS if holding.get(group)), *sorted(g for g in holding if g not in WORDS)]
+        if order := [group for group in order if holding[group]]:
+            held_by = {group: tuple(holding[group]) for group in order}
+            found.append(Known(name, diagram.type_of(name), tuple(order), held_by))
+    return tuple(found)
+
+
+def _live(diagram: Diagram) -> set[End]:
+    """Outputs and states of controllers that act: on a rate of any block, directly or through other outputs."""
+    live, waiting = set[End](), list[End]()
+    for name, model in diagram.models.items():
+        for state, rate in model.equations.rates.items():
+            live.add((name, state))
+            waiting += [(name, port) for port in model.needs([rate])]
+    seen = set[End]()
+    while waiting:
+        block, port = waiting.pop()
+        if (block, port) in seen:
+            continue
+        seen.add((block, port))
+        source = diagram.sources[block, port]
+        if isinstance(source, Derived):
+            waiting.append((block, source.of))
+            waiting += _rates_that_are_known(diagram)
+        if isinstance(source, Wire) and (end := (source.block, source.port)) not in live:
+            live.add(end)
+            model = diagram.models[source.block]
+            waiting += [(source.block, need) for need in model.needs([model.equations.outputs[source.port]])]
+    return live
+
+
+def _rates_that_are_known(diagram: Diagram) -> list[End]:
+    """What outputs need that are time derivatives: whoever differentiates a signal may use them."""
+    return [
+        (name, need)
+        for name, model in diagram.models.items()
+        for port in model.block.outputs
+        if port.derivative_of and port.name in model.equations.outputs
+        for need in model.needs([model.equations.outputs[port.name]])
+    ]
+
+
+def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
+    """Groups of the robot's numbers with the signals of the block that hold them."""
+    if model.robot is None:
+        return
+    stated = _signals(model)
+    for group, symbols in _groups(model.robot).items():
+        yield from ((group, signal) for signal, expression in stated.items() if symbols_in([expression]) & symbols)
+    pointed, axes = model.robot.with_free_axes()
+    restated = _restated(diagram, model, pointed)
+    for signal in stated:
+        if signal not in restated or symbols_in([restated[signal]]) & hashes(axes):
+            yield "axes", signal
+    others = _others(model.robot)
+    if not list(_changed(diagram, model, others.pop("all"))):
+        return
+    for group, other in others.items():
+        yield from ((group, signal) for signal in _changed(diagram, model, other))
+
+
+def _changed(diagram: Diagram, model: BlockModel, robot: Any) -> Iterator[str]:
+    """Outputs and rates that change with another robot's numbers, though the symbols are the same."""
+    restated = _restated(diagram, model, robot)
+    for signal, expression in _signals(model).items():
+        if signal not in restated or not same_expression(restated[signal], expression):
+            yield signal
+
+
+def _signals(model: BlockModel) -> dict[str, SX]:
+    return {**model.equations.outputs, **model.equations.rates}
+
+
+def _groups(robot: Any) -> dict[str, set[int]]:
+    """Identities of the symbols of each group."""
+    columns = {constant.name.rpartition(".")[2]: constant.symbol for constant in robot.constants}
+    links = robot.k - 3
+    lengths = columns.pop("a_k")
+    found = {"lengths": hashes(lengths[:links]), "tool": hashes(lengths[links:])}
+    return found | {{"rotations": "axes"}.get(key, key): hashes(symbol) for key, symbol in columns.items()}
+
+
+def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
+    """The block's outputs and rates with another robot; none where it looks at numbers and cannot."""
+    parameters = {**model.parameters, **model.starts}
+    signals = signals_of(model.name, model.inputs, model.states, parameters, robot)
+    try:
+        outputs, rates = stated_by(model.name, model.block, signals, diagram.sizes)
+    except DmframeError:
+        return {}
+    return {**outputs, **rates}
+
+
+def _others(robot: Any) -> dict[str, Any]:
+    """The same symbols with other numbers behind them, group by group and all; Pinocchio's model has them too."""
+    import pinocchio as pin
+
+    chain = robot.chain
+    models = {group: chain.model.copy() for group in ("lengths", "axes", "tool", "gravity", "inertia", "all")}
+    turn = pin.exp3(np.array([0.1, 0.2, 0.3]))
+    for i in range(1, chain.model.njoints):
+        place, body = chain.model.jointPlacements[i], chain.model.inertias[i]
+        far, turned = place.translation * 1.5 + 0.1, place.rotation @ turn
+        models["lengths"].jointPlacements[i] = pin.SE3(place.rotation, far)
+        models["axes"].jointPlacements[i] = pin.SE3(turned, place.translation)
+        models["all"].jointPlacements[i] = pin.SE3(turned, far)
+        for group in ("inertia", "all"):
+            models[group].inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
+    tool = chain.model.frames[chain.model_tool].placement
+    for group in ("tool", "all"):
+        models[group].frames[chain.model_tool].placement = pin.SE3(tool.rotation, tool.translation * 1.5 + 0.1)
+    for group in ("gravity", "all"):
+        models[group].gravity.linear = chain.model.gravity.linear * 1.5 + 0.1
+    moves = {"translation": lambda joint: _other(joint.translation)}
+    turns = {"axis": lambda joint: _other(joint.axis), "rotation": lambda joint: tuple(map(_other, joint.rotation))}
+
+    def joints(new: Mapping[str, Callable[[Any], Any]]) -> tuple[Any, ...]:
+        return tuple(replace(joint, **{key: made(joint) for key, made in new.items()}) for joint in chain.joints)
+
+    changes: dict[str, dict[str, Any]] = {
+        "lengths": {"joints": joints(moves)},
+        "axes": {"joints": joints(turns)},
+        "tool": {"tool": _other(chain.tool)},
+        "gravity": {"gravity": _other(chain.gravity)},
+        "friction_velocity": {"friction_velocity": chain.friction_velocity * math.pi},
+        "inertia": {"inertia": tuple(map(_other, chain.inertia))},
+    }
+    everything = {key: value for change in changes.values() for key, value in change.items()}
+    changes["all"] = everything | {"joints": joints(moves | turns)}
+    return {
+        group: robot.with_numbers(replace(chain, **change, model=models.get(group, chain.model)))
+        for group, change in changes.items()
+    }
+
+
+def _other(values: Sequence[Fraction]) -> tuple[Fraction, ...]:
+    """Other numbers, none of them left as it was; a zero or a one may be what a block looks for."""
+    return tuple(value * Fraction(12345, 10007) + Fraction(1, 997) for value in values)
+
+
+def _handed_out(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
+    """Measured signals that are numbers of the plant and nothing else, with the signals of the block that read them."""
+    for port, symbol in model.inputs.items():
+        source = diagram.sources[model.name, port]
+        if not isinstance(source, Wire) or diagram.blocks[source.block].side is not Side.PLANT:
+            continue
+        (expression,) = diagram.loop.joined([diagram.resolver.output(source.block, source.port)])
+        used = symbols_in([expression])
+        moving = [diagram.loop.time, diagram.loop.state, *(leaf.symbol for leaf in diagram.loop.trajectories)]
+        if used and not any(used & hashes(item) for item in moving):
+            for signal, stated in _signals(model).items():
+                if symbols_in([stated]) & hashes(symbol):
+                    yield f"{source.block}.{source.port}", signal

@@ -1,0 +1,187 @@
+"""The law of a block type, without a graph: on a robot of three joints, its options at their defaults or one by one."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any, Final, Literal, get_args, get_origin
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.diagram.model import model_block
+from dmframe.diagram.sizes import Sizes, parameter_arrays
+from dmframe.errors import DmframeError
+from dmframe.formula.law import Line, PrintedLaw
+from dmframe.formula.laws import ReadBlock, certify
+from dmframe.formula.robot import RobotFunctions
+from dmframe.parameter import PAIRS, Spec, specs
+from dmframe.robot.chain import Joint, SerialChain
+from dmframe.robot.symbolic import SymbolicRobot
+
+_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4}
+"""Letters of shapes: all different, so that what is not square does not look so."""
+
+
+def law_of_type(block: type[AbstractBlock], **values: Any) -> PrintedLaw | None:
+    """The law of a block type with these options; None where it cannot stand without numbers of its own."""
+    read = read_type(block, **values)
+    return read.law() if read is not None else None
+
+
+def read_type(block: type[AbstractBlock], **values: Any) -> ReadBlock | None:
+    """A block of a type, read and compared with what runs. Raises `BlockError` where they differ."""
+    return _read(block, tuple(sorted(values.items())))
+
+
+@functools.lru_cache(maxsize=512)
+def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> ReadBlock | None:
+    values = dict(options)
+    known = specs(block)
+    try:
+        given = {
+            name: _some(known[name])
+            for name, field in block.model_fields.items()
+            if field.is_required() and name in known and name not in values
+        }
+        made = block(**given, **values)
+        functions = _arm() if block.uses_robot else None
+        chain = functions.of.chain if functions else None
+        sizes = _sizes(made, chain)
+        arrays, faults = parameter_arrays(type_name(block), made, sizes)
+        if faults:
+            return None
+        model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)
+    except (DmframeError, KeyError):  # it needs a graph: a file, a path through points, another option
+        return None
+    shapes = {port.name: sizes.matrix(port.shape) for port in made.truth}
+    read = ReadBlock(model, functions, truths=shapes, made=frozenset(shapes))
+    certify({model.name: read})
+    read.compare()
+    return read
+
+
+def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
+    """The block with its options at their defaults, then each option by itself, then all that go together.
+
+    Each with the answer to: are these the defaults?
+    """
+    plain = read_type(block)
+    if plain is not None:
+        yield plain, True
+    together = dict[str, Any]()
+    for _, values in switched(block):
+        read = read_type(block, **values)
+        if read is not None:
+            yield read, False
+        both = {**values, **together}
+        if read_type(block, **both) is not None:
+            together = both
+    if len(together) > 1:
+        read = read_type(block, **together)
+        if read is not None:
+            yield read, False
+
+
+def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
+    """The law with the options at their defaults or, where the block does not stand so, with the first that helps."""
+    plain = law_of_type(block)
+    if plain is not None:
+        return "", plain
+    for label, values in switched(block):
+        law = law_of_type(block, **values)
+        if law is not None:
+            return label, law
+    return None
+
+
+def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ...]]]:
+    """What each option of a block changes: ``leak``, with the lines that it replaces or adds."""
+    plain = law_of_type(block)
+    if plain is None:
+        return  # the options that it needs are told by `plainest`
+    before = {item.whole.text for item in plain.lines}
+    for label, values in switched(block):
+        law = law_of_type(block, **values)
+        if law is not None:
+            changed = tuple(item for item in law.lines if item.whole.text not in before)
+            if changed:
+                yield label, changed
+
+
+def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each option at another value than its default; one that needs a second comes with it."""
+    known = specs(block)
+    for name, field in block.model_fields.items():
+        if name not in known:
+            choices = _choices(field.annotation, field.default)
+            yield from ((f"{name}: {_word(choice)}", {name: choice}) for choice in choices)
+    free = {name: _some(spec) for name, spec in known.items() if _is_off(block, name) and spec.form not in PAIRS}
+    for name, value in free.items():
+        if read_type(block, **{name: value}) is not None:
+            yield name, {name: value}
+            continue
+        others = ((other, second) for other, second in free.items() if other != name)
+        for other, second in others:
+            if read_type(block, **{name: value, other: second}) is not None:
+                yield f"{name} with {other}", {name: value, other: second}
+                break
+
+
+def _is_off(block: type[AbstractBlock], name: str) -> bool:
+    field = block.model_fields[name]
+    return not field.is_required() and field.default is None
+
+
+def _word(choice: Any) -> str:
+    return ", ".join(choice) if isinstance(choice, tuple) else str(choice).lower()
+
+
+def _choices(kind: Any, default: Any) -> Iterator[Any]:
+    """Other values of an option: of a switch, of some words, of a list of them."""
+    if kind is bool:
+        yield not default
+    elif get_origin(kind) is Literal:
+        yield from (word for word in get_args(kind) if word != default)
+    elif get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is Literal:
+        words = get_args(get_args(kind)[0])
+        yield from [words, *((word,) for word in words)]
+
+
+def _some(spec: Spec) -> Any:
+    """A number, or numbers, that fit."""
+    if spec.form == "vector" and spec.shape != "*":
+        return (1.0,) * _SIZES.get(spec.shape, 3)
+    return 1.0
+
+
+def _sizes(block: AbstractBlock, chain: SerialChain | None) -> Sizes:
+    sizes = Sizes()
+    bound = {**_SIZES, **({} if chain is None else block.sizes(chain))}
+    for letter, size in bound.items():
+        sizes.bind(letter, size, "this page")
+    return sizes
+
+
+@functools.cache
+def _arm() -> RobotFunctions:
+    """Three joints in space, whose task is two coordinates."""
+    one, zero = Fraction(1), Fraction(0)
+    unit = ((one, zero, zero), (zero, one, zero), (zero, zero, one))
+    limits = {"lower": -3.0, "upper": 3.0, "velocity": 1.0, "effort": 1.0}
+    joints = tuple(
+        Joint(f"joint_{axis}", "revolute", unit[axis], unit, (one, zero, one), **limits) for axis in (2, 1, 0)
+    )
+    link = tuple(Fraction(number) for number in ("2", "0.3", "0.1", "0.2", "0.5", "0", "0.6", "0", "0", "0.7"))
+    chain = SerialChain(
+        name="arm",
+        joints=joints,
+        tool=(one, zero, zero),
+        inertia=(link,) * 3,
+        gravity=(zero, zero, Fraction("-9.81")),
+        axes="xy",
+        rotation_change=0.0,
+        friction_velocity=0.1,
+        model=None,
+        model_tool=0,
+    )
+    return RobotFunctions(SymbolicRobot(chain))

@@ -1,0 +1,229 @@
+"""The three dialects: the code's names, LaTeX, and Unicode for terminals and drawings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import ClassVar, Final, final
+
+from dmframe.formula.names import latex_name, unicode_name
+from dmframe.formula.tree import Piece
+from dmframe.formula.write import Dialect
+
+
+class _Plain(Dialect):
+    """What the two dialects of running text share."""
+
+    prime: str
+    square: str
+
+    def over(self, above: str, below: str, *, simple: bool) -> str:
+        return f"{above}/{below if simple else self.bracketed(below)}"
+
+    def bracketed(self, text: str) -> str:
+        return f"({text})"
+
+    def norm(self, text: str, *, squared: bool, weight: str) -> str:
+        below = f"_({weight})" if " " in weight or "/" in weight else f"_{weight}" * bool(weight)
+        return f"|{text}|" + self.square * squared + below
+
+    def word(self, word: str) -> str:
+        return word
+
+    def matrix(self, rows: Sequence[Sequence[str]]) -> str:
+        if all(len(row) == 1 for row in rows):
+            return f"({', '.join(row[0] for row in rows)})"
+        return f"[{'; '.join(', '.join(row) for row in rows)}]"
+
+    def choice(self, relation: str, yes: str, no: str) -> str:
+        return f"{yes} if {relation}, else {no}"
+
+    def unprinted(self, names: Sequence[str]) -> str:
+        return f"an expression of {', '.join(names)}" if names else "a matrix of numbers"
+
+    def between(self, left: str, right: str) -> str:
+        return "" if left.endswith(self.prime) and right.startswith("(") else " "
+
+
+@final
+class _Text(_Plain):
+    minus, gap, prime, square = "-", " ", "'", "^2"
+    relations: ClassVar[Mapping[str, str]] = {
+        "<": "<",
+        "<=": "<=",
+        ">": ">",
+        ">=": ">=",
+        "=": "=",
+        "!=": "!=",
+        "and": "and",
+        "or": "or",
+        "not": "not",
+    }
+
+    def name(self, name: str) -> str:
+        return name
+
+    def rate(self, name: str) -> str:
+        return f"d{name}/dt"
+
+    def fraction(self, value: Fraction) -> str:
+        return _decimal(value)
+
+    def raised(self, base: str, exponent: str) -> str:
+        return (
+            f"{base}'" if exponent == "T" else f"{base}^{exponent}" if "/" not in exponent else f"{base}^({exponent})"
+        )
+
+    def part(self, text: str, piece: Piece) -> str:
+        ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
+        sizes = piece.of.shape
+        return f"{text}[{', '.join(_span(end, size) for end, size in zip(ends, sizes, strict=False))}]"
+
+
+def _span(ends: tuple[int, int], size: int) -> str:
+    """As Python writes it."""
+    start, stop = ends
+    if stop - start == 1:
+        return str(start)
+    return f"{start or ''}:{stop if stop < size else ''}"
+
+
+def _decimal(value: Fraction) -> str:
+    if value.denominator == 1:
+        return str(value.numerator)
+    exact = float(value)
+    return f"{value.numerator}/{value.denominator}" if value.denominator <= 1000 and len(str(exact)) > 6 else str(exact)
+
+
+@final
+class _Latex(Dialect):
+    minus, gap = "-", " "
+    relations: ClassVar[Mapping[str, str]] = {
+        "<": "<",
+        "<=": r"\le",
+        ">": ">",
+        ">=": r"\ge",
+        "=": "=",
+        "!=": r"\ne",
+        "and": r"\land",
+        "or": r"\lor",
+        "not": r"\lnot",
+    }
+
+    def name(self, name: str) -> str:
+        return latex_name(name)
+
+    def rate(self, name: str) -> str:
+        return latex_name(name, "dot")
+
+    def fraction(self, value: Fraction) -> str:
+        return str(value.numerator) if value.denominator == 1 else self._small(value)
+
+    @staticmethod
+    def _small(value: Fraction) -> str:
+        if value.denominator > 1000:
+            return str(float(value))
+        return rf"\tfrac{{{value.numerator}}}{{{value.denominator}}}"
+
+    def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
+        """A number stands before its factors, unless it joins a quotient's."""
+        if (coefficient == 1 and more) or (below and not more and coefficient == 1):
+            return "" if more else "1", ""
+        return self.fraction(coefficient), ""
+
+    def raised(self, base: str, exponent: str) -> str:
+        return f"{base}^{{{self._top(exponent)}}}" if exponent != "T" else rf"{base}^\top"
+
+    @staticmethod
+    def _top(exponent: str) -> str:
+        return exponent
+
+    def over(self, above: str, below: str, *, simple: bool) -> str:
+        if simple and "\\left" not in above + below:
+            return f"{above}/{below}"
+        return rf"\frac{{{above}}}{{{below}}}"
+
+    def bracketed(self, text: str) -> str:
+        return rf"\left({text}\right)" if "\\frac" in text or "\\tfrac" in text else f"({text})"
+
+    def norm(self, text: str, *, squared: bool, weight: str) -> str:
+        return f"|{text}|" + "^2" * squared + (f"_{{{weight}}}" if weight else "")
+
+    def word(self, word: str) -> str:
+        known = {"sgn": r"\operatorname{sgn}", "diag": r"\operatorname{diag}", "sqrt": r"\operatorname{sqrt}"}
+        standard = ("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "log", "min", "max")
+        if word in standard:
+            return f"\\{word}"
+        plain = word.replace("_", r"\_")
+        return known.get(word, rf"\operatorname{{{plain}}}")
+
+    def matrix(self, rows: Sequence[Sequence[str]]) -> str:
+        body = r" \\ ".join(" & ".join(row) for row in rows)
+        return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
+
+    def part(self, text: str, piece: Piece) -> str:
+        return f"[{text}]_{{{_counted(piece)}}}"
+
+    def choice(self, relation: str, yes: str, no: str) -> str:
+        return rf"\begin{{cases}} {yes} & {relation} \\ {no} & \text{{else}} \end{{cases}}"
+
+    def unprinted(self, names: Sequence[str]) -> str:
+        return rf"\text{{an expression of }} {', '.join(names)}" if names else r"\text{a matrix of numbers}"
+
+
+def _counted(piece: Piece) -> str:
+    """Rows and columns counted from one, both ends included."""
+    ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
+    sizes = piece.of.shape
+    spans = []
+    for (start, stop), size in zip(ends, sizes, strict=False):
+        whole = (start, stop) == (0, size)
+        spans.append(":" if whole else str(stop) if stop - start == 1 else f"{start + 1}:{stop}")
+    return ",".join(spans)
+
+
+_VULGAR: Final = {Fraction(1, 2): "½", Fraction(1, 4): "¼", Fraction(3, 4): "¾"}
+_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@final
+class _Unicode(_Plain):
+    minus, gap, prime, square = "−", " ", "ᵀ", "²"
+    relations: ClassVar[Mapping[str, str]] = {
+        "<": "<",
+        "<=": "≤",
+        ">": ">",
+        ">=": "≥",
+        "=": "=",
+        "!=": "≠",
+        "and": "∧",
+        "or": "∨",
+        "not": "¬",
+    }
+
+    def name(self, name: str) -> str:
+        return unicode_name(name)
+
+    def rate(self, name: str) -> str:
+        return unicode_name(name, "dot")
+
+    def fraction(self, value: Fraction) -> str:
+        return _VULGAR.get(value) or _decimal(value)
+
+    def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
+        if coefficient in _VULGAR:
+            return _VULGAR[coefficient], ""
+        return super().lead(coefficient, more, below)
+
+    def raised(self, base: str, exponent: str) -> str:
+        if exponent == "T":
+            return f"{base}ᵀ"
+        return f"{base}{exponent.translate(_RAISED)}" if "/" not in exponent else f"{base}^({exponent})"
+
+    def part(self, text: str, piece: Piece) -> str:
+        return f"{text}[{_counted(piece)}]"
+
+
+TEXT: Final[Dialect] = _Text()
+LATEX: Final[Dialect] = _Latex()
+UNICODE: Final[Dialect] = _Unicode()

@@ -1,0 +1,447 @@
+r"""The law that a block's docstring carries, held to the code: every displayed equation is evaluated and compared.
+
+An equation's left side is an output, the rate of a state, S, :math:`\dot S`, or a new name that others use; a name
+may also be defined in the text, ``:math:`e = q - q_r```. Where an option changes the law, the docstring may state the
+laws of several options: each has to hold for one, and each output and rate that is stated at all for the defaults.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import inspect
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block import AbstractBlock
+from dmframe.certificate import Certificate
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError, raise_all
+from dmframe.formula.alone import variants
+from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
+from dmframe.formula.laws import POINTS, ReadBlock
+from dmframe.formula.names import Symbol, latex_name, symbol
+from dmframe.formula.reading import differs
+from dmframe.formula.robot import SIGNS
+
+_DISPLAYED: Final = re.compile(r"^([ \t]*)\.\. math::[ \t]*(.*)$")
+_INLINE: Final = re.compile(r":math:`([^`]*)`", re.DOTALL)
+_TAG: Final = re.compile(r"\\tag\{[^}]*\}")
+
+
+@final
+@dataclass(frozen=True)
+class Stated:
+    """An equation of a docstring: its sides as words, and the line of its file."""
+
+    left: tuple[str, ...]
+    right: tuple[str, ...]
+    line: int
+    displayed: bool
+    source: str
+
+
+def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
+    """What the docstring of a block says that its code does not compute; each with file and line."""
+    return list(_checked(block))
+
+
+def check_docstrings(diagram: Diagram) -> None:
+    """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
+    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+    raise_all([fault for kind in kinds for fault in check_docstring(kind)])
+
+
+@functools.lru_cache(maxsize=256)
+def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
+    equations = list(equations_of(block))
+    if not any(item.displayed for item in equations):
+        return ()
+    checker = _Checker(equations)
+    for read, plain in variants(block):
+        if checker.hold(read, plain=plain):
+            break
+    if not checker.tried:
+        return ()
+    file, _ = source_of(block)
+    return tuple(BlockError(f"{file}:{line}: {text}") for line, text in checker.faults())
+
+
+def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
+    """All equations of a docstring, displayed and in the text, in the order of the file."""
+    text = block.__dict__.get("__doc__") or ""
+    _, first = source_of(block)
+    lines = text.split("\n")
+    place = 0
+    while place < len(lines):
+        head = _DISPLAYED.match(lines[place])
+        if head is None:
+            place += 1
+            continue
+        start, indent = place + 1, len(head[1])
+        place += 1
+        while place < len(lines) and (
+            not lines[place].strip() or len(lines[place]) - len(lines[place].lstrip()) > indent
+        ):
+            place += 1
+        body = [(first + number, lines[number]) for number in range(start, place)]
+        if head[2].strip():
+            body.insert(0, (first + start - 1, head[2]))
+        yield from _rows(body)
+    for found in _INLINE.finditer(text):
+        line = first + text[: found.start()].count("\n")
+        for words, source in _parts(found[1]):
+            yield from _equation(words, line, displayed=False, source=source)
+
+
+def source_of(block: type[AbstractBlock]) -> tuple[str, int]:
+    """The file of a block, and the line on which its docstring begins; 0 where the file cannot be read."""
+    file = Path(inspect.unwrap(block.equations).__code__.co_filename)
+    try:
+        classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
+    except (OSError, SyntaxError, UnicodeDecodeError):
+        return file.name, 0
+    return file.name, next((node.body[0].lineno for node in classes if node.name == block.__name__), 0)
+
+
+def _rows(body: Sequence[tuple[int, str]]) -> Iterator[Stated]:
+    r"""Equations of a displayed group: rows end with ``\\`` or a blank line; one without a left side goes on."""
+    rows: list[tuple[int, str]] = []
+    fresh = True
+    for line, text in body:
+        bare = _TAG.sub("", text)
+        if not bare.strip():
+            fresh = True
+            continue
+        if fresh:
+            rows.append((line, ""))
+        pieces = _row_ends(bare)
+        for number, piece in enumerate(pieces):
+            if number:
+                rows.append((line, ""))
+            rows[-1] = (rows[-1][0] if rows[-1][1].strip() else line, rows[-1][1] + " " + piece)
+        fresh = False
+    joined = list[tuple[int, str]]()
+    for line, row in (row for row in rows if row[1].strip()):
+        left = row.partition("&")[0]
+        if joined and "&" in row and not left.strip() and "=" not in row:
+            joined[-1] = (joined[-1][0], joined[-1][1] + " " + row)
+        else:
+            joined.append((line, row))
+    for line, row in joined:
+        for words, source in _parts(row):
+            yield from _equation(words, line, displayed=True, source=source)
+
+
+def _row_ends(text: str) -> list[str]:
+    r"""Split at ``\\`` outside of environments."""
+    pieces, depth, start = list[str](), 0, 0
+    for found in re.finditer(r"\\begin\{|\\end\{|\\\\", text):
+        if found[0] == r"\\":
+            if depth == 0:
+                pieces.append(text[start : found.start()])
+                start = found.end()
+        else:
+            depth += 1 if "begin" in found[0] else -1
+    return [*pieces, text[start:]]
+
+
+def _parts(text: str) -> Iterator[tuple[list[str], str]]:
+    """Equations that stand side by side, apart by commas."""
+    words, depth, part = tokens(_TAG.sub("", text)), 0, list[str]()
+    for word in words:
+        depth += {"(": 1, "{": 1, "[": 1, ")": -1, "}": -1, "]": -1}.get(word, 0)
+        if word in (",", ";") and depth == 0:
+            if part:
+                yield part, shown(part)
+            part = []
+        else:
+            part.append(word)
+    if part:
+        yield part, shown(part)
+
+
+def shown(words: Sequence[str]) -> str:
+    """Words as LaTeX again."""
+    text = ""
+    for word in words:
+        text += (" " if re.search(r"\\[A-Za-z]+$", text) and word[:1].isalpha() else "") + word
+    return text
+
+
+def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> Iterator[Stated]:
+    """One equation, or a chain a = b = c as two."""
+    sides: list[list[str]] = [[]]
+    depth = 0
+    for word in words:
+        depth += {"(": 1, "{": 1, ")": -1, "}": -1}.get(word, 0)
+        if word == "=" and depth <= 0:
+            sides.append([])
+        else:
+            sides[-1].append(word)
+    if len(sides) == 1:
+        if displayed:
+            yield Stated((), tuple(sides[0]), line, displayed, source)
+        return
+    for left, right in pairwise(sides):
+        yield Stated(tuple(left), tuple(right), line, displayed, source)
+
+
+@final
+@dataclass(frozen=True)
+class _Point:
+    """What the names of a docstring are at one random point, with some options of the block.
+
+    Parameters
+    ----------
+    names
+        All that may be named.
+    computed
+        What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
+    rates
+        Of states, and of S.
+    """
+
+    names: Mapping[Symbol, Numbers]
+    computed: Mapping[Symbol, Numbers]
+    rates: Mapping[Symbol, Numbers]
+    read: ReadBlock
+
+    def look(self, name: Symbol) -> Numbers | None:
+        """The numbers of a name, or of the rate that a dotted name is."""
+        for known in (self.computed, self.names):
+            if name in known:
+                return known[name]
+        bare = undotted(name)
+        return self.rates.get(bare) if bare is not None else None
+
+    def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
+        """A function of the robot, J(q)."""
+        robot, functions = self.read.signs.robot, self.read.reading.functions
+        methods = [method for method, sign in SIGNS.items() if symbol(sign) == name]
+        if robot is None or functions is None or not methods:
+            return None
+        parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
+        try:
+            function = functions.of_method(methods[0], tuple(parameters))
+            # inertial parameters come first in a_d, whatever else it holds
+            given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
+            return np.array(function(*given, functions.values).full())
+        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
+            return None
+
+
+def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
+    """Does an equation hold ``name^{-1}``?"""
+    wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
+    return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
+
+
+def _bare(words: Sequence[str]) -> list[str]:
+    return [word for word in words if word not in "{}"]
+
+
+def undotted(name: Symbol) -> Symbol | None:
+    """The name whose rate this one is; None without a dot on top."""
+    last = name.accents[-1:]
+    if last == ("dot",):
+        return replace(name, accents=name.accents[:-1])
+    return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
+
+
+def _point(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> _Point:
+    """All that a docstring of this block may name; a matrix that it inverts is symmetric and positive definite."""
+    values = read.reading.values(read.signs, seed)
+    for name, value in values.items():
+        if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
+            values[name] = np.asarray(value) @ np.asarray(value).T + np.eye(value.shape[0])
+    names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
+    names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
+    definitions = read.signs.naming.definitions
+    defined = read.reading.of_signs(read.signs, [expression for _, expression in definitions.values()]).at(values)
+    outputs, rates = read.model.equations.outputs, read.model.equations.rates
+    run = read.reading.of_running().at(values)
+    computed = dict(zip(map(symbol, definitions), defined, strict=True))
+    computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
+    truths = read.certificate.truth
+    true = read.reading.of_signs(read.signs, list(truths.values())).at(values)
+    computed |= {symbol(name): value for name, value in zip(truths, true, strict=True)}
+    moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
+    stated = read.scalars
+    if stated.storage or stated.dissipation:
+        S, dS = read.reading.of_signs(read.scalar_signs, energies(stated)).at(values)
+        computed, moving = {Symbol("S"): S, **computed}, {Symbol("S"): dS, **moving}
+    return _Point(names, {key: value for key, value in computed.items() if key not in names}, moving, read)
+
+
+def energies(stated: Certificate) -> list[Any]:
+    """S, and what the certificate claims of its rate."""
+
+    def total(terms: Sequence[Any]) -> Any:
+        return sum((ca.SX(term.value) for term in terms), ca.SX(0))
+
+    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
+    if stated.consumes is not None:
+        claimed += stated.consumes.value
+    return [total(stated.storage) / 2, claimed]
+
+
+class _Verdict(Enum):
+    """What an equation is, with some options."""
+
+    HOLDS = "holds"
+    DIFFERS = "is not what the code computes"
+    UNREADABLE = "cannot be read"
+    DEFINES = "defines a name"
+    SKIPPED = "is about something else"
+
+
+@final
+class _Trial:
+    """A docstring's equations with some options of the block, at one point."""
+
+    def __init__(self, point: _Point, equations: Sequence[Stated]) -> None:
+        self.point, self.used = point, set[Symbol]()
+        self._open = dict[Symbol, Stated]()
+        self._known = dict[Symbol, Numbers]()
+        for item in equations:
+            left = name_in(item.left)
+            if left is not None and self._is_new(left[0]):
+                self._open.setdefault(left[0], item)
+
+    def _is_new(self, name: Symbol) -> bool:
+        return self.point.look(name) is None and undotted(name) is None and not name.start
+
+    def is_computed(self, item: Stated) -> bool:
+        """Is its left side something that the block computes with these options?"""
+        left = name_in(item.left)
+        if left is None:
+            return False
+        bare = undotted(left[0])
+        return left[0] in self.point.computed or (bare is not None and bare in self.point.rates)
+
+    def _look(self, name: Symbol) -> Numbers | None:
+        found = self.point.look(name)
+        if found is not None or name in self._known:
+            return self._known.get(name) if found is None else found
+        if name not in self._open:
+            return None
+        self.used.add(name)
+        meant = self._open.pop(name)  # taken away while it is read, so that it cannot need itself
+        try:
+            self._known[name] = self._value(meant.right)
+        finally:
+            self._open[name] = meant
+        return self._known[name]
+
+    def _value(self, words: Sequence[str]) -> Numbers:
+        value: Numbers = evaluate(words, self._look, self.point.call)
+        return value
+
+    def verdict(self, item: Stated) -> tuple[_Verdict, str]:
+        """What an equation is, and the sentence about it."""
+        try:
+            return self._verdict(item)
+        except UnreadableLatexError as error:
+            return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
+
+    def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
+        left = name_in(item.left)
+        if not item.left:
+            raise UnreadableLatexError("it is no equation")
+        if left is None:
+            if not item.displayed:
+                return _Verdict.SKIPPED, ""
+            return self._compared(self._value(item.left), item.right, shown(item.left))
+        name, label = left[0], said(left[0])
+        bare = undotted(name)
+        if "\\int" in item.right:
+            return self._integral(name, item)
+        if name in self.point.computed:
+            return self._compared(self.point.computed[name], item.right, label)
+        if bare is not None and bare in self.point.rates:
+            return self._compared(self.point.rates[bare], item.right, label)
+        if not item.displayed:
+            return _Verdict.SKIPPED, ""
+        if self.point.look(name) is not None or name.start:
+            return _Verdict.DIFFERS, f"{label}: an equation for it, but the block does not compute it"
+        if bare is not None:
+            return _Verdict.DIFFERS, f"{label}: an equation for its rate, but the block has no state {said(bare)}"
+        self._value(item.right)
+        return _Verdict.DEFINES, label
+
+    def _integral(self, name: Symbol, item: Stated) -> tuple[_Verdict, str]:
+        r"""A = \int b of a state a: its rate is b."""
+        words = item.right[item.right.index("\\int") + 1 :]
+        if name in self.point.rates:
+            return self._compared(self.point.rates[name], words, f"rate of {said(name)}")
+        if item.displayed:
+            raise UnreadableLatexError("an integral is understood of a state alone")
+        return _Verdict.SKIPPED, ""
+
+    def _compared(self, computed: Numbers, words: Sequence[str], shown: str) -> tuple[_Verdict, str]:
+        value = self._value(words)
+        if value.shape == (1, 1) != computed.shape:
+            value = np.full(computed.shape, value[0, 0])
+        text = f"{shown}: the docstring's law is not what the equations compute"
+        if shown in ("S", r"\dot{S}"):
+            text = f"{shown}: the docstring's law is not what the certificate claims"
+        return (_Verdict.DIFFERS, text) if differs(computed, value) else (_Verdict.HOLDS, "")
+
+
+@final
+class _Checker:
+    """One block's docstring, held to its code with one choice of options after another."""
+
+    def __init__(self, equations: Sequence[Stated]) -> None:
+        self._equations = equations
+        self._told = dict[Stated, tuple[_Verdict, str]]()
+        self._fine, self._used = set[Stated](), set[str]()
+        self._late = dict[str, Stated]()
+        self.tried = 0
+
+    def hold(self, read: ReadBlock, *, plain: bool) -> bool:
+        """Hold all equations to a block; True when nothing is left to be shown."""
+        trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
+        fine = set[Stated]()
+        for item in self._equations:
+            found = [trial.verdict(item) for trial in trials]
+            worst = next((one for one in found if one[0] in (_Verdict.DIFFERS, _Verdict.UNREADABLE)), found[0])
+            if worst[0] in (_Verdict.HOLDS, _Verdict.DEFINES, _Verdict.SKIPPED):
+                fine.add(item)
+            if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
+                self._told[item] = worst
+        self._used |= {said(name) for trial in trials for name in trial.used}
+        if plain:
+            self._late = self._not_yet(fine, trials[0])
+        self._fine |= fine
+        self.tried += 1
+        return all(item in self._fine for item in self._equations)
+
+    def _not_yet(self, fine: set[Stated], trial: _Trial) -> dict[str, Stated]:
+        """Left sides of which no equation holds for the defaults, each with the first of them."""
+        sides = dict[str, list[Stated]]()
+        for item in self._equations:
+            if item.displayed and trial.is_computed(item):
+                sides.setdefault(shown(item.left), []).append(item)
+        return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
+
+    def faults(self) -> Iterator[tuple[int, str]]:
+        """Lines and what is wrong there."""
+        for item in self._equations:
+            verdict, text = self._told[item]
+            if item not in self._fine:
+                if item.displayed or verdict is _Verdict.DIFFERS:
+                    yield item.line, text
+            elif verdict is _Verdict.DEFINES and text not in self._used:
+                yield item.line, f"{text}: the block has nothing of this name, and no other equation uses it"
+            elif self._late.get(shown(item.left)) is item:
+                yield item.line, f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"

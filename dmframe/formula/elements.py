@@ -1,0 +1,128 @@
+"""Where a block cannot be read as matrices: its formulas element by element, from the scalar expressions that run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.formula import tree
+from dmframe.formula.read import FUNCTIONS, MOST, MULTIPLE, RELATIONS, UnreadableError, constant, relation
+from dmframe.formula.tree import SCALAR, Applied, Name, Node, Number, Piece, Power, Relation, Stack, Unprinted
+
+FEW: Final = 16
+"""Elements of a matrix up to which it is written out."""
+
+
+@final
+class Elements:
+    """Reads scalar expressions whose symbols have names: whole columns or matrices of symbols."""
+
+    def __init__(self, symbols: Mapping[str, SX]) -> None:
+        self._symbols, self._count = symbols, 0
+
+    @cached_property
+    def _known(self) -> dict[int, Node]:
+        known = dict[int, Node]()
+        for name, symbol in self._symbols.items():
+            whole = Name(name, symbol.shape)
+            rows = symbol.shape[0]
+            for place, element in enumerate(symbol.nonzeros()):
+                row, column = place % rows, place // rows
+                columns = None if symbol.is_column() else (column, column + 1)
+                one = whole if symbol.is_scalar() else Piece(whole, (row, row + 1), columns, SCALAR)
+                known[element.element_hash()] = one
+        return known
+
+    def read(self, expression: SX) -> Node:
+        """The tree of an expression; what is too long to be read is named by its symbols."""
+        if expression.is_constant():
+            return constant(ca.DM(expression))
+        self._count = 0
+        try:
+            if expression.numel() > FEW:
+                raise UnreadableError("too many elements")
+            rows = [ca.horzsplit(row) for row in ca.vertsplit(ca.densify(expression))]
+            written = tuple(tuple(self._scalar(item) for item in row) for row in rows)
+        except UnreadableError:
+            return self.unprinted(expression)
+        if expression.is_scalar():
+            return written[0][0]
+        return lifted(written, expression.shape) or Stack(written, expression.shape)
+
+    def unprinted(self, expression: SX) -> Node:
+        """The names on which an expression depends."""
+        used = dict[str, None]()
+        for symbol in ca.symvar(expression):
+            known = self._known.get(symbol.element_hash())
+            whole = known.of if isinstance(known, Piece) else known
+            if isinstance(whole, Name):
+                used[whole.name] = None
+        return Unprinted(tuple(used), expression.shape)
+
+    def _scalar(self, x: SX) -> Node:
+        self._count += 1
+        if self._count > MOST:
+            raise UnreadableError("longer than a reader can take in")
+        if x.is_constant():
+            return constant(ca.DM(x))
+        if x.is_symbolic():
+            if x.element_hash() not in self._known:  # a number of the robot
+                raise UnreadableError("it holds a symbol that has no name")
+            return self._known[x.element_hash()]
+        parts = [self._scalar(x.dep(k)) for k in range(x.n_dep())]
+        return _joined(x.op(), parts)
+
+
+def _joined(kind: int, parts: list[Node]) -> Node:
+    if kind in MULTIPLE:
+        return tree.scale(MULTIPLE[kind], parts[0])
+    if kind in FUNCTIONS:
+        return Applied(FUNCTIONS[kind], tuple(parts), SCALAR)
+    if kind in RELATIONS:
+        return relation(RELATIONS[kind], parts[0], parts[1], SCALAR)
+    match kind:
+        case ca.OP_ADD:
+            return tree.add(parts[0], parts[1], SCALAR)
+        case ca.OP_SUB:
+            return tree.subtract(parts[0], parts[1], SCALAR)
+        case ca.OP_MUL:
+            return tree.multiply(parts[0], parts[1], SCALAR)
+        case ca.OP_DIV:
+            return tree.divide(parts[0], parts[1], SCALAR)
+        case ca.OP_INV:
+            return tree.divide(Number(Fraction(1)), parts[0], SCALAR)
+        case ca.OP_SQ:
+            return Power(parts[0], Fraction(2), SCALAR)
+        case ca.OP_FABS:
+            return Applied("abs", (parts[0],), SCALAR)
+        case ca.OP_NOT:
+            return Relation("not", parts[0], None, SCALAR)
+        case _:
+            raise UnreadableError("it holds an operation that has no sign here")
+
+
+def lifted(rows: tuple[tuple[Node, ...], ...], shape: tree.Shape) -> Node | None:
+    """One formula for all elements of a column, where they are the same but for the element; else None."""
+    if shape[1] != 1:
+        return None
+    wholes = {_without(row[0], place) for place, row in enumerate(rows)}
+    found = wholes.pop() if len(wholes) == 1 else None
+    return replace(found, shape=shape) if found is not None else None
+
+
+def _without(node: Any, place: int) -> Any:
+    """The node with the element of this place taken for the whole column."""
+    if isinstance(node, Piece) and node.columns is None and node.rows == (place, place + 1):
+        return node.of
+    if isinstance(node, tuple):
+        return tuple(_without(item, place) for item in node)
+    if is_dataclass(node) and not isinstance(node, type):
+        inner = {item.name: _without(getattr(node, item.name), place) for item in fields(node) if item.name != "shape"}
+        return replace(node, **inner)
+    return node

@@ -1,0 +1,439 @@
+r"""LaTeX formulas as numbers: what a docstring says, evaluated like the code that it describes.
+
+The grammar: sums, products by juxtaposition, quotients, brackets, ``\frac``, ``|a|^2_W``, ``\top``, ``^{-1}``, powers,
+``bmatrix``, common functions, and names as `dmframe.formula.names` writes them. A product is read from right to left;
+a column that is not its last factor stands for a diagonal matrix.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.formula.names import LETTERS, Symbol
+
+Numbers = np.ndarray
+"""A matrix; a scalar is 1 x 1."""
+
+
+@final
+class UnreadableLatexError(Exception):
+    """A formula outside of the grammar, or a name that nothing bears."""
+
+
+_TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
+_BLANK: Final = (
+    "\\,",
+    "\\;",
+    "\\!",
+    "\\:",
+    "\\ ",
+    "\\quad",
+    "\\qquad",
+    "\\left",
+    "\\right",
+    "\\bigl",
+    "\\bigr",
+    "~",
+    "&",
+)
+_ACCENTS: Final = ("hat", "bar", "tilde", "dot", "ddot")
+_ALIAS: Final = {"varepsilon": "epsilon", "varphi": "phi", "vartheta": "theta"}
+_FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
+    "sin": np.sin, "cos": np.cos, "tan": np.tan, "tanh": np.tanh, "exp": np.exp, "log": np.log,
+    "sgn": np.sign, "sqrt": np.sqrt, "min": np.minimum, "max": np.maximum,
+    "diag": lambda a: np.diagflat(a), "clip": lambda a, v: np.clip(a, -v, v),
+}  # fmt: skip
+"""By the word after the backslash, or in operatorname."""
+
+
+def tokens(text: str) -> list[str]:
+    """The words of a formula, without blanks."""
+    inside = re.sub(
+        r"\\begin\{[bp]matrix\}.*?\\end\{", lambda found: found[0].replace("&", "\\cell "), text, flags=re.DOTALL
+    )
+    return [token for token in _TOKEN.findall(inside) if token not in _BLANK]
+
+
+Look = Callable[[Symbol], Numbers | None]
+"""The numbers of a name, or None."""
+Call = Callable[[Symbol, Sequence[Numbers]], Numbers | None]
+"""The numbers of a function of the robot, J(q), or None."""
+
+
+def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
+    """The numbers of a formula. Raises `UnreadableLatexError`."""
+    reader = LatexReader(words, look, call)
+    value = reader.sum()
+    if reader.rest():
+        raise UnreadableLatexError(f"{reader.rest()} is not understood here")
+    return value if isinstance(value, Eye) else _matrix(value)
+
+
+def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:
+    """The name that a left-hand side is, and whether it stands for a start, ``w(0)``; None where it is more."""
+    reader = LatexReader(words, lambda symbol: None, lambda symbol, arguments: None)
+    symbol = reader.symbol()
+    return (symbol, symbol.start) if symbol is not None and not reader.rest() else None
+
+
+@final
+class Eye:
+    """A multiple of an identity matrix, whose size is still open."""
+
+    def __init__(self, scale: float) -> None:
+        self.scale = scale
+
+
+@final
+class LatexReader:
+    """Reads words from left to right."""
+
+    def __init__(self, words: Sequence[str], look: Look, call: Call) -> None:
+        self._words, self._place, self._look, self._call = list(words), 0, look, call
+
+    def rest(self) -> str:
+        """What has not been read."""
+        return " ".join(self._words[self._place :])
+
+    def _next(self) -> str:
+        return self._words[self._place] if self._place < len(self._words) else ""
+
+    def _take(self) -> str:
+        word = self._next()
+        self._place += 1
+        return word
+
+    def _expect(self, word: str) -> None:
+        if self._take() != word:
+            raise UnreadableLatexError(f"{word} is missing before {self.rest() or 'the end'}")
+
+    def sum(self) -> Any:
+        """Terms with their signs."""
+        total: Any = None
+        while True:
+            sign = 1.0
+            if self._next() in ("+", "-"):
+                sign = -1.0 if self._take() == "-" else 1.0
+            elif total is not None:
+                return total
+            term = scaled(sign, self.product())
+            total = term if total is None else added(total, term)
+
+    def product(self) -> Any:
+        """Factors side by side, and quotients."""
+        factors = [self.factor()]
+        while self._next() not in _ENDS:
+            if self._next() == "/":
+                self._take()
+                factors.append(inverted(self.factor()))
+            else:
+                factors.append(self.factor())
+        value = factors[-1]
+        for factor in reversed(factors[:-1]):
+            value = multiplied(factor, value)
+        return value
+
+    def factor(self) -> Any:
+        """A base with what is raised or lowered."""
+        word = self._next()
+        if word == "|":
+            return self._norm()
+        return self._raised(self._base())
+
+    def _raised(self, value: Any) -> Any:
+        while self._next() in ("^", "'"):
+            if self._take() == "'":
+                raise UnreadableLatexError("a prime has no meaning here; write \\top or \\dot")
+            power = self._group()
+            if power in (["\\top"], ["T"]):
+                value = _matrix(value).T
+            elif power == ["-", "1"]:
+                value = inverted(value, matrix=True)
+            elif len(power) == 1 and power[0].isdigit():
+                value = _matrix(value) ** int(power[0])
+            else:
+                raise UnreadableLatexError(f"the exponent {' '.join(power)} is not understood")
+        return value
+
+    def _group(self) -> list[str]:
+        r"""What stands in braces, or one word; ``\dot q`` and its like count as one."""
+        if self._next() != "{":
+            word = self._take()
+            if not word:
+                raise UnreadableLatexError("it ends too early")
+            if word.startswith("\\") and word[1:] in (*_ACCENTS, "mathrm", "bm", "mathbf"):
+                return [word, *self._braced()]
+            return [word]
+        return self._braced()[1:-1]
+
+    def _braced(self) -> list[str]:
+        """The group, with its braces."""
+        if self._next() != "{":
+            return [self._take()]
+        depth, start = 0, self._place
+        while True:
+            word = self._take()
+            if not word:
+                raise UnreadableLatexError("a brace is not closed")
+            depth += {"{": 1, "}": -1}.get(word, 0)
+            if depth == 0:
+                return self._words[start : self._place]
+
+    def _of(self, words: Sequence[str]) -> Any:
+        return evaluate(words, self._look, self._call)
+
+    def _base(self) -> Any:
+        word = self._next()
+        if re.fullmatch(r"\d+(?:\.\d+)?", word):
+            return np.array([[float(self._take())]])
+        if word in ("(", "[", "\\{"):
+            close = {"(": ")", "[": "]", "\\{": "\\}"}[self._take()]
+            parts = [self.sum()]
+            while self._next() == ",":
+                self._take()
+                parts.append(self.sum())
+            self._expect(close)
+            return parts[0] if len(parts) == 1 else _stacked(parts)
+        if word == "{":
+            return self._of(self._group())
+        if word in ("\\frac", "\\tfrac", "\\dfrac"):
+            self._take()
+            above, below = self._of(self._digit()), self._of(self._digit())
+            return multiplied(inverted(below), above)
+        if word == "\\begin":
+            return self._bmatrix()
+        function = self._function()
+        if function is not None:
+            return function
+        return self._named()
+
+    def _digit(self) -> list[str]:
+        r"""An argument of \tfrac: of ``12`` each digit is one."""
+        word = self._next()
+        if word.isdigit() and len(word) > 1:
+            self._words[self._place : self._place + 1] = list(word)
+        return self._group()
+
+    def _function(self) -> Any:
+        start, word = self._place, self._next()
+        if word in ("\\operatorname", "\\mathrm"):
+            self._take()
+            word = "\\" + "".join(self._group())
+        elif word.startswith("\\"):
+            self._take()
+        name = word[1:]
+        if not word.startswith("\\") or name not in _FUNCTIONS:
+            self._place = start
+            return None
+        if self._next() == "(":
+            return _FUNCTIONS[name](*self._arguments())
+        if self._next() == "{":
+            return _FUNCTIONS[name](self._of(self._group()))
+        return _FUNCTIONS[name](self.factor())
+
+    def _arguments(self) -> list[Numbers]:
+        self._expect("(")
+        found = [_matrix(self.sum())]
+        while self._next() == ",":
+            self._take()
+            found.append(_matrix(self.sum()))
+        self._expect(")")
+        return found
+
+    def _named(self) -> Any:
+        symbol = self.symbol()
+        if symbol is None:
+            raise UnreadableLatexError(f"{self._next() or 'the end'} is not understood")
+        value = self._look(symbol)
+        if self._next() == "(":
+            start = self._place
+            try:
+                arguments = self._arguments()
+                found = self._call(symbol, arguments)
+            except UnreadableLatexError:
+                found = None
+            if found is not None:
+                return found
+            self._place = start
+        if value is not None:
+            return value
+        if symbol == Symbol("I"):
+            return Eye(1.0)
+        raise UnreadableLatexError(f"nothing bears the name {said(symbol)}")
+
+    def symbol(self) -> Symbol | None:
+        """A name with its accents, index and start."""
+        word = self._take()
+        accents = list[str]()
+        while word.startswith("\\") and word[1:] in _ACCENTS:
+            accents.insert(0, word[1:])
+            inner = self._group()
+            if len(inner) > 1:
+                found = LatexReader(inner, self._look, self._call).symbol()
+                if found is None:
+                    return None
+                index, word = list(found.index), found.letter
+                accents = [*found.accents, *accents]
+                return self._rest_of_name(word, accents, index)
+            word = inner[0]
+        return self._rest_of_name(word, accents, [])
+
+    def _rest_of_name(self, word: str, accents: list[str], index: list[str]) -> Symbol | None:
+        letter = _ALIAS.get(word.removeprefix("\\"), word.removeprefix("\\"))
+        if word in ("\\mathrm", "\\operatorname"):
+            letter = "".join(self._group()).replace("\\_", "_")
+        elif (
+            (word.startswith("\\") and letter not in LETTERS)
+            or not letter.replace("_", "").isalnum()
+            or letter.isdigit()
+        ):
+            return None
+        if letter == "Delta" and self._next() and self._next() not in _ENDS:
+            inner = self.symbol()  # the difference of something is one name
+            return None if inner is None else Symbol(f"Delta {inner.letter}", inner.accents, inner.index, inner.start)
+        while self._next() in ("_", "^"):
+            if self._next() == "^" and self._words[self._place + 1 : self._place + 2] not in (["+"], ["*"], ["\\star"]):
+                break
+            mark = self._take()
+            index += ["^+" if mark == "^" and item in "+*" else item for item in _index(self._group())]
+        start = self._words[self._place : self._place + 3] == ["(", "0", ")"]
+        if start:
+            self._place += 3
+        if tuple(accents[-2:]) == ("dot", "dot"):
+            accents[-2:] = ["ddot"]
+        return Symbol(letter, tuple(accents), tuple(index), start)
+
+    def _norm(self) -> Any:
+        """|a|, |a|^2, |a|^2_W."""
+        self._expect("|")
+        inner = list[str]()
+        while self._next() != "|":
+            if not self._next():
+                raise UnreadableLatexError("a norm is not closed")
+            inner.append(self._take())
+        self._take()
+        vector, weight, squared = _matrix(self._of(inner)), None, False
+        while self._next() in ("^", "_"):
+            if self._take() == "^":
+                squared = self._group() == ["2"]
+            else:
+                weight = self._of(self._group())
+        if weight is not None and not squared:
+            raise UnreadableLatexError("a weighted norm is written with its square, |a|^2_W")
+        form = vector.T @ _matrix(multiplied(1.0 * np.ones((1, 1)) if weight is None else weight, vector))
+        return form if squared else np.sqrt(form)
+
+    def _bmatrix(self) -> Numbers:
+        self._take()
+        if self._group() not in (list("bmatrix"), list("pmatrix")):
+            raise UnreadableLatexError("of environments only bmatrix is understood")
+        words = self._words[self._place :]
+        end = words.index("\\end") if "\\end" in words else len(words)
+        self._place += end
+        self._expect("\\end")
+        self._group()
+        rows = [_split(row, "\\cell") for row in _split(words[:end], "\\\\")]
+        blocks = [[self._of(cell) for cell in row] for row in rows]
+        return _blocks(blocks)
+
+
+_ENDS: Final = ("", "+", "-", ")", "]", "\\}", ",", "=", "}")
+
+
+def _index(words: list[str]) -> list[str]:
+    r"""``d,nominal`` of ``{d,\mathrm{nominal}}``."""
+    text = "".join(word for word in words if word not in ("{", "}", "\\mathrm", "\\text"))
+    return [item.removeprefix("\\") for item in text.split(",")]
+
+
+def said(symbol: Symbol) -> str:
+    """A name for a message."""
+    text = "_".join([symbol.letter, *symbol.index])
+    for accent in symbol.accents:
+        text = rf"\{accent}{{{text}}}"
+    return text
+
+
+def _split(words: Sequence[str], mark: str) -> list[list[str]]:
+    parts: list[list[str]] = [[]]
+    for word in words:
+        if word == mark:
+            parts.append([])
+        else:
+            parts[-1].append(word)
+    return parts
+
+
+def _blocks(rows: list[list[Any]]) -> Numbers:
+    heights = [max((item.shape[0] for item in row if not isinstance(item, Eye)), default=0) for row in rows]
+    return np.block([[_sized(item, height) for item in row] for row, height in zip(rows, heights, strict=True)])
+
+
+def _sized(item: Any, size: int) -> Numbers:
+    return item.scale * np.eye(size) if isinstance(item, Eye) else item
+
+
+def _stacked(parts: Sequence[Any]) -> Numbers:
+    """(a, b): columns above one another."""
+    if len({_matrix(part).shape[1] for part in parts}) != 1:
+        raise UnreadableLatexError("(a, b) stacks columns, and these have different widths")
+    return np.vstack([_matrix(part) for part in parts])
+
+
+def _matrix(value: Any) -> Numbers:
+    if isinstance(value, Eye):
+        raise UnreadableLatexError("the identity I needs a matrix beside it")
+    return np.asarray(value, dtype=float)
+
+
+def scaled(sign: float, value: Any) -> Any:
+    """A number times a value."""
+    return Eye(sign * value.scale) if isinstance(value, Eye) else sign * value
+
+
+def added(one: Any, other: Any) -> Any:
+    """A sum of equal shapes, or with a scalar or an identity."""
+    if isinstance(one, Eye) and isinstance(other, Eye):
+        return Eye(one.scale + other.scale)
+    if isinstance(one, Eye):
+        one, other = other, one
+    if isinstance(other, Eye):
+        if one.shape[0] != one.shape[1]:
+            raise UnreadableLatexError(f"the identity is added to {one.shape[0]} x {one.shape[1]}")
+        return one + other.scale * np.eye(one.shape[0])
+    if one.shape != other.shape and (1, 1) not in (one.shape, other.shape):
+        raise UnreadableLatexError(f"{_size(one)} and {_size(other)} cannot be added")
+    return one + other
+
+
+def _size(value: Numbers) -> str:
+    return f"{value.shape[0]} x {value.shape[1]}"
+
+
+def multiplied(left: Any, right: Any) -> Any:
+    """By shapes: a number scales, a column in front is a diagonal, else a matrix product."""
+    if isinstance(left, Eye):
+        return scaled(left.scale, right)
+    if isinstance(right, Eye):
+        return Eye(right.scale * float(left[0, 0])) if left.shape == (1, 1) else left * right.scale
+    if (1, 1) in (left.shape, right.shape) or (left.shape[1] == 1 and left.shape[0] == right.shape[0]):
+        return left * right
+    if left.shape[1] != right.shape[0]:
+        raise UnreadableLatexError(f"{_size(left)} and {_size(right)} cannot be multiplied")
+    return left @ right
+
+
+def inverted(value: Any, *, matrix: bool = False) -> Any:
+    """One over a value; of a square matrix, its inverse."""
+    value = _matrix(value)
+    if value.shape[0] == value.shape[1] and value.shape[0] > 1:
+        if not matrix:
+            raise UnreadableLatexError("a matrix is written with ^{-1}, not divided by")
+        return np.linalg.inv(value)
+    if value.shape[1] != 1:
+        raise UnreadableLatexError(f"{_size(value)} has no inverse")
+    return 1.0 / value

@@ -1,0 +1,263 @@
+"""A block's law as it prints: outputs, rates, and the terms of its certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, final
+
+from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square
+from dmframe.formula import tree
+from dmframe.formula.formula import Formula
+from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Rate
+
+
+@final
+@dataclass(frozen=True)
+class Line:
+    """left = right; `name` is the output, state or definition on the left."""
+
+    name: str
+    left: Formula
+    right: Formula
+
+    @property
+    def whole(self) -> Formula:
+        """The equation."""
+        return Formula(Equation(self.left.node, self.right.node, self.left.node.shape))
+
+
+@final
+@dataclass(frozen=True)
+class PrintedTerm:
+    """One term of a certificate.
+
+    Parameters
+    ----------
+    kind
+        ``square``, ``norm square``, ``lemma``, ``gathered`` or ``clipped``.
+    vector
+        What is squared; of a lemma the difference of its two columns, of a clipped term what multiplies it.
+    weight
+        Its weight; of a clipped term the width.
+    by
+        What else stands in it: of a norm square the vector of the norm, of a gathered one the matrix, of a clipped one
+        what is clipped.
+    whole
+        The term itself.
+    """
+
+    kind: str
+    vector: Formula
+    weight: Formula
+    by: Formula | None
+    whole: Formula
+
+
+@final
+@dataclass(frozen=True)
+class PrintedLaw:
+    """What a block computes and claims.
+
+    Parameters
+    ----------
+    name
+        Of the block in its diagram.
+    outputs, rates
+        Its equations; an output that is a state or a parameter as it stands is left out.
+    storage, dissipation, excess
+        Terms of the certificate, in its order; S is half the sum of the first.
+    driven
+        Of each `Driven` of the certificate, in its order, what is bounded.
+    truths
+        True values that the certificate states for others.
+    supply, consumption
+        Of the certificate, where there is one.
+    definitions
+        What the names of parts stand for.
+    S, dS
+        S and dS/dt as lines.
+    matrices
+        It was read as matrices; else element by element.
+    """
+
+    name: str
+    outputs: tuple[Line, ...]
+    rates: tuple[Line, ...]
+    storage: tuple[PrintedTerm, ...] = ()
+    dissipation: tuple[PrintedTerm, ...] = ()
+    excess: tuple[PrintedTerm, ...] = ()
+    driven: tuple[tuple[Formula, ...], ...] = ()
+    truths: tuple[Line, ...] = ()
+    supply: Formula | None = None
+    consumption: PrintedTerm | None = None
+    definitions: tuple[Line, ...] = ()
+    S: Line | None = None
+    dS: Line | None = None
+    matrices: bool = True
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """All equations in the order in which they are read."""
+        energy = [line for line in (self.S, self.dS) if line is not None]
+        return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
+
+
+Reader = Callable[[Any, Any], Node]
+"""The tree of an expression, given as it was read and as scalars."""
+
+
+def line(left: Node, right: Node) -> Line:
+    """Left = right."""
+    name = left.of if isinstance(left, Rate) else left
+    return Line(name.name if isinstance(name, Name) else "", Formula(left), Formula(right))
+
+
+def lines(equations: Sequence[tuple[Node, Node]]) -> tuple[Line, ...]:
+    """One line an equation, without those that say that a name is itself."""
+    made = (line(*equation) for equation in equations)
+    return tuple(item for item in made if not _says_nothing(item))
+
+
+def _says_nothing(equation: Line) -> bool:
+    """Is it w = w, or the rate of q, which is called dq?"""
+    return isinstance(equation.right.node, Name) and equation.left.latex == equation.right.latex
+
+
+def rate_of(name: str, shape: tree.Shape) -> Node:
+    """The time derivative of a state."""
+    return Rate(Name(name, shape), shape)
+
+
+@final
+class Energy:
+    """A certificate in print.
+
+    `scalars` is the same certificate in scalars, where it was read as matrices; `vectors` reads what is squared.
+    """
+
+    def __init__(self, certificate: Certificate, scalars: Certificate, reader: Reader, vectors: Reader) -> None:
+        self._reader, self._vectors = reader, vectors
+        self._pairs = {
+            role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True))
+            for role in ("storage", "dissipation", "excess")
+        }
+        self._certificate, self._scalars = certificate, scalars
+        self._nodes = {role: [self._term(*pair) for pair in pairs] for role, pairs in self._pairs.items()}
+
+    def terms(self, role: str) -> tuple[PrintedTerm, ...]:
+        """The terms of a role."""
+        return tuple(term for term, _ in self._nodes[role])
+
+    def driven(self) -> tuple[tuple[Formula, ...], ...]:
+        """What is bounded without standing in S."""
+        pairs = zip(self._certificate.driven, self._scalars.driven, strict=True)
+        return tuple(
+            tuple(Formula(self._reader(*pair)) for pair in zip(mine.bounded, theirs.bounded, strict=True))
+            for mine, theirs in pairs
+        )
+
+    def truths(self) -> tuple[Line, ...]:
+        """True values for other blocks."""
+        stated = self._certificate.truth.items()
+        nodes = {name: self._reader(value, self._scalars.truth[name]) for name, value in stated}
+        return lines([(Name(name, node.shape), node) for name, node in nodes.items()])
+
+    def supply(self) -> Node:
+        """The supply."""
+        return self._reader(self._certificate.supply, self._scalars.supply)
+
+    def consumption(self) -> PrintedTerm | None:
+        """C |a|^2, which the servo level pays."""
+        mine, theirs = self._certificate.consumes, self._scalars.consumes
+        if mine is None or theirs is None:
+            return None
+        vector, c = self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c)
+        return PrintedTerm("consumed", Formula(vector), Formula(c), None, Formula(self._consumed()))
+
+    def _consumed(self) -> Node:
+        mine, theirs = self._certificate.consumes, self._scalars.consumes
+        if mine is None or theirs is None:
+            return Number(Fraction(0))
+        return squared(self._reader(mine.vector, theirs.vector), self._reader(mine.c, theirs.c))
+
+    def S(self) -> Node:
+        """Half the sum of the storage."""
+        total: Node = Number(Fraction(0))
+        for _, node in self._nodes["storage"]:
+            total = tree.add(total, tree.scale(Fraction(1, 2), node), SCALAR)
+        return total
+
+    def dS(self) -> Node:
+        """- dissipation + excess + consumption + supply."""
+        total: Node = Number(Fraction(0))
+        for _, node in self._nodes["dissipation"]:
+            total = tree.subtract(total, node, SCALAR)
+        for _, node in self._nodes["excess"]:
+            total = tree.add(total, node, SCALAR)
+        return tree.add(tree.add(total, self._consumed(), SCALAR), self.supply(), SCALAR)
+
+    def _term(self, term: Any, scalars: Any) -> tuple[PrintedTerm, Node]:
+        pairs = zip(term.pieces, scalars.pieces, strict=True)
+        nodes = [(self._reader if k else self._vectors)(*pair) for k, pair in enumerate(pairs)]
+        kind, vector, weight, by, whole = _TERMS[type(term)](term, nodes)
+        said = Formula(by) if by is not None else None
+        return PrintedTerm(kind, Formula(vector), Formula(weight), said, Formula(whole)), whole
+
+
+Said = tuple[str, Node, Node, Node | None, Node]
+
+
+def _square(term: Any, nodes: Sequence[Node]) -> Said:
+    vector, weight = nodes
+    return "square", vector, weight, None, squared(vector, weight)
+
+
+def squared(vector: Node, weight: Node) -> Node:
+    """|a|^2_W; a weight that is one number stands in front."""
+    if isinstance(weight, Number):
+        return tree.scale(weight.value, Norm(vector, squared=True))
+    if tree.is_scalar(weight) and not tree.is_scalar(vector):
+        return tree.multiply(weight, Norm(vector, squared=True), SCALAR)
+    return Norm(vector, squared=True, weight=weight)
+
+
+def _norm_square(term: Any, nodes: Sequence[Node]) -> Said:
+    vector, weight, by = nodes
+    return "norm square", vector, weight, by, tree.multiply(Norm(by), squared(vector, weight), SCALAR)
+
+
+def _lemma(term: Any, nodes: Sequence[Node]) -> Said:
+    weight, first, second, scale = nodes
+    shape = max((node.shape for node in nodes), key=lambda shape: shape[0])
+    difference = tree.subtract(first, second, shape)
+
+    def phi(x: Node) -> Node:
+        over = x if x == Number(Fraction(0), x.shape) else tree.divide(x, scale, shape)
+        return Number(Fraction(0), shape) if over == x != first else Applied(term.phi, (over,), shape)
+
+    slip = tree.subtract(phi(first), phi(second), shape)
+    whole = tree.dot(difference, tree.multiply(weight, slip, shape))
+    return "lemma", difference, weight, None, whole
+
+
+def _gathered(term: Any, nodes: Sequence[Node]) -> Said:
+    vector, weight, memory, *_ = nodes
+    whole = tree.multiply(weight, Norm(vector, squared=True, weight=memory), SCALAR)
+    return "gathered", vector, weight, memory, whole
+
+
+def _clipped(term: Any, nodes: Sequence[Node]) -> Said:
+    first, width, other = nodes
+    clipped = Applied("clip", (first, width), first.shape)
+    return "clipped", other, width, first, tree.dot(clipped, other)
+
+
+_TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Said]] = {
+    Square: _square,
+    NormSquare: _norm_square,
+    Lemma: _lemma,
+    Gathered: _gathered,
+    Clipped: _clipped,
+}

@@ -1,0 +1,294 @@
+"""The laws of a diagram: each block is read as it prints, compared with what runs, and printed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.certificate import Certificate
+from dmframe.diagram import Diagram
+from dmframe.diagram.model import BlockModel
+from dmframe.diagram.wiring import Zero, same_unit
+from dmframe.errors import BlockError, DmframeError
+from dmframe.formula.elements import Elements
+from dmframe.formula.fold import folded, is_difference, names_of
+from dmframe.formula.formula import Formula
+from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
+from dmframe.formula.read import UnreadableError, read
+from dmframe.formula.reading import Reading, Signs, differs, place_of
+from dmframe.formula.robot import RobotFunctions
+from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
+from dmframe.naming import as_mx, expression_of
+
+POINTS: Final = 2
+"""Random points at which what prints is compared with what runs."""
+
+
+def printed(diagram: Diagram, name: str) -> PrintedLaw:
+    """The law of one block. Raises `BlockError` where what is read is not what runs."""
+    return laws_of(diagram)[name]
+
+
+def laws_of(diagram: Diagram, *, docstrings: bool = False) -> dict[str, PrintedLaw]:
+    """The laws of all blocks of a diagram.
+
+    Raises `BlockError`, or several, where what is read is not what runs; with `docstrings` also where a block's
+    docstring states another law than its code.
+    """
+    if docstrings:
+        from dmframe.formula.docstring import check_docstrings
+
+        check_docstrings(diagram)
+    robots = [model.robot for model in diagram.models.values() if model.robot is not None]
+    functions = RobotFunctions(robots[0]) if robots else None
+    blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
+    certify(blocks)
+    for block in blocks.values():
+        block.compare()
+    return {name: block.law() for name, block in blocks.items()}
+
+
+def certify(blocks: Mapping[str, ReadBlock]) -> None:
+    """Read every certificate; those that need another block's truth come after it."""
+    waiting, stated = list(blocks), dict[str, Any]()
+    while waiting:
+        later = []
+        for name in waiting:
+            certificate = blocks[name].certify(stated)
+            if certificate is None:
+                later.append(name)
+            else:
+                stated |= certificate.truth
+        if len(later) == len(waiting):
+            return
+        waiting = later
+
+
+def _truths(diagram: Diagram, name: str) -> dict[str, tuple[int, int]]:
+    """The shapes of the truths whose letters are bound."""
+    shapes = dict[str, tuple[int, int]]()
+    for port in diagram.blocks[name].truth:
+        if all(word.isdigit() or word in diagram.sizes.bound for word in port.shape.split()):
+            shapes[port.name] = diagram.sizes.matrix(port.shape)
+    return shapes
+
+
+def _read(diagram: Diagram, name: str, functions: RobotFunctions | None) -> ReadBlock:
+    zero = {port for (block, port), source in diagram.sources.items() if block == name and source == Zero()}
+    made = {
+        port.name
+        for port in diagram.blocks[name].truth
+        for model in diagram.models.values()
+        for other in model.block.outputs
+        if other.name == port.name and other.name in model.equations.outputs and same_unit(other, port)
+    }
+    shapes = _truths(diagram, name)
+    return ReadBlock(diagram.models[name], functions, truths=shapes, made=frozenset(made), zero=frozenset(zero))
+
+
+@final
+class ReadBlock:
+    """One block while it is read: as matrices (MX) and, where that fails, as scalars (SX).
+
+    Parameters
+    ----------
+    model
+        The block's equations as they run.
+    truths
+        Shapes of the truths that it may read.
+    made
+        Those that outputs of other blocks are; others come from certificates.
+    zero
+        Inputs that nobody drives.
+    """
+
+    def __init__(
+        self,
+        model: BlockModel,
+        functions: RobotFunctions | None,
+        *,
+        truths: Mapping[str, tuple[int, int]],
+        made: frozenset[str],
+        zero: frozenset[str] = frozenset(),
+    ) -> None:
+        self.name, self.model, self.made = model.name, model, made
+        self.type = type(model.block)
+        self.reading = Reading(model.name, model, truths, functions, zero)
+        self.certificate, self.scalars, self.claimed = Certificate(), Certificate(), list[str]()
+        self.elements, self.names = Elements({}), dict[Node, Name]()
+        try:
+            self._read(ca.MX)
+        except DmframeError:
+            raise
+        except Exception:  # a block that mixes its own SX into MX may fail in any way; as scalars it has run before
+            self._read(ca.SX)
+
+    def _read(self, kind: Any) -> None:
+        self.signs = self.reading.signs(kind)
+        self.scalar_signs = self.signs
+        self.stated = self.reading.equations(self.signs)
+        self.elements = Elements(self.signs.names if kind is ca.SX else {})
+
+    def certify(self, stated: Mapping[str, Any]) -> Certificate | None:
+        """Read the certificate with the truths that other blocks have stated; None where one is missing."""
+        self.claimed = list(self._known(stated))
+        try:
+            self.certificate = self._certificate(self.signs)
+        except BlockError as error:
+            if error.location:
+                raise
+            return None
+        except Exception:  # as above
+            if self.signs.kind is ca.SX:
+                return None
+            self._read(ca.SX)
+            return self.certify(stated)
+        return self.certificate
+
+    def _known(self, stated: Mapping[str, Any]) -> Iterator[str]:
+        """The truths that this diagram has, as `dmframe.diagram.view` finds them."""
+        found = set[str]()
+        for port in self.model.block.truth:
+            if port.name in stated:
+                value = expression_of(stated[port.name])
+                if value.is_constant():
+                    number = ca.DM(value) if isinstance(value, ca.SX | ca.DM) else value.to_DM()
+                    self.reading.constants[port.name] = number
+                    self.signs.columns["truths"][port.name] = self.signs.kind(number)
+            if (
+                port.name in stated or port.name in self.made or port.derivative_of in found
+            ) and port.name in self.reading.truths:
+                found.add(port.name)
+                yield port.name
+
+    def _certificate(self, signs: Signs) -> Certificate:
+        stated = self.reading.certificate(signs, self.claimed)
+        return stated if stated is not None else Certificate()
+
+    def compare(self) -> None:
+        """Hold what was read to what runs. Raises `BlockError`."""
+        reading, signs = self.reading, self.signs
+        names = [f"the output {name}" for name in self.model.equations.outputs]
+        names += [f"the rate of {name}" for name in self.model.equations.rates]
+        stated = [self.stated.outputs.get(name) for name in self.model.equations.outputs]
+        stated += [self.stated.rates.get(name) for name in self.model.equations.rates]
+        if None in [item if item is None else 0 for item in stated]:
+            raise self._fault("equations", names[[item is None for item in stated].index(True)])
+        pairs = [("equations", names, reading.of_signs(signs, stated), reading.of_running())]
+        self.scalars, self.scalar_signs = self.certificate, signs
+        if signs.kind is ca.MX:
+            other = self.scalar_signs = reading.signs(ca.SX)
+            self.scalars = self._certificate(other)
+            self.elements = Elements(other.names)
+            names = [name for name, _ in _pieces(self.certificate)]
+            if names != [name for name, _ in _pieces(self.scalars)]:
+                raise self._fault("certificate", "the list of terms")
+            mine, theirs = ([piece for _, piece in _pieces(c)] for c in (self.certificate, self.scalars))
+            both = reading.of_signs(signs, mine), reading.of_signs(other, theirs)
+            pairs.append(("certificate", names, *both))
+        again = [
+            *signs.naming.again,
+            *((n, self.stated.outputs[n]) for n in signs.naming.definitions if n in self.stated.outputs),
+        ]
+        if again:
+            given = [name for name, _ in again]
+            first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
+            second = reading.of_signs(signs, [expression for _, expression in again])
+            pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
+        for seed in range(POINTS):
+            values = reading.values(signs, seed)
+            for method, labels, first, second in pairs:
+                for label, one, two in zip(labels, first.at(values), second.at(values), strict=True):
+                    if differs(one, two):
+                        raise self._fault(method, label)
+
+    def _fault(self, method: str, label: str) -> BlockError:
+        where = place_of(self.type, method)
+        text = f"{where}: {label} is not the same when {method}() is called again; what prints would not be what runs"
+        return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
+
+    def law(self) -> PrintedLaw:
+        """Print what was read."""
+        running = self.model.equations
+        scalars = Elements(self.reading.running_names())
+
+        nodes = {name: self._node(self.stated.outputs[name], runs, scalars) for name, runs in running.outputs.items()}
+        self.names = names_of(nodes, self.signs.naming.taken)
+        outputs = [(Name(name, node.shape), folded(node, self.names, name)) for name, node in nodes.items()]
+        rates = [
+            (rate_of(name, runs.shape), self._folded(self.stated.rates[name], runs, scalars))
+            for name, runs in running.rates.items()
+        ]
+        energy = Energy(
+            self.certificate,
+            self.scalars,
+            lambda mine, theirs: self._folded(mine, theirs, self.elements),
+            lambda mine, theirs: self._vector(mine, theirs, self.elements),
+        )
+        stored = bool(energy.terms("storage"))
+        claims = stored or bool(energy.terms("dissipation"))
+        consumption = energy.consumption()
+        return PrintedLaw(
+            name=self.name,
+            outputs=lines(outputs),
+            rates=lines(rates),
+            storage=energy.terms("storage"),
+            dissipation=energy.terms("dissipation"),
+            excess=energy.terms("excess"),
+            driven=energy.driven(),
+            truths=energy.truths(),
+            supply=Formula(energy.supply()) if claims else None,
+            consumption=consumption,
+            definitions=tuple(self._definitions()),
+            S=line(Name("S"), energy.S()) if stored else None,
+            dS=line(rate_of("S", SCALAR), energy.dS()) if claims else None,
+            matrices=self.signs.kind is ca.MX,
+        )
+
+    def _definitions(self) -> Iterator[Line]:
+        for name, (symbol, expression) in self.signs.naming.definitions.items():
+            if name not in self.model.equations.outputs:
+                yield line(Name(name, symbol.shape), self._folded(expression, None, self.elements))
+
+    def _folded(self, read_as: Any, runs: Any, elements: Elements) -> Node:
+        return folded(self._node(read_as, runs, elements), self.names)
+
+    def _vector(self, read_as: Any, runs: Any, elements: Elements) -> Node:
+        """A difference of two signals says more than the name of the output that it is."""
+        node = self._node(read_as, runs, elements)
+        return node if is_difference(node) else folded(node, self.names)
+
+    def _node(self, read_as: Any, runs: Any, elements: Elements) -> Node:
+        """As matrices; else element by element of what runs; else by the names on which it depends."""
+        if self.signs.kind is ca.MX:
+            try:
+                return read(as_mx(read_as))
+            except UnreadableError:
+                if runs is None:
+                    return Unprinted(tuple(symbol.name() for symbol in ca.symvar(as_mx(read_as))), read_as.shape)
+                return elements.read(self._driven(expression_of(runs)))
+        return elements.read(self._driven(ca.SX(expression_of(read_as if runs is None else runs))))
+
+    def _driven(self, expression: Any) -> Any:
+        """With zeros for what nobody drives."""
+        zero = [self.model.inputs[name] for name in self.reading.zero]
+        return (
+            ca.substitute([ca.SX(expression)], zero, [ca.SX.zeros(*s.shape) for s in zero])[0] if zero else expression
+        )
+
+
+def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
+    """All expressions of a certificate, with what they are."""
+    found = list[tuple[str, Any]]()
+    for role in ("storage", "dissipation", "excess"):
+        for place, term in enumerate(getattr(certificate, role), start=1):
+            kind = type(term).__name__
+            found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]
+    found.append(("its supply", certificate.supply))
+    if certificate.consumes is not None:
+        found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
+    found += [("its pays", item) for item in certificate.pays]
+    found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
+    return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

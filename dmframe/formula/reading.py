@@ -1,0 +1,242 @@
+"""A block's methods called a second time, on symbols of their own, and held to what runs."""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Consumed
+from dmframe.diagram.model import BlockModel
+from dmframe.errors import BlockError
+from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
+from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
+
+_CLOSE: Final = 1e-7
+
+
+@final
+@dataclass
+class Signs:
+    """The symbols of one reading, MX or SX.
+
+    Parameters
+    ----------
+    columns
+        Inputs, states, parameters and truths by kind and name.
+    names
+        Each printed name with its symbol, without what is a number.
+    naming
+        What the block names.
+    """
+
+    kind: Any
+    columns: Mapping[str, dict[str, Expression]]
+    names: dict[str, Expression]
+    robot: Any
+    naming: Naming
+
+    def signals(self, owner: str, truths: Sequence[str]) -> tuple[Signals, Signals, Signals, Signals]:
+        """u, x, p and truth as the block's methods take them."""
+        parameters = self.columns["parameters"] | ({} if self.robot is None else {"robot": self.robot})
+        truth = {name: self.columns["truths"][name] for name in truths}
+        return (
+            Signals(owner, "inputs", self.columns["inputs"]),
+            Signals(owner, "states", self.columns["states"]),
+            Signals(owner, "parameters", parameters),
+            Signals(owner, "truths that this diagram has", truth),
+        )
+
+    def as_kind(self, value: Expression) -> Expression:
+        """An expression or a number as MX, or as SX."""
+        return as_mx(value) if self.kind is ca.MX else ca.SX(expression_of(value))
+
+    def meant(self, expressions: Sequence[Expression]) -> list[Expression]:
+        """Expressions in ports, states, parameters and truths: named parts put in place."""
+        out = list(expressions)
+        for symbol, meaning in reversed(self.naming.definitions.values()):
+            out = list(ca.substitute(out, [symbol], [self.as_kind(meaning)]))
+        return out
+
+
+@final
+@dataclass
+class Reading:
+    """One block, read once as matrices and, where it is compared, once as it runs.
+
+    Parameters
+    ----------
+    where
+        How a fault names the block.
+    zero
+        Inputs that nobody drives.
+    constants
+        Truths that are numbers, such as whether an adaptation is direct.
+    """
+
+    name: str
+    model: BlockModel
+    truths: Mapping[str, tuple[int, int]]
+    functions: RobotFunctions | None
+    zero: frozenset[str] = frozenset()
+    constants: dict[str, Any] = field(default_factory=dict)
+
+    def signs(self, kind: Any) -> Signs:
+        """New symbols, `kind` being ca.MX or ca.SX."""
+        model, names = self.model, dict[str, Expression]()
+
+        def sign(name: str, shape: tuple[int, int]) -> Expression:
+            if name not in names:
+                names[name] = kind.sym(name, *shape)
+            return kind(names[name])  # a copy: a block that assigns to elements of it leaves the symbol alone
+
+        inputs = {
+            key: kind(*symbol.shape) if key in self.zero else sign(key, symbol.shape)
+            for key, symbol in model.inputs.items()
+        }
+        states = {key: sign(key, symbol.shape) for key, symbol in model.states.items()}
+        parameters = {key: sign(key, s.shape) for key, s in model.parameters.items() if key not in model.starts}
+        for key, symbol in model.starts.items():
+            parameters[key] = sign(key.removesuffix("_0") + START, symbol.shape)
+        truths = {
+            key: kind(self.constants[key]) if key in self.constants else sign(key, shape)
+            for key, shape in self.truths.items()
+        }
+        robot = None
+        if model.robot is not None and self.functions is not None:
+            robot = ReadRobot(self.functions, symbolic=kind is ca.MX)
+        columns = {"inputs": inputs, "states": states, "parameters": parameters, "truths": truths}
+        taken = {name: _KINDS[what] for what, items in columns.items() for name in items}
+        if robot is not None and kind is ca.MX:
+            names |= {symbol.name(): symbol for symbol in robot.numbers.values()}
+            taken |= {symbol.name(): "a number of the robot" for symbol in robot.numbers.values()}
+        naming = Naming(lambda name, shape: kind.sym(name, *shape), taken)
+        return Signs(kind, columns, names, robot, naming)
+
+    def equations(self, signs: Signs) -> Equations:
+        """The block's equations on these symbols."""
+        u, x, p, _ = signs.signals(self.name, ())
+        with reading(signs.naming), told_at(self.name, self.model.block):
+            stated = self.model.block.equations(u, x, p)
+        return Equations(
+            *({name: signs.as_kind(value) for name, value in part.items()} for part in (stated.outputs, stated.rates))
+        )
+
+    def certificate(self, signs: Signs, truths: Sequence[str]) -> Certificate | None:
+        """The block's certificate on these symbols, with the truths that there are."""
+        with reading(signs.naming), told_at(self.name, self.model.block):
+            stated = self.model.block.certificate(*signs.signals(self.name, truths))
+        return _as_kind(stated, signs.as_kind) if isinstance(stated, Certificate) else None
+
+    def values(self, signs: Signs, seed: int) -> dict[str, Any]:
+        """Random numbers for the names of a reading as MX; parameters are above zero, the robot's numbers its own."""
+        rng, positive = np.random.default_rng(seed), {*self.model.parameters, *self.model.starts}
+        found = dict[str, Any]()
+        for name, symbol in signs.names.items():
+            bare = name.replace(START, "_0")
+            found[name] = rng.uniform(0.5 if bare in positive else -1.0, 1.5 if bare in positive else 1.0, symbol.shape)
+        if signs.robot is not None and self.functions is not None:
+            found |= {CONSTANTS[name]: self.functions.value(name).full() for name in CONSTANTS}
+            found[_CONSTANTS] = self.functions.values.full()
+        return found
+
+    def of_signs(self, signs: Signs, expressions: Sequence[Expression]) -> Evaluated:
+        """Expressions of a reading, to be had in numbers."""
+        symbols = dict(signs.names)
+        if signs.robot is not None:
+            symbols[_CONSTANTS] = signs.robot.constants
+        return Evaluated(symbols, signs.meant([signs.as_kind(item) for item in expressions]))
+
+    def of_running(self) -> Evaluated:
+        """The outputs and the rates that run, to be had in numbers."""
+        symbols = self.running_names()
+        if self.functions is not None and self.model.robot is not None:
+            symbols[_CONSTANTS] = self.functions.constants
+        equations = self.model.equations
+        return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero)
+
+    def running_names(self) -> dict[str, Any]:
+        """The symbols of the equations that run, by how they print."""
+        model = self.model
+        starts = {key.removesuffix("_0") + START: symbol for key, symbol in model.starts.items()}
+        parameters = {key: symbol for key, symbol in model.parameters.items() if key not in model.starts}
+        return {**model.inputs, **model.states, **parameters, **starts}
+
+
+@final
+class Evaluated:
+    """Expressions as a function of named numbers; names of `zero` are zero."""
+
+    def __init__(
+        self, symbols: Mapping[str, Any], expressions: Sequence[Expression], zero: Collection[str] = ()
+    ) -> None:
+        self._symbols, self._zero = symbols, zero
+        options = {"allow_duplicate_io_names": True}
+        self._function = ca.Function("numbers", list(symbols.values()), list(expressions), options)
+
+    def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
+        """Their numbers."""
+        given = [ca.DM(*s.shape) if name in self._zero else ca.DM(values[name]) for name, s in self._symbols.items()]
+        return [value.full() for value in self._function.call(given)]
+
+
+START: Final = "(0)"
+"""What a name ends with that is the start of a state."""
+_CONSTANTS: Final = "constants of the robot"
+_KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
+
+
+def differs(first: np.ndarray, second: np.ndarray) -> bool:
+    """Do numbers differ by more than rounding? What is not finite must not be so on both sides."""
+    if first.shape != second.shape:
+        return True
+    finite = np.isfinite(first)
+    if np.any(finite != np.isfinite(second)):
+        return True
+    scale = 1.0 + float(np.max(np.abs(first[finite]), initial=0.0))
+    return bool(np.any(np.abs(first - second)[finite] > _CLOSE * scale))
+
+
+def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -> Certificate:
+    """A certificate with all its expressions of one kind."""
+
+    def terms(role: str) -> tuple[Any, ...]:
+        return tuple(term.with_pieces([convert(piece) for piece in term.pieces]) for term in getattr(stated, role))
+
+    return replace(
+        stated,
+        storage=terms("storage"),
+        dissipation=terms("dissipation"),
+        excess=terms("excess"),
+        supply=convert(stated.supply),
+        consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
+        pays=tuple(map(convert, stated.pays)),
+        driven=terms("driven"),
+        truth={name: convert(value) for name, value in stated.truth.items()},
+    )
+
+
+@contextmanager
+def told_at(name: str, block: AbstractBlock) -> Iterator[None]:
+    """Tell a name that cannot be given with the file and line of the block that gives it."""
+    try:
+        yield
+    except NamingError as error:
+        file = inspect.getsourcefile(type(block)) or ""
+        frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+        line = frames[-1].lineno if frames else None
+        raise BlockError(f"{name}: {Path(file).name}:{line}: {error.text}") from None
+
+
+def place_of(block: type[AbstractBlock], method: str) -> str:
+    """File and line of a method of a block."""
+    function = inspect.unwrap(getattr(block, method))
+    return f"{Path(function.__code__.co_filename).name}:{function.__code__.co_firstlineno}"

@@ -1,0 +1,221 @@
+"""The symbolic robot while a block is read: each quantity is one sign, J(q), with the robot's numbers behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.formula import tree
+from dmframe.formula.tree import Applied, Node, Number, Shape
+from dmframe.naming import Expression, Operation, as_mx, call, register
+from dmframe.robot.symbolic import SymbolicRobot
+
+SIGNS: Final[Mapping[str, str]] = {
+    "position": "f",
+    "jacobian": "J",
+    "kinematic_regressor": "Y_k",
+    "position_regressor": "W_k",
+    "regressor": "Y_d",
+    "mass_matrix": "M",
+    "coriolis": "C",
+    "gravity_torque": "g",
+    "coulomb": "phi",
+}
+"""What the paper calls each quantity; the inverse dynamics print as a sum of three."""
+
+CONSTANTS: Final[Mapping[str, str]] = {
+    "inertia": "a_inertia",
+    "a_k": "a_k",
+    "gravity": "g_0",
+    "friction_velocity": "v_0",
+}
+"""The robot's numbers that blocks read, by how they print."""
+
+_MOTION: Final = ("q", "dq", "dq_ref", "ddq_ref")
+
+
+@final
+class RobotFunctions:
+    """The quantities of a `SymbolicRobot` as CasADi functions, each built when it is first called.
+
+    The robot's constants are the last argument of each, one column. All dynamics come from one regressor, in which
+    they are linear: one function to build instead of five, and another way than the robot's own to the same numbers.
+    """
+
+    def __init__(self, robot: SymbolicRobot) -> None:
+        self.of, self.n = robot, robot.n
+        self.constants = ca.vertcat(*(constant.symbol for constant in robot.constants))
+        self.values = ca.vertcat(*(ca.DM(value) for value in robot.values().values()))
+        self._built = dict[str, Any]()
+
+    def value(self, name: str) -> Any:
+        """The numbers of one of `CONSTANTS`."""
+        return ca.Function("value", [self.constants], [ca.densify(getattr(self.of, name))])(self.values)
+
+    def of_method(self, method: str, given: tuple[str, ...]) -> Any:
+        """The function of a method with these arguments."""
+        label = "_".join(part for part in ("robot", method, *given) for part in part.split("_"))
+        if label not in self._built:
+            register(label, Operation(method, given))
+            self._built[label] = self._build(label, method, given)
+        return self._built[label]
+
+    def _build(self, label: str, method: str, given: tuple[str, ...]) -> Any:
+        if method in _DYNAMICS:
+            symbols = {name: ca.MX.sym(name, self._size(name)) for name in given}
+            constants = ca.MX.sym("constants", self.constants.numel())
+            inertia = symbols.get("inertia", as_mx(self._inertia(constants)))
+            dynamics = _Dynamics(self.of_method("regressor", _MOTION), constants, inertia, self.n)
+            return ca.Function(label, [*symbols.values(), constants], [_DYNAMICS[method](dynamics, symbols)])
+        arguments = {name: ca.SX.sym(name, self._size(name)) for name in given}
+        built = getattr(self.of, method)(**arguments)
+        return ca.Function(label, [*arguments.values(), self.constants], [ca.densify(built)])
+
+    def _inertia(self, constants: Any) -> Any:
+        return call(ca.Function("inertia", [self.constants], [self.of.inertia]), [constants])
+
+    def _size(self, name: str) -> int:
+        return {"inertia": 10 * self.n, "a_k": self.of.k, "gravity_share": 1}.get(name, self.n)
+
+
+@final
+class _Dynamics:
+    """Torques and matrices from the regressor."""
+
+    def __init__(self, regressor: Any, constants: Any, inertia: Any, n: int) -> None:
+        self._regressor, self._constants, self._inertia = regressor, constants, inertia
+        self.zero, self.units = ca.DM.zeros(n), ca.horzsplit(ca.DM.eye(n))
+
+    def torque(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
+        """M(q) ddq_ref + C(q, dq) dq_ref + g(q)."""
+        return call(self._regressor, [q, dq, dq_ref, ddq_ref, self._constants]) @ self._inertia
+
+    def gravity(self, q: Any) -> Any:
+        """g(q)."""
+        return self.torque(q, self.zero, self.zero, self.zero)
+
+    def inverse_dynamics(self, a: Mapping[str, Any]) -> Any:
+        """With a share of gravity."""
+        torque = self.torque(*(a[name] for name in _MOTION))
+        return torque if "gravity_share" not in a else torque - (1 - a["gravity_share"]) * self.gravity(a["q"])
+
+    def mass_matrix(self, a: Mapping[str, Any]) -> Any:
+        """Column by column."""
+        still = self.gravity(a["q"])
+        return ca.horzcat(*(self.torque(a["q"], self.zero, self.zero, unit) - still for unit in self.units))
+
+    def coriolis(self, a: Mapping[str, Any]) -> Any:
+        """Column by column."""
+        still = self.gravity(a["q"])
+        return ca.horzcat(*(self.torque(a["q"], a["dq"], unit, self.zero) - still for unit in self.units))
+
+    def gravity_torque(self, a: Mapping[str, Any]) -> Any:
+        """g(q)."""
+        return self.gravity(a["q"])
+
+
+_DYNAMICS: Final[Mapping[str, Callable[[_Dynamics, Mapping[str, Any]], Any]]] = {
+    "inverse_dynamics": _Dynamics.inverse_dynamics,
+    "mass_matrix": _Dynamics.mass_matrix,
+    "coriolis": _Dynamics.coriolis,
+    "gravity_torque": _Dynamics.gravity_torque,
+}
+
+
+@final
+class ReadRobot:
+    """What a block finds as ``p.robot`` while it is read: the methods and numbers of `SymbolicRobot` that print.
+
+    With `symbolic` it takes and gives MX, and its numbers are symbols; else it takes and gives SX.
+    """
+
+    def __init__(self, functions: RobotFunctions, *, symbolic: bool) -> None:
+        robot = functions.of
+        self.chain, self.n, self.m, self.k = robot.chain, robot.n, robot.m, robot.k
+        self._functions, self._symbolic = functions, symbolic
+        self.constants = ca.MX.sym("constants", functions.constants.numel()) if symbolic else functions.constants
+        sizes = {"inertia": 10 * self.n, "a_k": self.k, "gravity": 3, "friction_velocity": 1}
+        self.numbers = {
+            name: ca.MX.sym(printed, sizes[name]) if symbolic else getattr(robot, name)
+            for name, printed in CONSTANTS.items()
+        }
+        self.inertia, self.a_k = self.numbers["inertia"], self.numbers["a_k"]
+        self.gravity, self.friction_velocity = self.numbers["gravity"], self.numbers["friction_velocity"]
+
+    def _call(self, method: str, **arguments: Expression) -> Any:
+        given = {name: value for name, value in arguments.items() if value is not None}
+        function = self._functions.of_method(method, tuple(given))
+        values = [as_mx(value) for value in given.values()] if self._symbolic else list(given.values())
+        return call(function, [*values, self.constants])
+
+    def position(self, q: Any, a_k: Any = None) -> Any:
+        """f(q)."""
+        return self._call("position", q=q, a_k=a_k)
+
+    def jacobian(self, q: Any, a_k: Any = None) -> Any:
+        """J(q)."""
+        return self._call("jacobian", q=q, a_k=a_k)
+
+    def kinematic_regressor(self, q: Any, psi: Any) -> Any:
+        """Y_k(q, psi)."""
+        return self._call("kinematic_regressor", q=q, psi=psi)
+
+    def position_regressor(self, q: Any) -> Any:
+        """W_k(q)."""
+        return self._call("position_regressor", q=q)
+
+    def inverse_dynamics(
+        self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any, inertia: Any = None, gravity_share: Any = None
+    ) -> Any:
+        """M(q) ddq_ref + C(q, dq) dq_ref + g(q)."""
+        motion = dict(zip(_MOTION, (q, dq, dq_ref, ddq_ref), strict=True))
+        return self._call("inverse_dynamics", **motion, inertia=inertia, gravity_share=gravity_share)
+
+    def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
+        """Y_d(q, dq, dq_ref, ddq_ref)."""
+        return self._call("regressor", q=q, dq=dq, dq_ref=dq_ref, ddq_ref=ddq_ref)
+
+    def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
+        """M(q)."""
+        return self._call("mass_matrix", q=q, inertia=inertia)
+
+    def coriolis(self, q: Any, dq: Any, inertia: Any = None) -> Any:
+        """C(q, dq)."""
+        return self._call("coriolis", q=q, dq=dq, inertia=inertia)
+
+    def gravity_torque(self, q: Any, inertia: Any = None) -> Any:
+        """g(q)."""
+        return self._call("gravity_torque", q=q, inertia=inertia)
+
+    def coulomb(self, dq: Any) -> Any:
+        """phi(dq)."""
+        return self._call("coulomb", dq=dq)
+
+
+def written(called: Operation, arguments: Sequence[Node], shape: Shape) -> Node:
+    """A quantity of the robot as the paper writes it; the constants, the last argument, stay away."""
+    given = dict(zip(called.given, arguments, strict=False))
+    if called.sign == "inverse_dynamics":
+        return _inverse_dynamics(given, shape)
+    return Applied(SIGNS[called.sign], tuple(given.values()), shape, symbol=True)
+
+
+def _inverse_dynamics(given: Mapping[str, Node], shape: Shape) -> Node:
+    """M ddq_ref + C dq_ref + g, without what is zero."""
+    square, more = (shape[0], shape[0]), (given["inertia"],) if "inertia" in given else ()
+
+    def sign(name: str, *arguments: Node, of: Shape = square) -> Node:
+        return Applied(name, (*arguments, *more), of, symbol=True)
+
+    q, dq, dq_ref, ddq_ref = (given[name] for name in _MOTION)
+    gravity = sign("g", q, of=shape)
+    if "gravity_share" in given:
+        gravity = tree.multiply(given["gravity_share"], gravity, shape)
+    inertial = tree.matrix_multiply(sign("M", q), ddq_ref, shape)
+    turning = tree.matrix_multiply(sign("C", q, dq), dq_ref, shape)
+    if Number(Fraction(0), dq.shape) == dq:
+        turning = dq
+    return tree.add(tree.add(inertial, turning, shape), gravity, shape)

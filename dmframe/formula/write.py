@@ -1,0 +1,217 @@
+"""How the tree of a formula becomes text: precedence and brackets, for all dialects alike."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+from typing import ClassVar
+
+from dmframe.formula import tree
+from dmframe.formula.tree import (
+    Applied,
+    Choice,
+    Diagonal,
+    Equation,
+    Identity,
+    Inverse,
+    Name,
+    Node,
+    Norm,
+    Number,
+    Piece,
+    Power,
+    Product,
+    Rate,
+    Relation,
+    Stack,
+    Sum,
+    Transposed,
+    Unprinted,
+)
+
+_SUM, _PRODUCT, _ATOM = range(3)
+"""How tightly a piece of text holds together."""
+
+
+class Dialect(ABC):
+    """How a tree is written; a dialect says what its signs are."""
+
+    minus: str
+    gap: str
+    comma = ", "
+    relations: ClassVar[Mapping[str, str]]
+
+    def write(self, node: Node) -> str:
+        """The text of a tree."""
+        return self._written(node)[0]
+
+    @abstractmethod
+    def name(self, name: str) -> str:
+        """A name."""
+
+    @abstractmethod
+    def rate(self, name: str) -> str:
+        """The time derivative of a name."""
+
+    @abstractmethod
+    def fraction(self, value: Fraction) -> str:
+        """A positive number, as a factor or alone."""
+
+    @abstractmethod
+    def raised(self, base: str, exponent: str) -> str:
+        """Base to the exponent, of "T", "-1" or a number."""
+
+    @abstractmethod
+    def over(self, above: str, below: str, *, simple: bool) -> str:
+        """A quotient."""
+
+    @abstractmethod
+    def bracketed(self, text: str) -> str:
+        """In brackets."""
+
+    @abstractmethod
+    def norm(self, text: str, *, squared: bool, weight: str) -> str:
+        """|text|, its square, its weighted square."""
+
+    @abstractmethod
+    def word(self, word: str) -> str:
+        """A function such as tanh."""
+
+    @abstractmethod
+    def matrix(self, rows: Sequence[Sequence[str]]) -> str:
+        """Blocks of a matrix."""
+
+    @abstractmethod
+    def part(self, text: str, piece: Piece) -> str:
+        """Rows and columns of something."""
+
+    @abstractmethod
+    def choice(self, relation: str, yes: str, no: str) -> str:
+        """One of two."""
+
+    @abstractmethod
+    def unprinted(self, names: Sequence[str]) -> str:
+        """What is too long to be written."""
+
+    def half(self, above: str, value: Fraction) -> str:
+        """A numerator with its number; the denominator of the number stands below."""
+        return above
+
+    def _held(self, node: Node, least: int = _ATOM) -> str:
+        text, holds = self._written(node)
+        return text if holds >= least else self.bracketed(text)
+
+    def _written(self, node: Node) -> tuple[str, int]:
+        match node:
+            case Number(value):
+                text = self.fraction(abs(value))
+                return (text, _ATOM) if value >= 0 else (f"{self.minus}{text}", _SUM)
+            case Name(name):
+                return self.name(name), _ATOM
+            case Identity():
+                return self.name("I"), _ATOM
+            case Sum(terms):
+                return self._sum(terms), _SUM
+            case Product():
+                return self._product(node)
+            case Transposed(of):
+                return self.raised(self._held(of), "T"), _ATOM
+            case Diagonal(of):
+                return f"{self.word('diag')}{self.bracketed(self.write(of))}", _ATOM
+            case Inverse(of):
+                return self.raised(self._held(of), "-1"), _ATOM
+            case Power(of, exponent):
+                return self.raised(self._held(of), str(exponent)), _ATOM
+            case Norm(of, squared, weight):
+                below = self.write(weight) if weight is not None else ""
+                return self.norm(self.write(of), squared=squared, weight=below), _ATOM
+            case Applied():
+                return self._applied(node), _ATOM
+            case Piece(of):
+                return self.part(self._held(of), node), _ATOM
+            case Stack(rows):
+                return self.matrix([[self.write(item) for item in row] for row in rows]), _ATOM
+            case Choice(relation, yes, no):
+                return self.choice(*map(self.write, (relation, yes, no))), _SUM
+            case Relation(sign, left, right):
+                if right is None:
+                    return f"{self.relations[sign]} {self._held(left)}", _SUM
+                return f"{self.write(left)} {self.relations[sign]} {self.write(right)}", _SUM
+            case Equation(left, right):
+                return f"{self.write(left)} = {self.write(right)}", _SUM
+            case Rate(of):
+                return self.rate(of.name), _ATOM
+            case Unprinted(names):
+                return self.unprinted([self.name(name) for name in names]), _SUM
+
+    def _sum(self, terms: Sequence[Node]) -> str:
+        text = self.write(terms[0])
+        for term in terms[1:]:
+            negative = isinstance(term, Product | Number) and _sign(term) < 0
+            sign = self.minus if negative else "+"
+            text += f" {sign} {self._held(tree.scale(Fraction(-1), term) if negative else term, _PRODUCT)}"
+        return text
+
+    def _product(self, product: Product) -> tuple[str, int]:
+        coefficient, sign = abs(product.coefficient), self.minus if product.coefficient < 0 else ""
+        lead, factors = self.lead(coefficient, bool(product.factors), bool(product.below))
+        divisors = [factors] * bool(factors) + [self._held(node) for node in product.below]
+        chain = self._chain(product.factors)
+        above = self.joined([lead, chain] if lead and chain else [lead or chain or "1"])
+        holds = _SUM if sign else _PRODUCT
+        if not divisors:
+            return f"{sign}{above}", holds
+        below = self.joined(divisors)
+        if _mixed_quotient(product):
+            above = self.bracketed(above)
+        simple = len(divisors) == 1
+        return f"{sign}{self.over(above, below, simple=simple)}", holds
+
+    def lead(self, coefficient: Fraction, more: bool, below: bool) -> tuple[str, str]:
+        """What stands before the factors, and what stands below them, of a number."""
+        top = "" if coefficient.numerator == 1 and more else str(coefficient.numerator)
+        if coefficient == 1 and more:
+            top = ""
+        return top, "" if coefficient.denominator == 1 else str(coefficient.denominator)
+
+    def _chain(self, factors: Sequence[Node]) -> str:
+        pieces = list[str]()
+        for place, factor in enumerate(factors):
+            last = place == len(factors) - 1
+            if isinstance(factor, Diagonal) and not last:
+                factor = factor.of
+            pieces.append(self._held(factor))
+        return self.joined(pieces)
+
+    def joined(self, pieces: Sequence[str]) -> str:
+        """Factors side by side."""
+        text = ""
+        for piece in pieces:
+            text += (self.between(text, piece) if text else "") + piece
+        return text
+
+    def between(self, left: str, right: str) -> str:
+        """What stands between two factors."""
+        return self.gap
+
+    def _applied(self, node: Applied) -> str:
+        arguments = [self.write(item) for item in node.arguments]
+        if node.function == "abs":
+            return self.norm(arguments[0], squared=False, weight="")
+        if node.function == "sqrt":
+            return f"{self.word('sqrt')}{self.bracketed(arguments[0])}"
+        if node.function == "hadamard":
+            return self.bracketed(f"{self._held(node.arguments[0])} .* {self._held(node.arguments[1])}")
+        head = self.name(node.function) if node.symbol else self.word(node.function)
+        return f"{head}{self.bracketed(self.comma.join(arguments))}"
+
+
+def _sign(term: Product | Number) -> Fraction:
+    return term.coefficient if isinstance(term, Product) else term.value
+
+
+def _mixed_quotient(product: Product) -> bool:
+    """Is a product with a matrix divided element by element?"""
+    matrix = any(not tree.is_column(factor) for factor in product.factors)
+    return matrix and any(not tree.is_scalar(node) for node in product.below)

@@ -1,0 +1,59 @@
+r"""The pseudo-inertia of a body, and the gain for which relative errors of its parameters count alike."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+Rows = list[list[Fraction]]
+
+# phi = tr(A P) for each of m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz: the entries of A, each of which is
+# shared by the two sides of the diagonal.
+_ENTRIES: tuple[dict[tuple[int, int], int], ...] = (
+    {(3, 3): 1}, {(0, 3): 1}, {(1, 3): 1}, {(2, 3): 1},
+    {(1, 1): 1, (2, 2): 1}, {(0, 1): -1}, {(0, 0): 1, (2, 2): 1}, {(0, 2): -1}, {(1, 2): -1}, {(0, 0): 1, (1, 1): 1},
+)  # fmt: skip
+
+
+def pseudo_inertia(row: Sequence[Fraction]) -> Rows:
+    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
+    m, x, y, z, xx, xy, yy, xz, yz, zz = row
+    half = (xx + yy + zz) / 2
+    return [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
+
+
+def natural_gain(row: Sequence[Fraction]) -> Rows:
+    r"""The inverse of the metric :math:`\mathrm{tr}(P^{-1} \dot P P^{-1} \dot P)` at a body's pseudo-inertia P.
+
+    With each parameter :math:`\phi_i = \mathrm{tr}(A_i P)` it has a closed form, in field operations:
+
+    .. math:: \Gamma_{ij} = \mathrm{tr}(P A_i P A_j)
+
+    The metric is, up to a constant factor, that of [LeeKwonPark2018]_, held constant at P; with this factor
+    :math:`\Gamma_{mm} = m^2`. No choice of units or frames changes what an error costs, and a body that is wrong by all
+    of itself costs 4, whatever the body. The gain is positive definite iff P is.
+
+    Parameters
+    ----------
+    row : 10 numbers
+        As of `SerialChain.inertia`.
+
+    Returns
+    -------
+    (10, 10)
+    """
+    P = pseudo_inertia(row)
+    moved = [_product(P, _matrix(entries)) for entries in _ENTRIES]
+    return [[sum((a[i][k] * b[k][i] for i in range(4) for k in range(4)), Fraction(0)) for b in moved] for a in moved]
+
+
+def _matrix(entries: dict[tuple[int, int], int]) -> Rows:
+    A = [[Fraction(0)] * 4 for _ in range(4)]
+    for (i, j), value in entries.items():
+        A[i][j] += Fraction(value, 2)
+        A[j][i] += Fraction(value, 2)
+    return A
+
+
+def _product(A: Rows, B: Rows) -> Rows:
+    return [[sum((A[i][k] * B[k][j] for k in range(4)), Fraction(0)) for j in range(4)] for i in range(4)]

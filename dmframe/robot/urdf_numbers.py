@@ -1,0 +1,163 @@
+"""Every number of a URDF, checked element by element before anything else reads it."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Final, final
+from xml.etree import ElementTree
+
+Element = ElementTree.Element
+
+NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
+"""A number as the URDF reader takes it: no thousands, no hexadecimal digits, no names."""
+
+PLACE: Final = {"xyz": 3, "rpy": 3}
+INERTIA: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+SHAPES: Final[Mapping[str, Mapping[str, int]]] = {
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "mesh": {"scale": 3},
+}
+OF_JOINT: Final[Mapping[str, Mapping[str, int]]] = {
+    "origin": PLACE,
+    "axis": {"xyz": 3},
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": dict.fromkeys(("damping", "friction"), 1),
+    "mimic": dict.fromkeys(("multiplier", "offset"), 1),
+    "calibration": dict.fromkeys(("rising", "falling"), 1),
+    "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
+}
+"""Attributes that are numbers, and how many of them, by the element in a joint."""
+LIMITED: Final = ("revolute", "prismatic")
+POINTED: Final = (*LIMITED, "continuous", "planar")
+"""Types of joints with limits, and with an axis."""
+
+
+@final
+@dataclass
+class Lines:
+    """The line of the file on which each element begins."""
+
+    of: dict[Element, int] = field(default_factory=dict)
+
+
+def numbers(text: str) -> list[float]:
+    """The numbers of an attribute that has been checked."""
+    return [float(word) for word in text.split()]
+
+
+def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
+    """What is wrong with the numbers of links and joints: each told with its line."""
+    for kind, check in (("link", _link), ("joint", _joint)):
+        for element in root.findall(kind):
+            for culprit, text in check(element):
+                yield f"{where}:{lines.of[culprit]}: {kind} {element.get('name', '')}: {text}"
+
+
+def spelled_plainly(root: Element) -> None:
+    """Rewrite each checked number with single blanks: the reader takes no other white space."""
+    for element, key, _ in _every(root):
+        if key in element.attrib:
+            element.set(key, " ".join(element.attrib[key].split()))
+
+
+Found = Iterator[tuple[Element, str]]
+
+
+def _link(link: Element) -> Found:
+    yield from _single(link, "inertial")
+    for inertial in link.findall("inertial"):
+        for tag in ("origin", "mass", "inertia"):
+            yield from _single(inertial, tag)
+        for tag, keys in (("mass", ("value",)), ("inertia", INERTIA)):
+            element = inertial.find(tag)
+            if element is None:
+                yield inertial, f"expected <{tag}> in <inertial>, found none; leave <inertial> out if it has no mass"
+                continue
+            for key in keys:
+                if key not in element.attrib:
+                    yield element, f"expected {key} in <{tag}>, found none"
+    yield from _malformed(link)
+    for mass in link.findall("inertial/mass"):
+        if _is_number(mass.get("value", "")) and float(mass.get("value", "")) < 0:
+            yield mass, f"expected a mass >= 0, found {mass.get('value')}"
+
+
+def _joint(joint: Element) -> Found:
+    for tag in OF_JOINT:
+        yield from _single(joint, tag)
+    yield from _malformed(joint)
+    axis, limit = joint.find("axis"), joint.find("limit")
+    way = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+    turns = joint.get("type") in POINTED
+    if turns and axis is not None and _is_column(way, 3) and not any(numbers(way)):
+        yield axis, f"expected an axis that points somewhere, found {way}"
+    if joint.get("type") not in LIMITED:
+        return
+    if limit is None:
+        yield joint, f"expected <limit> of a {joint.get('type')} joint, found none"
+        return
+    for key in ("effort", "velocity"):
+        if key not in limit.attrib:
+            yield limit, f"expected {key} in <limit>, found none"
+    ends = [limit.get(key, "0") for key in ("lower", "upper")]
+    if all(map(_is_number, ends)) and float(ends[0]) > float(ends[1]):
+        yield limit, f"expected lower <= upper, found {ends[0]} and {ends[1]}"
+
+
+def _single(parent: Element, tag: str) -> Found:
+    """Of two, the reader would take one and say nothing of the other."""
+    if len(found := parent.findall(tag)) > 1:
+        yield found[1], f"expected one <{tag}>, found {len(found)}"
+
+
+def _malformed(parent: Element) -> Found:
+    for element, key, count in _numeric(parent):
+        text = element.get(key)
+        if text is None or _is_column(text, count):
+            continue
+        if count == 1:
+            name = "mass" if element.tag == "mass" else key
+            yield element, f"expected a finite {name}, found {text!r}"
+        else:
+            yield element, f"expected {count} finite numbers as {key} of <{element.tag}>, found {text!r}"
+
+
+def _every(root: Element) -> Iterator[tuple[Element, str, int]]:
+    for kind in ("link", "joint"):
+        for element in root.findall(kind):
+            yield from _numeric(element)
+
+
+def _numeric(parent: Element) -> Iterator[tuple[Element, str, int]]:
+    """Each attribute of a link or a joint that holds numbers, whether it is there or not, and how many it holds."""
+    if parent.tag == "joint":
+        for tag, keys in OF_JOINT.items():
+            for element in parent.findall(tag):
+                yield from ((element, key, count) for key, count in keys.items())
+        return
+    for way in ("inertial", "visual", "collision"):
+        for element in parent.findall(f"{way}/origin"):
+            yield from ((element, key, count) for key, count in PLACE.items())
+    for element in parent.findall("inertial/mass"):
+        yield element, "value", 1
+    for element in parent.findall("inertial/inertia"):
+        yield from ((element, key, 1) for key in INERTIA)
+    for way in ("visual", "collision"):
+        for tag, keys in SHAPES.items():
+            for element in parent.findall(f"{way}/geometry/{tag}"):
+                yield from ((element, key, count) for key, count in keys.items())
+
+
+def _is_number(text: str) -> bool:
+    return bool(NUMBER.fullmatch(text.strip())) and math.isfinite(float(text))
+
+
+def _is_column(text: str, count: int) -> bool:
+    words = text.split()
+    return len(words) == count and all(map(_is_number, words))

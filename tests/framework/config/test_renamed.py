@@ -1,0 +1,202 @@
+"""Old names in graph files: read as the new ones, with one notice that says where and what to write."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.config import load_graph
+from dmframe.errors import BlockError, DmframeError, Faults
+from dmframe.port import Port
+from dmframe.results.resolved import resolved
+
+BLOCK = '''
+from typing import ClassVar
+from dmframe.block import AbstractBlock, Equations
+from dmframe.certificate import Certificate, Square
+from dmframe.parameter import Positive, Real, Scalar
+from dmframe.port import Access, Port, Side, State
+
+
+class Pull(AbstractBlock):
+    """v = -rate y + bias."""
+
+    inputs = (Port("height"),)
+    outputs = (Port("v", "", "", Access.COMMANDED),)
+    renamed = {"gain": "rate", "y": "height"}
+    rate: Scalar = Positive()
+
+    def equations(self, u, x, p):
+        return Equations(outputs={"v": -p.rate * u.height})
+
+
+class Cart(AbstractBlock):
+    """dplace = v + push."""
+
+    side = Side.PLANT
+    inputs = (Port("v"),)
+    outputs = (Port("height", "", "", Access.MEASURED),)
+    states = (State("place"),)
+    renamed = {"y": "height", "z": "place", "shove": "push"}
+    place: Scalar = Real(default=0.0)
+    push: Scalar = Real(default=1.0)
+
+    def equations(self, u, x, p):
+        return Equations(outputs={"height": x.place}, rates={"place": u.v + p.push})
+'''
+
+NEW = """dmframe: 1
+clock: continuous
+duration: 1 s
+start: {place: 2}
+log: {signals: [cart.height]}
+blocks:
+  pull: {type: "blocks.py:Pull", rate: 3}
+  cart: {type: "blocks.py:Cart", push: 0.5}
+wires:
+  pull.height: cart.height
+uncertain: {cart.push: [0, 1]}
+baseline:
+  pull: {type: "blocks.py:Pull", rate: 1}
+"""
+PAIRS = [
+    ("start: {place", "start: {z", "4:9", "z", "place"),
+    ("start: {place", "start: {cart.z", "4:9", "cart.z", "cart.place"),
+    ("[cart.height]", "[cart.y]", "5:17", "cart.y", "cart.height"),
+    ("rate: 3", "gain: 3", "7:34", "gain", "rate"),
+    ("push: 0.5", "shove: 0.5", "8:34", "shove", "push"),
+    ("  pull.height:", "  pull.y:", "10:3", "pull.y", "pull.height"),
+    (": cart.height\n", ": cart.y\n", "10:16", "cart.y", "cart.height"),
+    ("{cart.push", "{cart.shove", "11:13", "cart.shove", "cart.push"),
+    ("rate: 1}", "gain: 1}", "13:34", "gain", "rate"),
+]
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[[str], Path]:
+    (tmp_path / "blocks.py").write_text(BLOCK)
+
+    def write(text: str) -> Path:
+        file = tmp_path / "graph.yaml"
+        file.write_text(text)
+        return file
+
+    return write
+
+
+def told(call: Callable[[], Any]) -> str:
+    with pytest.raises(DmframeError) as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(("new", "old", "place", "before", "after"), PAIRS)
+def test_an_old_name_is_read_as_the_new_one_with_one_notice(
+    write: Callable[[str], Path],
+    capsys: pytest.CaptureFixture[str],
+    new: str,
+    old: str,
+    place: str,
+    before: str,
+    after: str,
+) -> None:
+    plain = load_graph(write(NEW))
+    assert capsys.readouterr().err == ""
+    text = NEW.replace(new, old, 1)
+    assert text != NEW
+    graph = load_graph(write(text))
+    assert resolved(graph) == resolved(plain) or "cart.z" in text
+    assert {**graph.start, "place": 2.0, "cart.place": 2.0} == {"place": 2.0, "cart.place": 2.0}
+    assert graph.diagram().fingerprint == plain.diagram().fingerprint
+    assert graph.baseline().diagram().fingerprint == plain.baseline().diagram().fingerprint
+    file = plain.document.name
+    assert capsys.readouterr().err == (
+        f"{file}:{place}: notice: {before} is called {after} now; the old name still works, better write {after}\n"
+    )
+
+
+def test_every_old_name_at_once_gives_the_same_graph(
+    write: Callable[[str], Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain, text = load_graph(write(NEW)), NEW
+    for new, old, *_ in PAIRS[1:]:
+        text = text.replace(new, old, 1)
+    graph = load_graph(write(text))
+    assert graph.diagram().fingerprint == plain.diagram().fingerprint
+    assert capsys.readouterr().err.count("notice: ") == len(PAIRS) - 1
+
+
+@pytest.mark.parametrize(
+    ("override", "parameter", "value"),
+    [("pull.gain=7", "pull.rate", 7), ("blocks.pull.gain=7", "pull.rate", 7), ("cart.shove=2", "cart.push", 2)],
+)
+def test_set_takes_an_old_name_and_goes_before_the_file(
+    write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], override: str, parameter: str, value: float
+) -> None:
+    for text in (NEW, NEW.replace("rate: 3", "gain: 3").replace("push: 0.5", "shove: 0.5")):
+        graph = load_graph(write(text), [override])
+        values = {item.label: item.value for item in graph.diagram().loop.parameters}
+        np.testing.assert_array_equal(values[parameter], value)
+        assert f"--set {override}: notice: {override.split('=')[0].split('.')[-1]} is called" in capsys.readouterr().err
+        renamed = override.replace("gain", "rate").replace("shove", "push")
+        assert load_graph(write(text), [renamed]).diagram().fingerprint == graph.diagram().fingerprint
+        capsys.readouterr()
+
+
+def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
+    assert load_graph(write(NEW), ["start.z=5"]).start == {"place": 5.0}
+
+
+def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], Path]) -> None:
+    file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("{cart.push", "{cart.shove: [0, 1], cart.push"))
+    text = told(lambda: load_graph(file))
+    assert f"{file}:7:43: gain is called rate now, and both are given; keep rate alone" in text
+    assert f"{file}:11:13: cart.shove is called cart.push now, and both are given" in text
+    text = told(lambda: load_graph(write(NEW), ["pull.gain=1", "pull.rate=2"]))
+    assert text == "--set pull.rate=2: gain is called rate now, and both are given; keep rate alone"
+
+
+def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
+    file = write(NEW.replace("rate: 3", "gain: -3"))
+    assert told(lambda: load_graph(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
+    assert "--set pull.rate=-1" in told(lambda: load_graph(write(NEW), ["pull.gain=-1"]))
+
+
+def test_a_block_of_another_type_has_no_old_names(write: Callable[[str], Path]) -> None:
+    assert "gain" in told(lambda: load_graph(write(NEW.replace("push: 0.5", "gain: 0.5"))))
+
+
+def test_old_names_must_lead_to_names_that_the_block_has() -> None:
+    class Wrong(AbstractBlock):
+        outputs = (Port("a"), Port("b"))
+        renamed = {"old": "c", "a": "b"}  # noqa: RUF012 - a block's class variables are annotated in its own file
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations()
+
+    texts = [fault.text for fault in Wrong.contract("wrong")]
+    assert "wrong: says that old is renamed c, which is no parameter, state or port; choose from a, b" in texts
+    assert "wrong: says that a is renamed b, and still has a" in texts
+    assert isinstance(Wrong.contract("wrong")[0], BlockError)
+
+
+def test_the_command_line_says_so_on_stderr_and_keeps_json_clean(write: Callable[[str], Path]) -> None:
+    file = write(NEW.replace("rate: 3", "gain: 3"))
+    call = [sys.executable, "-c", "from dmframe.cli import main; main()", "verify", str(file), "--json"]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    assert done.stderr.count("notice: ") == 1
+    assert done.stdout.lstrip().startswith("{")
+
+
+def test_faults_of_both_kinds_do_not_hide_one_another(write: Callable[[str], Path]) -> None:
+    file = write(NEW.replace("rate: 3", "rate: 3, gain: 4").replace("rate: 1}", "rate: 1, gain: 4}"))
+    with pytest.raises(Faults) as caught:
+        load_graph(file)
+    assert len(caught.value.faults) == 2

@@ -1,0 +1,194 @@
+r"""A docstring that states another law than the code: twenty ways, each told with its line."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import textwrap
+
+import pytest
+
+from dmframe.catalogue import block_types
+from dmframe.errors import BlockError
+from dmframe.formula.docstring import check_docstring, check_docstrings
+from dmframe.formula.laws import laws_of
+
+LAW = r"""
+    With :math:`e = q - q_r`, :math:`\tilde w = w - 1/K_\star` and :math:`K_\star = K K_D`:
+
+    .. math::
+
+        \dot q_{ref} &= \dot q_r - K_c e, \quad \sigma = \dot q - \dot q_{ref}   \tag{1} \\
+        \dot w &= -\Lambda \tau_{dc} \sigma                                       \tag{2} \\
+        \dot{\hat a}_d &= -\Gamma Y_d^\top \sigma                                 \tag{3} \\
+        \tau_d &= Y_d \hat a_d + \tfrac34 \hat J^\top (x - x_d)                   \tag{4}
+
+    .. math::
+
+        S &= \tfrac12 |\tilde w|^2_{K_\star/\Lambda} + \tfrac12 |\hat a_d - a_d|^2_{\Gamma^{-1}}  \tag{5} \\
+        \dot S &= -|\tilde w|^2_{K_\star}
+                  - \sigma^\top (\tau_{dc} - K \sigma)                            \tag{6}
+"""
+
+CODE = '''
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations
+from dmframe.certificate import Certificate, Square
+from dmframe.naming import named
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Port, State
+
+
+@final
+class Mixed(AbstractBlock):
+    r"""A law of its own.
+LAW
+    Notes
+    -----
+    None.
+    """
+
+    inputs: ClassVar = (
+        Port("q", "n"), Port("q_r", "n"), Port("dq", "n"), Port("dq_r", "n"), Port("tau_dc", "n"), Port("Y_d", "n p"),
+        Port("J_hat", "m n"), Port("x", "m"), Port("x_d", "m"),
+    )
+    outputs: ClassVar = (Port("dq_ref", "n"), Port("sigma", "n"), Port("tau_d", "n"))
+    states: ClassVar = (State("w", "n"), State("a_d_hat", "p"))
+    truth: ClassVar = (Port("K", "n"), Port("K_D", "n"), Port("a_d", "p"))
+
+    K_c: Diagonal = Positive("n")
+    Lambda: Diagonal = Positive("n")
+    Gamma: Diagonal = Positive("p")
+    leak: Scalar | None = Positive("", default=None)
+
+    def equations(self, u, x, p):
+        dq_ref = u.dq_r - p.K_c * (u.q - u.q_r)
+        sigma = u.dq - dq_ref
+        rate = -p.Lambda * u.tau_dc * sigma
+        if "leak" in p:
+            rate = rate - p.leak * x.w
+        return Equations(
+            outputs={"dq_ref": dq_ref, "sigma": sigma, "tau_d": u.Y_d @ x.a_d_hat + 3 * u.J_hat.T @ (u.x - u.x_d) / 4},
+            rates={"w": rate, "a_d_hat": -p.Gamma * (u.Y_d.T @ sigma)},
+        )
+
+    def certificate(self, u, x, p, truth):
+        K_star = named("K_star", truth.K * truth.K_D)
+        sigma = u.dq - u.dq_r + p.K_c * (u.q - u.q_r)
+        w_err = x.w - 1 / K_star
+        return Certificate(
+            storage=(Square(w_err, K_star / p.Lambda), Square(x.a_d_hat - truth.a_d, 1 / p.Gamma)),
+            dissipation=(Square(w_err, K_star),),
+            supply=-ca.dot(sigma, u.tau_dc - truth.K * sigma),
+        )
+'''
+_count = itertools.count()
+
+
+@pytest.fixture
+def faults(tmp_path):
+    """The faults of a block whose docstring has one thing exchanged for another."""
+
+    def told(old="", new="", law=LAW):
+        assert old in law
+        path = tmp_path / "mixed.py"
+        path.write_text(CODE.replace("LAW", law.replace(old, new, 1) if old else law))
+        spec = importlib.util.spec_from_file_location(f"mixed_{next(_count)}", path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return [fault.text for fault in check_docstring(module.Mixed)]
+
+    return told
+
+
+def test_a_docstring_that_states_what_the_code_computes_has_no_fault(faults):
+    assert faults() == []
+
+
+SEEDED = {
+    "a sign": (r"\dot w &= -\Lambda", r"\dot w &= \Lambda", r"\dot{w}"),
+    "a sign inside": (r"\dot q - \dot q_{ref}", r"\dot q + \dot q_{ref}", "sigma"),
+    "a factor": (r"\tfrac34", r"\tfrac12", "tau_d"),
+    "an index": (r"\tau_{dc} \sigma  ", r"\tau_d \sigma  ", r"\dot{w}"),
+    "a missing term": (r" + \tfrac34 \hat J^\top (x - x_d)", "", "tau_d"),
+    "a term too many": (r"Y_d^\top \sigma  ", r"Y_d^\top \sigma - \hat a_d  ", r"\dot{\hat{a_d}}"),
+    "swapped names": ("(x - x_d)", "(x_d - x)", "tau_d"),
+    "a missing transposition": (r"\hat J^\top (x", r"\hat J (x", "cannot be"),
+    "a missing transposition of the regressor": (r"Y_d^\top", "Y_d", "cannot be"),
+    "the gain of another law": (r"-\Gamma Y_d", r"-\Lambda Y_d", "cannot be"),
+    "an inverse gain": (r"-\Gamma Y_d", r"-\Gamma^{-1} Y_d", r"\dot{\hat{a_d}}"),
+    "an optional term as if it were always there": (
+        r"-\Lambda \tau_{dc} \sigma  ",
+        r"-\Lambda \tau_{dc} \sigma - \mathrm{leak}\, w  ",
+        "no equation for it holds with the options at their defaults",
+    ),
+    "a rate of another state": (r"\dot w &=", r"\dot v &=", "no state v"),
+    "the second derivative": (r"\dot w &=", r"\ddot w &=", r"\ddot{w}"),
+    "a wrong weight in S": (r"K_\star/\Lambda}", r"K_\star \Lambda}", "S: the docstring's law is not what the cert"),
+    "a missing half in S": (r"S &= \tfrac12 |\tilde w|", r"S &= |\tilde w|", "S: the docstring"),
+    "a weight of the dissipation": (r"-|\tilde w|^2_{K_\star}", r"-|\tilde w|^2_{K}", r"\dot{S}"),
+    "a supply's sign": (r"(\tau_{dc} - K \sigma)", r"(\tau_{dc} + K \sigma)", r"\dot{S}"),
+    "a definition in the text": (r"\tilde w = w - 1/K_\star", r"\tilde w = w - K_\star", "the docstring"),
+    "a definition of what the code names": (r"K_\star = K K_D", r"K_\star = K_D", "K_star"),
+    "a term without its square": (r"|\tilde w|^2_{K_\star}", r"|\tilde w|_{K_\star}", "square"),
+    "an equation for an input": (r"\dot w &=", r"\tau_{dc} &=", "the block does not compute it"),
+    "a new name that nothing uses": (r"\tau_d &=", r"\tau_x &=", "no other equation uses it"),
+    "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "nothing bears the name K_d"),
+    "a bracket that is not closed": ("(x - x_d) ", "(x - x_d ", "missing"),
+    "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "no equation"),
+    "another order of the product": (r"-\Gamma Y_d^\top \sigma  ", r"-Y_d^\top \Gamma \sigma  ", "cannot be"),
+}
+
+
+@pytest.mark.parametrize("what", SEEDED)
+def test_a_docstring_that_differs_from_the_code_is_told_with_its_line(faults, what):
+    old, new, said = SEEDED[what]
+    told = faults(old, new)
+    assert told
+    assert any(said in text for text in told), told
+    assert all(text.startswith("mixed.py:") for text in told)
+    lines = CODE.replace("LAW", LAW.replace(old, new, 1)).splitlines()
+    if new and not what.startswith("a definition"):  # a definition is told where it is used
+        changed = next(number for number, line in enumerate(lines, 1) if new in line)
+        assert {changed, changed - 1} & {int(text.split(":")[1]) for text in told}
+
+
+def test_an_option_may_have_a_law_of_its_own_beside_the_one_of_the_defaults(faults):
+    more = LAW + textwrap.indent(
+        "\n.. math::\n\n    \\dot w = -\\Lambda \\tau_{dc} \\sigma - \\mathrm{leak}\\, w \\tag{7}\n", "    "
+    )
+    assert faults(law=more) == []
+    assert faults("\\mathrm{leak}\\, w \\tag", "2 \\mathrm{leak}\\, w \\tag", law=more)
+
+
+def test_an_integral_of_a_state_is_held_to_its_rate(faults):
+    right = LAW.replace("With :math", ":math:`w = \\int -\\Lambda \\tau_{dc} \\sigma`. With :math", 1)
+    assert faults(law=right) == []
+    assert any("rate of w" in text for text in faults("\\int -", "\\int ", law=right))
+
+
+@pytest.mark.parametrize("name", list(block_types()))
+def test_the_docstrings_of_all_packaged_blocks_state_what_they_compute(name):
+    assert [fault.text for fault in check_docstring(block_types()[name])] == []
+
+
+def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
+    from dmframe.catalogue import find_block
+    from dmframe.diagram import Diagram
+
+    path = tmp_path / "spring.py"
+    path.write_text(
+        "from typing import ClassVar\nfrom dmframe.block import *\nfrom dmframe.port import *\n"
+        "class Spring(AbstractBlock):\n"
+        '    r"""A spring.\n\n    .. math:: \\dot q = 2 q\n    """\n'
+        "    side: ClassVar = Side.PLANT\n"
+        '    states: ClassVar = (State("q", "1"),)\n'
+        '    def equations(self, u, x, p): return Equations(rates={"q": -2 * x.q})\n'
+    )
+    diagram = Diagram.build({"spring": find_block("spring.py:Spring", tmp_path)()})
+    assert laws_of(diagram)["spring"].rates[0].whole.text == "dq/dt = -2 q"
+    with pytest.raises(BlockError, match=r"spring\.py:7: \\dot\{q\}: the docstring's law is not what the equations"):
+        check_docstrings(diagram)

@@ -1,0 +1,170 @@
+"""The laws of blocks, printed from the code that runs, beside the paper's; and what would print another law."""
+
+from __future__ import annotations
+
+from itertools import chain, repeat
+from typing import ClassVar, final
+
+import casadi as ca
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.catalogue import block_types, graphs
+from dmframe.certificate import Certificate, Square
+from dmframe.config import load_graph
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError
+from dmframe.formula import laws_of, printed
+from dmframe.formula.alone import law_of_type, options_of, plainest
+from dmframe.naming import named
+from dmframe.parameter import Diagonal, Positive
+from dmframe.port import Port, Side, State
+
+
+@pytest.mark.parametrize("name", list(graphs()))
+def test_every_block_of_every_packaged_graph_prints_what_runs(name):
+    for law in laws_of(load_graph(name).diagram()).values():
+        for line in law.lines:
+            for text in (line.whole.text, line.whole.latex, line.whole.unicode):
+                assert text
+            assert "robot." not in line.whole.text
+
+
+@pytest.mark.parametrize("name", list(block_types()))
+def test_every_block_type_prints_or_says_that_it_needs_a_graph(name):
+    found = plainest(block_types()[name])
+    assert found is not None or name == "waypoints"
+    if found is not None:
+        assert found[1].matrices
+
+
+PAPER = {
+    "pid_inverse": {
+        "dq_ref": "dq_r - K_c (q - q_r)",
+        "dq_c": "dq_ref + w_P q_r + w tau_dc - w_P q_c - w_I z",
+        "sigma": "dq - dq_ref",
+        "w": "-Lambda tau_dc sigma",
+        "w_P": "Lambda_P (q_c - q_r) sigma",
+        "w_I": "Lambda_I z sigma",
+        "K_star": "K K_D",
+        "M_bar": "(K_D + B/K) K_c + K_P - K_I/K_c",
+    },
+    "pi_servo": {"u": "-K_P (dq - dq_c) - K_I (i - q_step)", "i": "dq - dq_c"},
+    "pid_servo": {"u": "-K_D (dq - dq_c) - K_P (q - q_c - q_step) - K_I i"},
+    "task_observer": {"x_o": "J_hat (dq_r - beta J_hat'(x_o - x))"},
+    "observed_tracking": {
+        "dq_r": "J_hat'((J_hat J_hat')^-1 (dx_d - J_hat dq_null) - gamma (x_o - x_d)) + dq_null",
+    },
+    "joint_tracking": {"dq_r": "dq_d - alpha_bar (q - q_d)"},
+    "dynamic_compensator": {"tau_dc": "Y_d a_d_hat + tau_task", "a_d_hat": "-Gamma (Y_d' sigma + Y_f' e_f)"},
+    "passive_filter": {"y": "K_1 (J_hat'(x - x_d) - y)"},
+    "adaptive_kinematics": {"J_hat": "J(q, a_k_hat)", "a_k_hat": "Gamma_k Y_k(q, dq)' e_k"},
+    "computed_torque": {"ddq_ref": "ddq_d - 2 alpha_bar (dq - dq_d) - alpha_bar^2 (q - q_d)"},
+    "manipulator": {"ddq": "M(q)^-1 (K u - (B dq + coulomb phi(dq)) - (C(q, dq) dq + g))", "x": "f(q)"},
+}
+
+
+@pytest.mark.parametrize("name", PAPER)
+def test_a_law_prints_as_the_paper_writes_it(name):
+    law = law_of_type(block_types()[name])
+    found = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
+    assert {key: found[key] for key in PAPER[name]} == PAPER[name]
+
+
+def test_energies_print_with_their_weights():
+    law = law_of_type(block_types()["task_observer"])
+    assert [term.vector.text for term in law.dissipation] == ["J_hat'(x_o - x)/2 + s/beta"]
+    assert law.dissipation[0].weight.text == "beta"
+    assert law.consumption.whole.text == "|s|^2/beta"
+    pid = law_of_type(block_types()["pid_inverse"])
+    assert [term.vector.text for term in pid.storage][2:] == ["w - 1/K_star", "w_P - K_P/K_D", "w_I - K_I/K_D"]
+    assert pid.storage[2].weight.text == "K_star/Lambda"
+    assert pid.storage[2].whole.unicode == "|w − 1/K_⋆|²_(K_⋆/Λ)"
+
+
+def test_an_option_prints_exactly_when_it_is_switched_on():
+    block = block_types()["dynamic_compensator"]
+    rate = {line.name: line.right.text for line in law_of_type(block).rates}["a_d_hat"]
+    assert "leak" not in rate
+    leaking = {line.name: line.right.text for line in law_of_type(block, leak=0.1).rates}["a_d_hat"]
+    assert leaking == f"{rate} - leak (a_d_hat - a_d_nominal)"
+    assert {"leak", "error_leak", "dead_zone"} <= {label for label, _ in options_of(block)}
+
+
+def test_what_nobody_drives_does_not_print():
+    law = printed(load_graph("known_tracking_pid").diagram(), "dynamics")
+    assert {line.name: line.right.text for line in law.outputs} == {"tau_dc": "Y_d a_d_hat"}
+
+
+@final
+class Spring(AbstractBlock):
+    """A block of a user; what its methods do differs from test to test."""
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("f", "n", "N"),)
+    states: ClassVar[tuple[State, ...]] = (State("q", "n", "m"), State("v", "n", "m/s"))
+    how: ClassVar[list] = []
+
+    k: Diagonal = Positive("n", "1/s^2")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        force = self.how[0](x, p)
+        return Equations(outputs={"f": force}, rates={"q": x.v, "v": force})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(self.how[-1](x, p)),))
+
+
+def spring(*how):
+    Spring.how[:] = how
+    return Diagram.build({"spring": Spring(k=[1.0, 2.0])})
+
+
+def test_equations_that_answer_differently_the_second_time_are_told_with_file_and_line():
+    answers = chain([1, 1], repeat(-1))  # a diagram is built on the first two
+    diagram = spring(lambda x, p: next(answers) * p.k * x.q)
+    with pytest.raises(BlockError, match=r"spring: test_laws\.py:\d+: the output f is not the same when equations\(\)"):
+        printed(diagram, "spring")
+
+
+def test_a_law_that_is_another_one_for_matrices_is_told():
+    diagram = spring(lambda x, p: (-p.k if isinstance(x.q, ca.SX) else p.k) * x.q)
+    with pytest.raises(BlockError, match="the output f is not the same"):
+        printed(diagram, "spring")
+
+
+def test_a_certificate_that_is_another_one_for_matrices_is_told():
+    diagram = spring(lambda x, p: -p.k * x.q, lambda x, p: x.q if isinstance(x.q, ca.SX) else x.v)
+    with pytest.raises(BlockError, match="Square 1 of its storage is not the same when certificate"):
+        printed(diagram, "spring")
+
+
+def test_a_block_that_insists_on_scalars_prints_element_by_element():
+    law = printed(spring(lambda x, p: -p.k * (x.q + ca.SX([0, 1]) * x.v[0])), "spring")
+    assert not law.matrices
+    assert law.outputs[0].right.text == "(-k[0] q[0], -k[1] (q[1] + v[0]))"
+    lifted = printed(spring(lambda x, p: -p.k * (x.q + ca.SX(2) * x.v)), "spring")
+    assert lifted.outputs[0].right.text == "-k (q + 2 v)"
+
+
+def test_a_name_stands_for_its_part_and_is_defined_beside():
+    law = printed(spring(lambda x, p: -p.k * named("a", x.q + x.v)), "spring")
+    assert law.outputs[0].right.text == "-k a"
+    assert [line.whole.text for line in law.definitions] == ["a = q + v"]
+
+
+@pytest.mark.parametrize(
+    ("give", "said"),
+    [
+        (lambda x, p: named("k", x.q), "the name k is taken, by a parameter of the block"),
+        (lambda x, p: named("q", x.q), "the name q is taken, by a state"),
+        (lambda x, p: named("2a", x.q), "expected a name such as K_star, found '2a'"),
+        (lambda x, p: named("a", x.q) + named("a", x.v), "a, named twice, is not the same"),
+        (lambda x, p: named("a", x.q) + named("a", x.v[0]), "named twice, with different shapes"),
+        (lambda x, p: named("f", x.q) * p.k, "f, named twice, is not the same"),
+    ],
+)
+def test_a_name_that_cannot_stand_is_refused_with_file_and_line(give, said):
+    with pytest.raises(BlockError, match=said) as caught:
+        printed(spring(give), "spring")
+    assert "test_laws.py:" in caught.value.text
