@@ -254,7 +254,7 @@ def draw(rows: Sequence[Cell]) -> None:
             }
             axis.semilogy(np.minimum(values, 99), label=f"{number}, {TITLES[gains]}", **look)
         axis.axhline(1, color="k", lw=0.8)
-        axis.set(title=f"{task}, {TASKS[task] * 1e3:g} ms", xlabel="places, ordered by the ratio", ylim=(0.02, 10))
+        axis.set(title=f"{task}, {TASKS[task] * 1e3:g} ms", xlabel="places, ordered by the ratio", ylim=(0.01, 10))
     axes[0].set_ylabel("RMS task error, adaptive over kinematic")
     axes[0].legend(fontsize=8)
     _save(figure, "section_v_unknown.png")

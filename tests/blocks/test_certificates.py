@@ -59,7 +59,7 @@ def build(robot: str, task: str, servo: str, folder: Path) -> Diagram:
 def certificates(diagram: Diagram) -> dict[str, Certificate]:
     """Of all blocks; the truths that one states are handed to the others."""
     found, known = dict[str, Certificate](), dict[str, Any]()
-    for name in sorted(diagram.blocks, key=lambda name: name != "model"):
+    for name in sorted(diagram.blocks, key=lambda name: name not in ("arm", "model")):
         seen = view(diagram, name, known)
         said = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
         if said is not None:
@@ -77,8 +77,8 @@ def residual(diagram: Diagram, flipped: str = "", kappa: float = KAPPA) -> tuple
         V += weight * sum((term.value for term in said.storage), ca.SX(0)) / 2
         claimed += weight * sum((term.value for term in said.dissipation), ca.SX(0))
         if said.consumes is not None:
-            claimed -= said.consumes * ca.sumsqr(diagram.resolver.output("task", "sigma"))
-            supplied = said.consumes * ca.sumsqr(diagram.resolver.output("task", "sigma"))
+            supplied = said.consumes.value
+            claimed -= supplied
     rates = [v.rate * (-1 if v.label == flipped else 1) for v in (*loop.controller, *loop.plant)]
     V, claimed, supplied, *rates = loop.joined([V, claimed, supplied, *rates])
     rate = ca.vertcat(*(ca.vec(item) for item in rates))

@@ -397,7 +397,7 @@ def test_the_derived_reference_acceleration_is_the_slope_of_the_reference_while_
     function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [loop_trajectories(loop, derived)])
     states = np.hstack([run.states[variable.label] for variable in (*loop.controller, *loop.plant)])
     rows = range(10, len(run.time) - 10, 25)
-    expected = np.array([(run["task.dq_ref"][k + 1] - run["task.dq_ref"][k - 1]) / 0.001 for k in rows])
+    expected = np.array([(run["inverse.dq_ref"][k + 1] - run["inverse.dq_ref"][k - 1]) / 0.001 for k in rows])
     found = np.array([function(states[k], run.time[k], loop.p_values).full().ravel() for k in rows])
     assert np.abs(expected).max() > 0.05
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

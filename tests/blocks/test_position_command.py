@@ -69,7 +69,8 @@ def test_on_a_clock_the_servo_works_with_the_position_of_the_last_sample(
     file = tmp_path / "pendulum.yaml"
     file.write_text(
         "dmframe: 1\nrobot: pendulum\nclock: 50 ms\nduration: 1\nblocks:\n"
-        "  path: {type: sinusoid, center: [0.6], amplitude: 0.3, rate: 2}\n  task: {type: joint_tracking, alpha_bar: 2}\n"
+        "  path: {type: sinusoid, center: [0.6], amplitude: 0.3, rate: 2}\n"
+        "  task: {type: joint_tracking, alpha_bar: 2}\n"
         f"  inverse: {{type: kinematic_command}}\n{POSITION if position else ''}"
         f"  servo: {{type: {servo}_servo, {gains}}}\n"
         "  arm: {type: manipulator, viscous: 0.3}\n",
@@ -123,9 +124,9 @@ def test_the_staircase_costs_the_kinematic_controller_what_was_measured_once(tmp
 
 def test_a_torque_is_still_not_a_command(tmp_path: Path) -> None:
     file = graph(tmp_path, "pid", POSITION)
-    file.write_text(file.read_text(encoding="utf-8") + "wires: {interface.q_t: task.dq_ref}\n", encoding="utf-8")
+    file.write_text(file.read_text(encoding="utf-8") + "wires: {interface.q_t: task.dq_r}\n", encoding="utf-8")
     with pytest.raises(AccessError) as caught:
         load_graph(file).diagram()
-    assert "task.dq_ref cannot be commanded: interface.q_t takes only joint velocities and positions" in str(
+    assert "task.dq_r cannot be commanded: interface.q_t takes only joint velocities and positions" in str(
         caught.value
     )

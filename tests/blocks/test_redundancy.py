@@ -54,9 +54,9 @@ def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: s
 
 
 def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
-    """dq_ref, J_hat and z at a state and a moment, as the controller computes them."""
+    """dq_r, J_hat and dq_null at a state and a moment, as the controller computes them."""
     loop = diagram.loop
-    wanted = [signal for signal in loop.outputs if signal.name in ("dq_ref", "J_hat", "z", "ddq_ref")]
+    wanted = [signal for signal in loop.outputs if signal.name in ("dq_r", "J_hat", "dq_null")]
     expressions = loop.joined([loop_trajectories(loop, signal.expression) for signal in wanted])
     function = ca.Function("reference", [loop.state, loop.time, loop.p], expressions)
     return {
@@ -73,20 +73,20 @@ def test_the_null_space_velocity_leaves_the_proof_as_it_is(generator: str, servo
 
 
 @pytest.mark.parametrize("generator", GENERATORS)
-def test_the_reference_gains_z_without_what_the_tool_would_notice(generator: str, tmp_path: Path) -> None:
-    with_z = graph(tmp_path, generator).diagram()
+def test_the_reference_gains_the_null_space_velocity_without_what_the_tool_would_notice(generator: str, tmp_path: Path) -> None:
+    with_posture = graph(tmp_path, generator).diagram()
     without = graph(tmp_path, generator, posture="").diagram()
     rng = np.random.default_rng(4)
-    state = rng.uniform(0.2, 0.9, with_z.loop.state.numel())
-    found, plain = reference(with_z, state), reference(without, state)
-    J, z = found["J_hat"], found["z"]
-    free = found["dq_ref"] - plain["dq_ref"]
-    np.testing.assert_allclose(free, (np.eye(3) - np.linalg.pinv(J) @ J) @ z, rtol=1e-9, atol=1e-12)
+    state = rng.uniform(0.2, 0.9, with_posture.loop.state.numel())
+    found, plain = reference(with_posture, state), reference(without, state)
+    J, dq_null = found["J_hat"], found["dq_null"]
+    free = found["dq_r"] - plain["dq_r"]
+    np.testing.assert_allclose(free, (np.eye(3) - np.linalg.pinv(J) @ J) @ dq_null, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(J @ free, np.zeros((2, 1)), atol=1e-12)
     assert np.linalg.norm(free) > 1e-3
 
 
-def test_a_generator_that_does_not_keep_z_out_of_the_task_is_refuted(
+def test_a_generator_that_does_not_keep_it_out_of_the_task_is_refuted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kind: Any = find_block("task_tracking")
@@ -94,8 +94,7 @@ def test_a_generator_that_does_not_keep_z_out_of_the_task_is_refuted(
 
     def leaking(self: Any, u: Any, x: Any, p: Any) -> Equations:
         said = honest(self, u, x, p)
-        dq_ref = said.outputs["dq_ref"] + u.z / 1000
-        return Equations(outputs={"dq_ref": dq_ref, "sigma": u.dq - dq_ref})
+        return Equations(outputs={"dq_r": said.outputs["dq_r"] + u.dq_null / 1000})
 
     monkeypatch.setattr(kind, "equations", leaking)
     assert verify(graph(tmp_path).diagram(), trials=1).outcome == "refuted"
@@ -106,11 +105,11 @@ def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Pa
     diagram = loaded.diagram()
     run = simulate(diagram, 1.0, solver=Solver(step=2e-4, output=5e-3), start=loaded.start)
     loop = diagram.loop
-    expression = diagram.resolver.derivative(diagram.resolver.output("task", "dq_ref"), "test")
+    expression = diagram.resolver.derivative(diagram.resolver.output("inverse", "dq_ref"), "test")
     (joined,) = loop.joined([loop_trajectories(loop, expression)])
     function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [stack([joined])])
     states = np.hstack([run.states[v.label] for v in (*loop.controller, *loop.plant)])
-    dq_ref, times = run["task.dq_ref"], run.time
+    dq_ref, times = run["inverse.dq_ref"], run.time
     for k in (40, 100, 160):
         slope = (dq_ref[k + 1] - dq_ref[k - 1]) / (times[k + 1] - times[k - 1])
         told = function(states[k], times[k], loop.p_values).full().ravel()
@@ -144,5 +143,5 @@ def test_the_posture_pulls_each_joint_with_its_own_gain() -> None:
     block = find_block("null_space_posture")(k=[0.5, 2], q_0=[1, -1])
     u = Signals("posture", "inputs", {"q": ca.DM([1.5, 0])})
     p = Signals("posture", "parameters", {"k": ca.DM([0.5, 2]), "q_0": ca.DM([1, -1])})
-    z = block.equations(u, Signals("posture", "states", {}), p).outputs["z"]
-    np.testing.assert_allclose(z.full().ravel(), [-0.25, -2])
+    dq_null = block.equations(u, Signals("posture", "states", {}), p).outputs["dq_null"]
+    np.testing.assert_allclose(dq_null.full().ravel(), [-0.25, -2])

@@ -67,7 +67,7 @@ def test_a_leak_of_the_wrong_sign_is_refuted(option: str, monkeypatch: pytest.Mo
 
 def test_a_residual_that_is_left_out_of_the_claim_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
     right = Adaptation.idle
-    monkeypatch.setattr(Adaptation, "idle", lambda self, error, effect, of: right(self, error, 0 * effect, of))
+    monkeypatch.setattr(Adaptation, "idle", lambda self, error, effect: right(self, error, 0 * effect))
     assert proof("arm2_joint", "inverse.dead_zone=0.1").outcome == "refuted"
 
 
@@ -216,7 +216,7 @@ blocks:
   servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
   arm:      {type: manipulator, viscous: [1, 0.5]}
   sensor:   {type: sensor.py:WrongSensor, size: 0.05 rad/s}
-wires: {task.dq: sensor.dq_m, model.dq: sensor.dq_m}
+wires: {inverse.dq: sensor.dq_m, model.dq: sensor.dq_m}
 """
 
 
