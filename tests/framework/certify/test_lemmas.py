@@ -109,8 +109,8 @@ def test_a_projected_state_that_v_does_not_store_as_one_square_is_not_applicable
     verdict = verdict_of(diagram(swapped=swapped, boxes=True))
     assert verdict.outcome == "not_applicable"
     assert verdict.reason == (
-        "dynamics: dynamics.a_d_hat is projected, but is not stored as one square of its error with a diagonal weight, "
-        "which the projection lemma needs"
+        "dynamics: dynamics.a_d_hat is projected, but is not stored as one square of its error, which the "
+        "projection lemma needs"
     )
     assert verdict_of(diagram(swapped=swapped, boxes=False)).outcome == "proved"
 
