@@ -11,7 +11,9 @@ from dmframe.certify.uncertain import intervals
 from dmframe.cli import main
 from dmframe.config.graph import load_graph
 
-COULOMB = "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"
+COULOMB = (
+    "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"
+)
 VISCOUS = (
     "the plant has viscous friction (arm.viscous, arm.maker_viscous), and the regressor has no column for it: "
     "add viscous to friction"
@@ -77,6 +79,7 @@ def test_a_friction_that_may_be_there_is_blamed_too() -> None:
 
 def test_without_a_friction_to_blame_the_reason_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
     import casadi as ca
+
     import dmframe_blocks.dynamic_compensator as block
 
     monkeypatch.setattr(block, "times", lambda gain, vector: ca.fabs(gain) * 2 * vector)
