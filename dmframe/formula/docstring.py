@@ -20,7 +20,7 @@ import numpy as np
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError, raise_all
+from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
@@ -32,11 +32,11 @@ from dmframe.formula.stated import Stated, equations_of, shown, source_of
 
 
 @final
-class UnreadError(BlockError):
+class UnreadError(DmframeError):
     """An equation of a docstring that cannot be read, so that nobody knows whether it is what the code computes."""
 
 
-def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
+def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
     """What the docstring of a block says that its code does not compute; each with file and line."""
     return list(_checked(block))
 
@@ -55,7 +55,7 @@ def unread(diagram: Diagram) -> list[str]:
 
 
 @functools.lru_cache(maxsize=256)
-def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
+def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     equations = list(equations_of(block))
     if not any(item.displayed for item in equations):
         return ()
@@ -312,7 +312,7 @@ class _Checker:
                 sides.setdefault(shown(item.left), []).append(item)
         return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
 
-    def faults(self) -> Iterator[tuple[int, str, type[BlockError]]]:
+    def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
         """Lines and what is wrong there."""
         for item in self._equations:
             verdict, text = self._told[item]
