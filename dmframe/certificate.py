@@ -18,6 +18,7 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.errors import BlockError
+from dmframe.naming import operation
 
 SX = Any
 """A CasADi expression; the library is untyped."""
@@ -71,16 +72,19 @@ TINY = 2.0**-100
 """Under the root of a norm, so that it has a derivative, zero, at zero."""
 
 
+@operation
 def norm(vector: SX) -> SX:
     """The Euclidean norm of a column."""
     return ca.sqrt(ca.fmax(ca.sumsqr(vector), TINY))
 
 
+@operation
 def clip(vector: SX, width: SX) -> SX:
     """Each element held between -width and width."""
     return width * ca.fmin(ca.fmax(vector / width, -1), 1)
 
 
+@operation
 def dead_zone(vector: SX, width: SX) -> SX:
     """What each element has beyond -width or width: zero in between."""
     return width * _beyond(vector / width)

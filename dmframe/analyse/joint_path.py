@@ -45,8 +45,8 @@ class Leave:
     later, goal
         A time soon after [s], and where the tool should then be.
     distance
-        From there to the nearest point that any pose found reaches [m]; about 0 where poses reach it, but none near `q`:
-        the way there passes a singularity.
+        From there to the nearest point that any pose found reaches [m]; about 0 where poses reach it, but none near
+        `q`: the way there passes a singularity.
     """
 
     time: float
@@ -110,8 +110,8 @@ def joint_path(
 ) -> JointPath:
     """Follow the desired path from the pose `start`, by Newton's method with the shortest steps.
 
-    A start off the path is led onto it first, the tool on a straight line. The whole duration is followed, or one period
-    where both paths close.
+    A start off the path is led onto it first, the tool on a straight line. The whole duration is followed, or one
+    period where both paths close.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
             seen = R.T @ goal.vector
             used = _made_of(symbols, seen, vanishing)
             if used is not None:
-                step = f"{name}' times it is made of {_listed(used)}, and {name} has full row rank"
+                step = f"{name}'({goal.of}) is made of {_listed(used)}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from textwrap import fill
+from typing import Any, Final
 
 import typer
 
@@ -19,6 +21,8 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 
 NOT_PROVED = 1
+HARD: Final = "\N{NO-BREAK SPACE}"
+WRAPPED: Final[dict[str, Any]] = {"width": 112, "subsequent_indent": " " * 8, "break_on_hyphens": False}
 
 
 def verify_graphs(
@@ -75,6 +79,7 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
     if verdict.statements:
         parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
+    parts += [f"  notice: {notice}" for notice in verdict.notices]
     if verdict.claim is not None:
         parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
     return "\n".join(parts)
@@ -82,23 +87,31 @@ def page(graph: Graph, verdict: Verdict) -> str:
 
 def _followed(verdict: Verdict) -> Iterator[str]:
     """What follows: the signals of each kind, and last the conclusions, each with its step."""
-    kinds = dict.fromkeys(item.says for item in verdict.statements)
-    for says in kinds:
+    for says in dict.fromkeys(item.says for item in verdict.statements):
         found = [item for item in verdict.statements if item.says == says and not item.concludes]
-        sure = [item.signal for item in found if not item.assumes]
+        sure = dict.fromkeys(item.signal for item in found if not item.assumes)
         if sure:
-            yield f"{', '.join(dict.fromkeys(sure))}: {says}"
+            yield _told(f"{says.removeprefix('is ')}: ", sure)
         for item in found:
             if item.assumes:
-                yield f"{item.signal}: {says}, if {' and '.join(item.assumes)}"
+                yield f"{item.signal} {says}, if {' and '.join(item.assumes)}"
     states = verdict.states
     if states is not None and states.unfelt:
-        yield f"{', '.join(states.unfelt)}: may drift together, which no other signal feels (whole turns)"
+        yield _told("may drift together, felt by no other signal (whole turns): ", states.unfelt)
     if states is not None and states.open:
-        yield f"{', '.join(states.open)}: not known to be bounded; this is not the stability of the whole loop"
+        yield _told("not known to be bounded, so that this is not the stability of the whole loop: ", states.open)
+    if verdict.claim is not None:
+        named = dict.fromkeys(line.whole.text for law in verdict.claim.laws.values() for line in law.definitions)
+        if named:
+            yield _told("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
-        assumed = f"; assumes that {' and '.join(item.assumes)}" if item.assumes else ""
-        yield f"{item.signal} {item.says}: {item.step}{assumed}"
+        assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
+        yield fill(f"=> {item.signal} {item.says}: {item.step}{assumed}", **WRAPPED)
+
+
+def _told(lead: str, items: Iterable[str]) -> str:
+    kept = ", ".join(item.replace(" ", HARD) for item in items)  # a formula is not broken between lines
+    return fill(lead + kept, **WRAPPED).replace(HARD, " ")
 
 
 def _bounds(verdict: Verdict) -> list[tuple[str, str]]:

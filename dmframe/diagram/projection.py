@@ -52,9 +52,9 @@ class Box:
 class Ball:
     r"""The ellipsoid :math:`f = \sum_i (\theta_i - c_i)^2 / r_i^2 - 1 \le 0`, a ball where all half axes are equal.
 
-    `gain` is the adaptation's :math:`\Gamma`, a matrix or a column for a diagonal. The normal in the metric
+    `gain` is the adaptation's :math:`\Gamma`, a matrix or its diagonal. The normal in the metric
     :math:`\Gamma^{-1}` is :math:`\Gamma \nabla f`: with :math:`c = -\mu \Gamma \nabla f`, :math:`\mu \ge 0`,
-    :math:`(\theta - \theta_{true})^\top \Gamma^{-1} c = -\mu (\theta - \theta_{true})^\top \nabla f`, which is not above
+    :math:`(\theta - \theta_{true})^\top \Gamma^{-1} c = -\mu (\theta - \theta_{true})^\top \nabla f`, not above
     zero on the boundary, since f is convex and not above zero at the true value.
     """
 

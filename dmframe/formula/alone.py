@@ -68,18 +68,19 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
     plain = read_type(block)
     if plain is not None:
         yield plain, True
-    together = dict[str, Any]()
+    choices = list[dict[str, Any]]()
     for _, values in switched(block):
         read = read_type(block, **values)
         if read is not None:
+            choices.append(values)
             yield read, False
-        both = {**values, **together}
-        if read_type(block, **both) is not None:
-            together = both
-    if len(together) > 1:
-        read = read_type(block, **together)
-        if read is not None:
-            yield read, False
+    together = dict[str, Any]()
+    for values in choices:
+        if read_type(block, **{**values, **together}) is not None:
+            together = {**values, **together}
+    read = read_type(block, **together) if len(together) > 1 else None
+    if read is not None:
+        yield read, False
 
 
 def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:

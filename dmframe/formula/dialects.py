@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import ClassVar, Final, final
@@ -159,10 +160,14 @@ class _Latex(Dialect):
 
     def matrix(self, rows: Sequence[Sequence[str]]) -> str:
         body = r" \\ ".join(" & ".join(row) for row in rows)
-        return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
+        return rf"\left[\begin{{matrix}} {body} \end{{matrix}}\right]"
 
     def part(self, text: str, piece: Piece) -> str:
-        return f"[{text}]_{{{_counted(piece)}}}"
+        return f"({text})_{{{_counted(piece)}}}"
+
+    def between(self, left: str, right: str) -> str:
+        word = re.search(r"\\(?:mathrm|operatorname)\{[^{}]*\}$", left)
+        return r" \, " if word or right.startswith((r"\mathrm", r"\operatorname")) else " "
 
     def choice(self, relation: str, yes: str, no: str) -> str:
         return rf"\begin{{cases}} {yes} & {relation} \\ {no} & \text{{else}} \end{{cases}}"

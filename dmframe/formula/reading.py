@@ -180,7 +180,11 @@ class Evaluated:
     ) -> None:
         self._symbols, self._zero = symbols, zero
         options = {"allow_duplicate_io_names": True}
-        self._function = ca.Function("numbers", list(symbols.values()), list(expressions), options)
+        free = ca.Function("free", list(symbols.values()), list(expressions), options | {"allow_free": True})
+        if free.has_free():
+            names = ", ".join(str(symbol) for symbol in free.get_free())
+            raise BlockError(f"a certificate holds {names}, which is no signal and no parameter of this diagram")
+        self._function = free
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""

@@ -158,7 +158,7 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
     )  # fmt: skip
     not_means = (
         "It does not say that the loop is unstable: a false claim is no proof of the contrary.",
-        "It does not depend on the graph's numbers: they were free symbols. That the claim holds for some single choice "
+        "It does not depend on the graph's numbers: they were free symbols. That the claim holds for a single choice "
         "of them is not ruled out.",
     )
     del clock

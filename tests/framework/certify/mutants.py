@@ -202,7 +202,11 @@ def block_mutants(kind: str, block: type[AbstractBlock], method: str = "equation
 
 def mutated_block(block: type[AbstractBlock], mutant: Mutant) -> type[AbstractBlock]:
     """The block with one method replaced; its file is left alone."""
-    space = {"__module__": block.__module__, "__doc__": block.__doc__, mutant.original.__name__: mutant.function}
+    space = {
+        "__module__": block.__module__,
+        "__doc__": "What a fault makes of it.",
+        mutant.original.__name__: mutant.function,
+    }
     return type(block)(block.__name__, (block,), space)
 
 

@@ -7,6 +7,7 @@ import pytest
 from dmframe.config.graph import load_graph
 from dmframe.diagram.wiring import Derived, Wire
 from dmframe.draw import mermaid
+from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
 
@@ -21,7 +22,7 @@ def test_each_wire_has_a_line_of_its_own(diagram):
     lines = [line.strip() for line in text.splitlines()]
     wires = [(end, source) for end, source in diagram.sources.items() if isinstance(source, Wire)]
     for (name, port), source in wires:
-        label = port if port == source.port else f"{source.port} → {port}"
+        label = " → ".join(dict.fromkeys(map(unicode_name, (source.port, port))))
         assert lines.count(f'{ids[source.block]} -- "{label}" --> {ids[name]}') == 1
     assert sum("-->" in line for line in lines) == len(wires)
     derived = [source for source in diagram.sources.values() if isinstance(source, Derived)]

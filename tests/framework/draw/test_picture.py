@@ -7,6 +7,7 @@ import pytest
 from dmframe.config.graph import load_graph
 from dmframe.diagram.wiring import Wire
 from dmframe.draw import svg
+from dmframe.formula.names import unicode_name
 
 SVG = "{http://www.w3.org/2000/svg}"
 GRAPHS = ["ur10_fast", "ur10_fast_kinematic", "pendulum", "arm2_joint"]
@@ -38,7 +39,7 @@ def test_each_block_stands_there_with_its_type_and_states(diagram):
         assert texts(item, "name") == [name]
         assert texts(item, "kind") == [diagram.type_of(name)]
         shown = " ".join(texts(item, "states")).removeprefix("states:").replace(",", " ").split()
-        assert shown == [state.name for state in diagram.blocks[name].states]
+        assert shown == [unicode_name(state) for state in diagram.models[name].states]
 
 
 def test_each_wire_is_labelled_and_says_from_where_to_where(diagram):
@@ -47,7 +48,7 @@ def test_each_wire_is_labelled_and_says_from_where_to_where(diagram):
     told = [item.find(f"{SVG}title").text for item in root.iter(f"{SVG}g") if item.get("class") == "net"]
     for (name, port), source in diagram.sources.items():
         if isinstance(source, Wire):
-            assert source.port in labels
+            assert unicode_name(source.port) in labels
             (line,) = [text for text in told if text.startswith(f"{source.block}.{source.port} -> ")]
             assert f"{name}.{port}" in line
 

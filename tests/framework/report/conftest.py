@@ -41,7 +41,7 @@ class Liar(AbstractBlock):
 
     def certificate(self, u, x, p, truth):
         error = x.a_d_hat - truth.a_d
-        stored = Square("a_d_hat - a_d", error, 1 / p.Gamma)
+        stored = Square(error, 1 / p.Gamma)
         return Certificate(storage=(stored,), supply=-ca.dot(u.sigma, u.Y_d @ error))
 '''
 

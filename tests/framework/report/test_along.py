@@ -24,7 +24,7 @@ def test_v_along_a_run_is_the_v_of_the_textbook(proved):
     rate, amplitude = np.array(path.rate), np.array(path.amplitude)
     q_d = np.array(path.center) + amplitude * np.sin(rate * t)
     q, dq = run["arm.q"], run["arm.dq"]
-    sigma = dq - amplitude * rate * np.cos(rate * t) + blocks["task"].alpha * (q - q_d)
+    sigma = dq - amplitude * rate * np.cos(rate * t) + blocks["task"].alpha_bar * (q - q_d)
     e = run["servo.i"] + run["servo.q_c"] - run["inverse.q_r"]
     inertia = [float(x) for row in proved.diagram.robot.inertia for x in row]
     a_d = np.array([*inertia, *blocks["arm"].viscous])

@@ -2,27 +2,9 @@ from __future__ import annotations
 
 import pytest
 
-from dmframe.report.notation import latex, marked, name_latex
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("q", "q"),
-        ("dq", r"\dot{q}"),
-        ("ddq_ref", r"\ddot{q}_{\mathrm{ref}}"),
-        ("a_d_hat", r"\hat{a}_{d}"),
-        ("w_err", r"\tilde{w}"),
-        ("M_bar", r"\bar{M}"),
-        ("K_star", r"K_{\star}"),
-        ("Lambda_P", r"\Lambda_{P}"),
-        ("tau_dc", r"\tau_{\mathrm{dc}}"),
-        ("q_1", "q_{1}"),
-        ("viscous", r"\mathrm{viscous}"),
-    ],
-)
-def test_names_of_the_code_become_those_of_the_paper(name, expected):
-    assert name_latex(name) == expected
+from dmframe.config import load_graph
+from dmframe.formula import laws_of
+from dmframe.report.notation import latex, marked, signal_latex
 
 
 @pytest.mark.parametrize(
@@ -61,3 +43,12 @@ def test_what_a_certificate_calls_its_squares_becomes_a_formula(text, expected):
 )
 def test_formulas_are_found_among_the_words_of_a_sentence(text, expected):
     assert marked(text) == expected
+
+
+def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
+    laws = laws_of(load_graph("observed_tracking_pi").diagram())
+    assert signal_latex("x - x_d", laws) == "x - x_{d}"
+    assert signal_latex("J_hat'(x_o - x)/2 + s/beta", laws) == (r"\tfrac{1}{2} \hat{J}^\top (x_{o} - x) + s/\beta")
+    assert signal_latex("d(x - x_d)/dt", laws) == r"\tfrac{d}{dt} (x - x_{d})"
+    assert signal_latex("x - x_d (task)", laws) == r"x - x_{d} \;\text{(task)}"
+    assert signal_latex("q_c", laws) == "q_{c}"

@@ -179,7 +179,7 @@ def test_the_json_holds_verdict_laws_formulas_run_and_provenance(contents):
     text = json.dumps(as_data(list(contents.values())), allow_nan=False)
     first = json.loads(text)["graphs"][0]
     assert first["verdict"] == contents["proved"].summary
-    assert first["laws"][0]["law"]["body"][0][0]["tag"] == "1"
+    assert first["laws"][0]["equations"][0]["tag"] == "1"
     assert first["terms"]["V"][0]["left"] == "V"
     assert first["measured"]["numbers"]["kappa"] == first["verdict"]["kappa"]["chosen"]
     assert first["provenance"]["seed"] == 0

@@ -338,3 +338,37 @@ def test_a_translation_of_zero_is_a_literal_zero():
     robot = SymbolicRobot(load("ur10"))
     assert robot.a_k[0].is_zero()
     assert not robot.a_k[2].is_zero()
+
+
+@pytest.mark.parametrize("name", ["ur10", "panda", "arm3"])
+def test_the_kinematic_regressors_are_pinocchios_slopes_in_the_translations(name):
+    chain = load(name)
+    robot = SymbolicRobot(chain)
+    q, psi = points(chain.n, seed=3, count=2)
+    step, model, tool = 1e-6, chain.model.copy(), chain.model_tool
+
+    def moved():
+        """Position and velocity of the tool, in the base's axes."""
+        data = model.createData()
+        pin.forwardKinematics(model, data, pin_configuration(chain, q), psi)
+        pin.updateFramePlacement(model, data, tool)
+        velocity = pin.getFrameVelocity(model, data, tool, pin.LOCAL_WORLD_ALIGNED).linear
+        rows = ["xyz".index(axis) for axis in chain.axes]
+        return np.concatenate([data.oMf[tool].translation[rows], velocity[rows]])
+
+    slopes = []
+    places = [model.jointPlacements[joint] for joint in range(1, chain.n + 1)] + [model.frames[tool].placement]
+    for place in places:
+        for axis in range(3):
+            still = place.translation.copy()
+            offset = np.zeros(3)
+            offset[axis] = step
+            ends = []
+            for sign in (1, -1):
+                place.translation = still + sign * offset
+                ends.append(moved())
+            place.translation = still
+            slopes.append((ends[0] - ends[1]) / (2 * step))
+    W_k, Y_k = np.split(np.array(slopes).T, 2)
+    close(evaluate(robot, robot.position_regressor, q), W_k, tolerance=1e-6)
+    close(evaluate(robot, robot.kinematic_regressor, q, psi), Y_k, tolerance=1e-6)
