@@ -38,7 +38,9 @@ from dmframe.exact.rational import as_float
 SIGNS = "V is positive, dV/dt not"
 
 
-def conditions_of(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
+def conditions_of(
+    claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
+) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)

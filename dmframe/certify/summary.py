@@ -75,6 +75,7 @@ def summary(name: str, verdict: Verdict) -> dict[str, Any]:
             "open": list(verdict.states.open),
         },
         "fixed": list(verdict.fixed),
+        "notices": list(verdict.notices),
         "mutants": {
             "tried": len(verdict.controls),
             "refuted": sum(control.refuted for control in verdict.controls),

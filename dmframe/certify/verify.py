@@ -27,6 +27,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval, as_float
+from dmframe.formula.docstring import unread
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
@@ -49,6 +50,8 @@ class Verdict:
         Which states are bounded, and which are not known to be.
     fixed
         Parameters that are zero in the graph, and that the proof takes for zero, by label.
+    notices
+        Equations of docstrings that could not be read, and so not be held to the code; they are printed nowhere.
     bounds
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
     build, check
@@ -67,6 +70,7 @@ class Verdict:
     statements: tuple[Statement, ...] = ()
     states: States | None = None
     fixed: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
@@ -175,6 +179,7 @@ def _verified(
         states=states_of(claim, closure),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
+        notices=tuple(unread(diagram)),
         build=clock.build,
         check=clock.check,
     )

@@ -79,6 +79,7 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
     if verdict.statements:
         parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
+    parts += [f"  notice: {notice}" for notice in verdict.notices]
     if verdict.claim is not None:
         parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
     return "\n".join(parts)

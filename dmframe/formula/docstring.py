@@ -49,6 +49,11 @@ class Stated:
     source: str
 
 
+@final
+class UnreadError(BlockError):
+    """An equation of a docstring that cannot be read, so that nobody knows whether it is what the code computes."""
+
+
 def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
     """What the docstring of a block says that its code does not compute; each with file and line."""
     return list(_checked(block))
@@ -57,7 +62,14 @@ def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
 def check_docstrings(diagram: Diagram) -> None:
     """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
     kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-    raise_all([fault for kind in kinds for fault in check_docstring(kind)])
+    faults = [fault for kind in kinds for fault in check_docstring(kind)]
+    raise_all([fault for fault in faults if not isinstance(fault, UnreadError)])
+
+
+def unread(diagram: Diagram) -> list[str]:
+    """Equations of the blocks' docstrings that cannot be read, each with file and line."""
+    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+    return [fault.text for kind in kinds for fault in check_docstring(kind) if isinstance(fault, UnreadError)]
 
 
 @functools.lru_cache(maxsize=256)
@@ -72,7 +84,7 @@ def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
     if not checker.tried:
         return ()
     file, _ = source_of(block)
-    return tuple(BlockError(f"{file}:{line}: {text}") for line, text in checker.faults())
+    return tuple(kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
 
 
 def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
@@ -438,14 +450,16 @@ class _Checker:
                 sides.setdefault(shown(item.left), []).append(item)
         return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
 
-    def faults(self) -> Iterator[tuple[int, str]]:
+    def faults(self) -> Iterator[tuple[int, str, type[BlockError]]]:
         """Lines and what is wrong there."""
         for item in self._equations:
             verdict, text = self._told[item]
             if item not in self._fine:
                 if item.displayed or verdict is _Verdict.DIFFERS:
-                    yield item.line, text
+                    yield item.line, text, UnreadError if verdict is _Verdict.UNREADABLE else BlockError
             elif verdict is _Verdict.DEFINES and text not in self._used:
-                yield item.line, f"{text}: the block has nothing of this name, and no other equation uses it"
+                text = f"{text}: the block has nothing of this name, and no other equation uses it"
+                yield item.line, text, UnreadError
             elif self._late.get(shown(item.left)) is item:
-                yield item.line, f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"
+                text = f"{' '.join(item.left)}: no equation for it holds with the options at their defaults"
+                yield item.line, text, BlockError

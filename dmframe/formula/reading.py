@@ -191,7 +191,11 @@ class Evaluated:
         self._lower = {name: lower_triangle(symbols[name]) for name in gains}
         options = {"allow_duplicate_io_names": True}
         inputs = [self._lower[name][0] if name in self._lower else symbol for name, symbol in symbols.items()]
-        self._function = ca.Function("numbers", inputs, list(expressions), options)
+        free = ca.Function("free", inputs, list(expressions), options | {"allow_free": True})
+        if free.has_free():
+            names = ", ".join(str(symbol) for symbol in free.get_free())
+            raise BlockError(f"a certificate holds {names}, which is no signal and no parameter of this diagram")
+        self._function = free
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""

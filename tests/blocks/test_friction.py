@@ -12,7 +12,9 @@ from dmframe.certify.uncertain import intervals
 from dmframe.cli import main
 from dmframe.config.graph import load_graph
 
-COULOMB = "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"
+COULOMB = (
+    "the plant has Coulomb friction (arm.coulomb), and the regressor has no column for it: add coulomb to friction"
+)
 VISCOUS = (
     "the plant has viscous friction (arm.viscous, arm.maker_viscous), and the regressor has no column for it: "
     "add viscous to friction"

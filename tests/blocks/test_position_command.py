@@ -127,6 +127,4 @@ def test_a_torque_is_still_not_a_command(tmp_path: Path) -> None:
     file.write_text(file.read_text(encoding="utf-8") + "wires: {interface.q_t: task.dq_r}\n", encoding="utf-8")
     with pytest.raises(AccessError) as caught:
         load_graph(file).diagram()
-    assert "task.dq_r cannot be commanded: interface.q_t takes only joint velocities and positions" in str(
-        caught.value
-    )
+    assert "task.dq_r cannot be commanded: interface.q_t takes only joint velocities and positions" in str(caught.value)

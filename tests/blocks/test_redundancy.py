@@ -73,7 +73,9 @@ def test_the_null_space_velocity_leaves_the_proof_as_it_is(generator: str, servo
 
 
 @pytest.mark.parametrize("generator", GENERATORS)
-def test_the_reference_gains_the_null_space_velocity_without_what_the_tool_would_notice(generator: str, tmp_path: Path) -> None:
+def test_the_reference_gains_the_null_space_velocity_without_what_the_tool_would_notice(
+    generator: str, tmp_path: Path
+) -> None:
     with_posture = graph(tmp_path, generator).diagram()
     without = graph(tmp_path, generator, posture="").diagram()
     rng = np.random.default_rng(4)
