@@ -95,7 +95,7 @@ def square(gain: Any) -> Any:
 
 def inverse_spd(A: Any) -> Any:
     """The inverse of a symmetric positive definite matrix, zero where its blocks are."""
-    return solve_spd(A, ca.SX.eye(A.shape[0]))
+    return solve_spd(A, type(A).eye(A.shape[0]))
 
 
 def metric(gain: Any) -> Any:

@@ -47,7 +47,7 @@ def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> R
         functions = _arm() if block.uses_robot else None
         chain = functions.of.chain if functions else None
         sizes = _sizes(made, chain)
-        arrays, faults = parameter_arrays(type_name(block), made, sizes)
+        arrays, faults = parameter_arrays(type_name(block), made, sizes, {type_name(block): made}, chain)
         if faults:
             return None
         model = model_block(type_name(block), made, arrays, sizes, functions.of if functions else None)

@@ -16,6 +16,7 @@ import numpy as np
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Consumed
 from dmframe.diagram.model import BlockModel
+from dmframe.diagram.symmetric import full_gains, lower_triangle
 from dmframe.errors import BlockError
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
 from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
@@ -143,6 +144,9 @@ class Reading:
         for name, symbol in signs.names.items():
             bare = name.replace(START, "_0")
             found[name] = rng.uniform(0.5 if bare in positive else -1.0, 1.5 if bare in positive else 1.0, symbol.shape)
+        for name in full_gains(self.model.block, self.model.parameters):
+            there = ca.DM(self.model.parameters[name].sparsity(), 1).full()
+            found[name] = there * (found[name] + found[name].T) / 2 + there.shape[0] * np.eye(there.shape[0])
         if signs.robot is not None and self.functions is not None:
             found |= {CONSTANTS[name]: self.functions.value(name).full() for name in CONSTANTS}
             found[_CONSTANTS] = self.functions.values.full()
@@ -161,7 +165,8 @@ class Reading:
         if self.functions is not None and self.model.robot is not None:
             symbols[_CONSTANTS] = self.functions.constants
         equations = self.model.equations
-        return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero)
+        gains = full_gains(self.model.block, self.model.parameters)
+        return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero, gains)
 
     def running_names(self) -> dict[str, Any]:
         """The symbols of the equations that run, by how they print."""
@@ -173,14 +178,20 @@ class Reading:
 
 @final
 class Evaluated:
-    """Expressions as a function of named numbers; names of `zero` are zero."""
+    """Expressions as a function of named numbers; names of `zero` are zero, matrices of `gains` hold symbols twice."""
 
     def __init__(
-        self, symbols: Mapping[str, Any], expressions: Sequence[Expression], zero: Collection[str] = ()
+        self,
+        symbols: Mapping[str, Any],
+        expressions: Sequence[Expression],
+        zero: Collection[str] = (),
+        gains: Collection[str] = (),
     ) -> None:
         self._symbols, self._zero = symbols, zero
+        self._lower = {name: lower_triangle(symbols[name]) for name in gains}
         options = {"allow_duplicate_io_names": True}
-        free = ca.Function("free", list(symbols.values()), list(expressions), options | {"allow_free": True})
+        inputs = [self._lower[name][0] if name in self._lower else symbol for name, symbol in symbols.items()]
+        free = ca.Function("free", inputs, list(expressions), options | {"allow_free": True})
         if free.has_free():
             names = ", ".join(str(symbol) for symbol in free.get_free())
             raise BlockError(f"a certificate holds {names}, which is no signal and no parameter of this diagram")
@@ -189,6 +200,10 @@ class Evaluated:
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""
         given = [ca.DM(*s.shape) if name in self._zero else ca.DM(values[name]) for name, s in self._symbols.items()]
+        for place, name in enumerate(self._symbols):
+            if name in self._lower:
+                _, rows, columns = self._lower[name]
+                given[place] = ca.DM(np.asarray(values[name])[rows, columns])
         return [value.full() for value in self._function.call(given)]
 
 

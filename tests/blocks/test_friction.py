@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 
 import pytest
+from faulty import verdict_with
 
 from dmframe.certify import Verdict, verify
 from dmframe.certify.uncertain import intervals
@@ -77,13 +78,8 @@ def test_a_friction_that_may_be_there_is_blamed_too() -> None:
     assert f"model: {COULOMB}" in verdict.reason
 
 
-def test_without_a_friction_to_blame_the_reason_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    import casadi as ca
-
-    import dmframe_blocks.dynamic_compensator as block
-
-    monkeypatch.setattr(block, "times", lambda gain, vector: ca.fabs(gain) * 2 * vector)
-    verdict = proof("arm2_joint")
+def test_without_a_friction_to_blame_the_reason_is_the_usual_one() -> None:
+    verdict = verdict_with(load_graph("arm2_joint"), "dynamics", times=lambda gain, vector: 2 * gain * vector)
     assert verdict.outcome == "refuted"
     assert "friction" not in verdict.reason
     assert "to blame: dynamics" in verdict.reason

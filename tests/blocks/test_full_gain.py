@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
+from faulty import verdict_with
+
 from dmframe import linalg
 from dmframe.certify import Verdict, verify
 from dmframe.config.graph import load_graph
@@ -76,24 +78,24 @@ FAULTS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_law_that_is_not_the_gain_times_the_gradient_is_refuted(fault: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import dmframe_blocks.dynamic_compensator as block
-
-    monkeypatch.setattr(block, "times", FAULTS[fault])
-    verdict = proof("arm2_joint", *with_full("arm2_joint"))
+def test_a_law_that_is_not_the_gain_times_the_gradient_is_refuted(fault: str) -> None:
+    verdict = verdict_with(load_graph("arm2_joint", with_full("arm2_joint")), "dynamics", times=FAULTS[fault])
     assert verdict.outcome == "refuted"
     assert verdict.refutation is not None
     assert verdict.refutation.blame == ("dynamics",)
 
 
-def test_a_storage_in_the_metric_of_the_gain_itself_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
-    import dmframe_blocks.dynamic_compensator as block
-
-    monkeypatch.setattr(block, "metric", lambda gain: gain)
-    assert proof("arm2_joint", *with_full("arm2_joint")).outcome == "refuted"
+def test_a_storage_in_the_metric_of_the_gain_itself_is_refuted() -> None:
+    graph = load_graph("arm2_joint", with_full("arm2_joint"))
+    assert verdict_with(graph, "dynamics", metric=lambda gain: gain).outcome == "refuted"
 
 
-def test_the_weight_of_v_is_decided_by_its_exact_pivots(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_copy_without_a_fault_is_proved() -> None:
+    graph = load_graph("arm2_joint", with_full("arm2_joint"))
+    assert verdict_with(graph, "dynamics", times=linalg.times, metric=linalg.metric).outcome == "proved"
+
+
+def test_the_weight_of_v_is_decided_by_its_exact_pivots() -> None:
     """A gain whose symbols take values that the reader would have refused."""
     graph = load_graph("arm2_joint", with_full("arm2_joint"))
     diagram = graph.diagram()

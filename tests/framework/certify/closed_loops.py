@@ -136,6 +136,7 @@ def _loops() -> Iterator[Loop]:
             for servo, source in zip(("PI", "PID"), sources[task], strict=True):
                 yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
     yield _fitted(robots[0])
+    yield from _full(robots[0])
     held = {kind for robot in robots[:1] for kind in ("circle", "setpoint", "sinusoid", "waypoints")}
     yield from _packaged(held)
 
@@ -149,6 +150,25 @@ def _fitted(robot: Any) -> Loop:
         "task": ("observed_tracking", {"gamma": 2}),
     }
     return Loop(f"{robot.name} fitted kinematics PI", robot, {**known, **fitted})
+
+
+FULL = "full gains"
+
+
+def _full(robot: Any) -> Iterator[Loop]:
+    """The adaptation gains as full matrices, with and without forgetting; no default graph has them."""
+    fitted, known = _fitted(robot).specs, loop_of(robot, "joint", "PI").specs
+    gain, gain_k = _positive(12 * robot.n), _positive(3 * (robot.n + 1))
+    geometry = {**fitted["geometry"][1], "Gamma_k": gain_k}
+    yield Loop(f"{robot.name} {FULL} fitted", robot, {**fitted, "geometry": ("adaptive_kinematics", geometry)})
+    yield Loop(f"{robot.name} {FULL}", robot, {**known, "dynamics": ("dynamic_compensator", {"Gamma": gain})})
+
+
+def _positive(n: int) -> list[list[float]]:
+    root = np.random.default_rng(n).normal(size=(n, n))
+    matrix = root @ root.T / n + np.eye(n)
+    rows: list[list[float]] = ((matrix + matrix.T) / 2).tolist()
+    return rows
 
 
 def _packaged(held: set[str]) -> Iterator[Loop]:

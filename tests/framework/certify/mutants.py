@@ -23,7 +23,7 @@ from functools import cache
 from types import FunctionType
 from typing import Any
 
-from closed_loops import Loop, known_blocks, loops, same_field, true_in_numbers
+from closed_loops import FULL, Loop, known_blocks, loops, same_field, true_in_numbers
 
 import dmframe.linalg
 import dmframe.robot.symbolic
@@ -212,6 +212,7 @@ def mutated_block(block: type[AbstractBlock], mutant: Mutant) -> type[AbstractBl
 
 LIBRARY: Mapping[str, Sequence[Callable[..., Any]]] = {
     "linalg": [dmframe.linalg.ldl, dmframe.linalg.solve_spd],
+    "gain": [dmframe.linalg.times, dmframe.linalg.metric, dmframe.linalg.inverse_spd, dmframe.linalg.square],
     "symbolic": [
         function
         for holder in (dmframe.robot.symbolic, dmframe.robot.symbolic.SymbolicRobot, dmframe.robot.symbolic.Body)
@@ -315,8 +316,10 @@ def _outcome(diagram: Diagram, verdict: Any) -> str:
 
 
 def homes(kind: str, available: Sequence[Loop]) -> list[Loop]:
-    """The closed loops that hold a block of this type."""
-    return [loop for loop in available if kind in loop.types]
+    """The closed loops that hold a block of this type, or where these functions of the library matter."""
+    if kind == "gain":
+        return [loop for loop in available if FULL in loop.name]
+    return [loop for loop in available if kind in loop.types] if kind in known_blocks() else list(available)
 
 
 Trial = tuple[Mutant, Loop]
@@ -328,7 +331,7 @@ def trials(scope: str, everywhere: bool) -> tuple[Trial, ...]:
     """Every fault of `scope` in one closed loop that it can touch, taken in turn, or in all of them."""
     available, found = loops(), list[Trial]()
     for turn, mutant in enumerate(all_mutants(certificates=scope != "equations", library=scope == "all")):
-        fitting = homes(mutant.owner, available) if mutant.owner in known_blocks() else list(available)
+        fitting = homes(mutant.owner, available)
         chosen = fitting if everywhere else fitting[turn % len(fitting) :][:1] if fitting else []
         found += [(mutant, loop) for loop in chosen]
     return tuple(found)

@@ -1,0 +1,28 @@
+"""A block with another function in place of one that its methods call: a seeded fault, in a class of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any
+
+from dmframe.certify import Verdict, verify
+from dmframe.config.graph import Graph
+from dmframe.diagram import Diagram
+
+
+def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
+    """The class with `functions` under the names that its equations and its certificate call."""
+    members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and no law in prose."}
+    for name in ("equations", "certificate"):
+        method = vars(block)[name]
+        members[name] = FunctionType(method.__code__, {**method.__globals__, **functions}, name, method.__defaults__)
+    return type(block)(block.__name__, (block,), members)
+
+
+def verdict_with(graph: Graph, name: str, **functions: Callable[..., Any]) -> Verdict:
+    """Of the graph with a fault in one of its blocks."""
+    block = graph.blocks[name]
+    chosen = {key: value for key, value in block.model_dump().items() if value is not None}
+    blocks = {**graph.blocks, name: faulty(type(block), **functions)(**chosen)}
+    return verify(Diagram.build(blocks, graph.file.wires, graph.robot))
