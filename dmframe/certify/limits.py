@@ -151,7 +151,11 @@ def _sampled(
     tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
     rng = random.Random(SEED)
     shift = Shift(_prime(), rng)
-    fixed = {label: [shift.residue(value) for value in values] for label, values in own.items()}
+    fixed = {
+        group.label: [shift.residue(value) for value in own[group.label]]
+        for group in symbols.groups
+        if group.kind == "parameter"
+    }
     points = list[list[int]]()
     for _ in range(4 * count):
         point = [
