@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dmframe.adaptation import Adaptation, Estimate
-from dmframe.certificate import Clipped, NormSquare, Square, clip, dead_zone, norm
+from dmframe.certificate import Clipped, NormSquare, Square, beyond, clip, norm
 
 GAIN, WEIGHT = np.array([2.0, 3.0]), 1 / np.array([2.0, 3.0])
 TRUTH, NOMINAL = np.array([1.0, -0.5]), np.array([0.2, 0.1])
@@ -31,8 +31,8 @@ def law(**chosen: float) -> Adaptation:
 def by_hand(phi: np.ndarray, s: np.ndarray, theta: np.ndarray, chosen: dict[str, float]) -> np.ndarray:
     """The rate of theta for the gradient Gamma phi s, from the formulas of a textbook."""
     width = chosen.get("width", 0.0)
-    beyond = np.sign(s) * np.maximum(np.abs(s) - width, 0)
-    rate = -GAIN * (phi.T @ beyond)
+    outside = np.sign(s) * np.maximum(np.abs(s) - width, 0)
+    rate = -GAIN * (phi.T @ outside)
     rate -= chosen.get("leak", 0.0) * (theta - NOMINAL)
     rate -= chosen.get("error_leak", 0.0) * np.sqrt(s @ s) * (theta - NOMINAL)
     return rate
@@ -53,9 +53,9 @@ def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_says(chosen: 
         np.testing.assert_allclose(rate, by_hand(phi, s, theta, chosen), atol=1e-12)
 
         columns = [ca.SX(ca.DM(x)) for x in (theta, TRUTH, NOMINAL, WEIGHT)]
-        estimate = Estimate("theta - truth", "theta - theta(0)", *columns)
+        estimate = Estimate(*columns)
         effect = phi @ (theta - TRUTH)
-        robust = made.terms([estimate], error, "s") + made.idle(error, ca.SX(ca.DM(effect)), "b")
+        robust = made.terms([estimate], error) + made.idle(error, ca.SX(ca.DM(effect)))
         said = sum((number(term.value) for term in robust.excess), 0.0)
         said -= sum((number(term.value) for term in robust.dissipation), 0.0)
         assert (theta - TRUTH) * WEIGHT @ rate == pytest.approx(-s @ effect + said, abs=1e-12)
@@ -63,7 +63,7 @@ def test_a_law_is_the_textbooks_and_its_storage_changes_by_what_it_says(chosen: 
 
 def test_a_leak_leaves_half_its_rate_times_the_squared_error_of_the_start() -> None:
     columns = [ca.SX(ca.DM(x)) for x in ([5.0, 5.0], TRUTH, NOMINAL, WEIGHT)]
-    robust = law(leak=LEAK).terms([Estimate("theta - truth", "theta - theta(0)", *columns)], ca.SX(3, 1), "s")
+    robust = law(leak=LEAK).terms([Estimate(*columns)], ca.SX(3, 1))
     (left,) = robust.excess
     assert isinstance(left, Square)
     assert number(left.value) == pytest.approx(0.3 / 2 * (0.8**2 / 2 + 0.6**2 / 3))
@@ -72,18 +72,15 @@ def test_a_leak_leaves_half_its_rate_times_the_squared_error_of_the_start() -> N
 
 def test_an_error_leak_weighs_the_same_squares_with_the_norm_of_the_error() -> None:
     columns = [ca.SX(ca.DM(x)) for x in ([5.0, 5.0], TRUTH, NOMINAL, WEIGHT)]
-    robust = law(error_leak=0.3).terms(
-        [Estimate("theta - truth", "theta - theta(0)", *columns)], ca.SX(ca.DM([3.0, 0.0, -4.0])), "s"
-    )
+    robust = law(error_leak=0.3).terms([Estimate(*columns)], ca.SX(ca.DM([3.0, 0.0, -4.0])))
     (left,) = robust.excess
     assert isinstance(left, NormSquare)
-    assert left.by_of == "s"
     assert number(left.value) == pytest.approx(5 * 0.3 / 2 * (0.8**2 / 2 + 0.6**2 / 3))
 
 
 def test_a_dead_zone_leaves_at_most_its_width_times_what_it_ignores() -> None:
     effect = np.array([2.0, -1.0, 4.0])
-    robust = law(width=0.4).idle(ca.SX(ca.DM([9.0, -9.0, 0.1])), ca.SX(ca.DM(effect)), "b")
+    robust = law(width=0.4).idle(ca.SX(ca.DM([9.0, -9.0, 0.1])), ca.SX(ca.DM(effect)))
     (left,) = robust.excess
     assert isinstance(left, Clipped)
     assert number(left.value) == pytest.approx(0.4 * 2 + 0.4 * 1 + 0.1 * 4)
@@ -92,13 +89,13 @@ def test_a_dead_zone_leaves_at_most_its_width_times_what_it_ignores() -> None:
 
 def test_the_dead_zone_and_the_clip_add_up_to_their_argument() -> None:
     x, width = ca.SX.sym("x", 3), ca.SX.sym("width", 3)
-    function = ca.Function("f", [x, width], [dead_zone(x, width), clip(x, width)])
+    function = ca.Function("f", [x, width], [beyond(x, width), clip(x, width)])
     rng = np.random.default_rng(2)
     for _ in range(10):
         point, v = rng.normal(size=3), rng.uniform(0.1, 1, 3)
-        beyond, within = (value.full().ravel() for value in function(point, v))
+        outside, within = (value.full().ravel() for value in function(point, v))
         np.testing.assert_allclose(within, np.clip(point, -v, v), atol=1e-15)
-        np.testing.assert_allclose(beyond + within, point, atol=1e-15)
+        np.testing.assert_allclose(outside + within, point, atol=1e-15)
 
 
 def test_a_norm_has_a_derivative_at_zero() -> None:
