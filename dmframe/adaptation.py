@@ -4,55 +4,61 @@ A block's estimate :math:`\hat\theta` of a constant :math:`\theta` is driven by 
 
 .. math::
 
-    \dot{\hat\theta} = -\Gamma\, \Phi(D_v(s)) - (\lambda + \nu\, |s|) (\hat\theta - \theta_0)
+    \dot{\hat\theta} = -\Gamma\, \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone}))
+                       - (\mathrm{leak} + \mathrm{error\_leak}\, |s|) (\hat\theta - \theta_0)
 
 :math:`\Phi` is linear, :math:`\theta_0` where the estimate starts. With all three left out it is the gradient law.
 
-============== ========== ============================================================================================
-law            parameter  what it does
-============== ========== ============================================================================================
-leak           lambda     sigma modification: pulls the estimate back to its start, so that it cannot drift away
-error leak     nu         e modification: the same, in proportion to the error: no pull once the error has gone
-dead zone      v          :math:`D_v(s) = s - \mathrm{clip}(s, v)`: no adaptation where the error is within the noise
-============== ========== ============================================================================================
+============== =======================================================================================================
+parameter      what it does
+============== =======================================================================================================
+leak           sigma modification: pulls the estimate back to its start, so that it cannot drift away
+error_leak     e modification: the same, in proportion to the error: no pull once the error has gone
+dead_zone      a width v, :math:`\mathrm{beyond}(s, v) = s - \mathrm{clip}(s, v)`: no adaptation where the error is
+               within the noise
+============== =======================================================================================================
 
-With :math:`S = \tfrac12 |\tilde\theta|^2_W`, :math:`\tilde\theta = \hat\theta - \theta`, and
-:math:`\tilde\theta^\top W \Gamma\, \Phi(s) = s^\top b` (b is what the error of the estimate does to the loop):
+With :math:`S = \tfrac12 |\tilde\theta|^2_Q`, :math:`\tilde\theta = \hat\theta - \theta`, and
+:math:`\tilde\theta^\top Q \Gamma\, \Phi(s) = s^\top b` (b is what the error of the estimate does to the loop):
 
 .. math::
 
-    \dot S = -s^\top b + \mathrm{clip}(s, v)^\top b - \tfrac12 (\lambda + \nu |s|)
-             (|\tilde\theta|^2_W + |\hat\theta - \theta_0|^2_W - |\theta - \theta_0|^2_W)
+    \dot S = -s^\top b + \mathrm{clip}(s, \mathrm{dead\_zone})^\top b
+             - \tfrac12 (\mathrm{leak} + \mathrm{error\_leak}\, |s|)
+             (|\tilde\theta|^2_Q + |\hat\theta - \theta_0|^2_Q - |\theta - \theta_0|^2_Q)
 
-so a leak dissipates two squares and leaves one that is constant, :math:`\tfrac\lambda2 |\theta - \theta_0|^2_W`: zero
-if the start was right. A dead zone leaves a term of either sign, at most :math:`\sum_i v_i |b_i|`. The literature's
-sigma is :math:`\Gamma^{-1} \lambda`: as a rate, lambda has one unit for all estimates.
+so a leak dissipates two squares and leaves one that is constant, :math:`\tfrac12 \mathrm{leak}\, |\theta -
+\theta_0|^2_Q`: zero if the start was right. A dead zone leaves a term of either sign, at most the sum of its elements
+times :math:`|b_i|`. The literature's sigma is :math:`\Gamma^{-1} \mathrm{leak}`: as a rate, a leak has one unit for
+all estimates.
 
 Where a prediction error :math:`e = W \tilde\theta` can be computed, of this estimate's error alone, a block may fit it
 too (`Fit`):
 
 .. math::
 
-    \dot{\hat\theta} = -P\, (\Phi(D_v(s)) + W^\top R\, e), \quad P = (\Gamma^{-1} + G)^{-1}, \quad
-    \dot G = -\mu G + W^\top R\, W, \quad G(0) = 0
+    \dot{\hat\theta} = -P\, (\Phi(\mathrm{beyond}(s, \mathrm{dead\_zone})) + W^\top R\, e), \quad
+    P = (\Gamma^{-1} + G)^{-1}, \quad \dot G = -\mathrm{forgetting}\, G + W^\top R\, W, \quad G(0) = 0
 
-==================== ============= ===================================================================================
-law                  parameter     what it does
-==================== ============= ===================================================================================
-composite            R             adapts by the prediction error too; without forgetting P = Gamma
-bounded-gain         forgetting mu least squares over the last 1/mu seconds: each direction of theta converges at about
-forgetting                         the rate mu while W excites it, and has the gain Gamma where nothing is known
-==================== ============= ===================================================================================
+============== =======================================================================================================
+parameter      what it does
+============== =======================================================================================================
+R              composite: adapts by the prediction error too; without forgetting P = Gamma
+forgetting     bounded-gain forgetting: least squares over the last 1/forgetting seconds: each direction of theta
+               converges at about the rate of forgetting while W excites it, and has the gain Gamma where nothing is
+               known
+============== =======================================================================================================
 
-P is at most :math:`\Gamma`, the bound of the gain. With :math:`W_P = c P^{-1}` as the weight of V, c a constant,
+P is at most :math:`\Gamma`, the bound of the gain. With :math:`c P^{-1}` as the weight of V, c a constant,
 
 .. math::
 
-    \tfrac{d}{dt} \tfrac12 |\tilde\theta|^2_{W_P} = -c\, \tilde\theta^\top \Phi(D_v(s))
-        - \tfrac c2 |e|^2_R - \tfrac{c \mu}2 |\tilde\theta|^2_G
+    \tfrac{d}{dt} \tfrac12 |\tilde\theta|^2_{c P^{-1}} = -c\, \tilde\theta^\top
+        \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone})) - \tfrac c2 |e|^2_R
+        - \tfrac c2 \mathrm{forgetting}\, |\tilde\theta|^2_G
 
-and without forgetting :math:`-c |e|^2_R`. Of a single estimate this is
-:math:`\dot P^{-1} = -\lambda P^{-1} + W^\top R W` with :math:`\lambda = \mu (1 - P/\Gamma)` [SlotineLi1991]_. Of more,
+and without forgetting :math:`-c |e|^2_R`. Of a single estimate this is :math:`\dot P^{-1} = -\lambda P^{-1} +
+W^\top R W`, the book's law, with its :math:`\lambda = \mathrm{forgetting}\, (1 - P/\Gamma)` [SlotineLi1991]_. Of more,
 theirs scales all directions of P by the norm of P; this one bounds each by itself, and is rational.
 
 References
@@ -76,7 +82,7 @@ from dmframe.certificate import (
     NormSquare,
     Square,
     Stored,
-    dead_zone,
+    beyond,
     gathered,
     norm,
 )
@@ -121,7 +127,7 @@ class Estimate:
     value, truth, nominal
         The estimate, what it estimates, and where it starts.
     weight
-        W: S is half of |value - truth|_W^2; a matrix, or a column for a diagonal.
+        Q: S is half of |value - truth|_Q^2; a matrix, or a column for a diagonal.
     """
 
     value: SX
@@ -136,7 +142,7 @@ class Estimate:
 
     @property
     def storage(self) -> Square:
-        """|estimate - truth|^2_W; S is half of it."""
+        """|estimate - truth|^2_Q; S is half of it."""
         return Square(self.error, self.weight)
 
 
@@ -157,7 +163,7 @@ class Adaptation:
 
     def drive(self, error: SX) -> SX:
         """What the gradient takes for the error: what it has beyond the dead zone."""
-        return error if self.width is None else dead_zone(error, self.width)
+        return error if self.width is None else beyond(error, self.width)
 
     def rate(self, gradient: SX, value: SX, nominal: SX, error: SX) -> SX:
         r"""The rate of an estimate.
@@ -165,7 +171,7 @@ class Adaptation:
         Parameters
         ----------
         gradient
-            :math:`-\Gamma \Phi(D_v(s))`, of `drive`.
+            :math:`-\Gamma \Phi(\mathrm{beyond}(s, \mathrm{dead\_zone}))`, of `drive`.
         value, nominal
             The estimate, and where it starts.
         error
@@ -212,7 +218,7 @@ class Fit:
     by
         r, the diagonal of R: a column.
     forgetting
-        mu; None for composite adaptation without forgetting.
+        None for composite adaptation without forgetting.
     state
         The state that gathers G, a square matrix; read where there is forgetting.
     """

@@ -85,7 +85,7 @@ def clip(vector: SX, width: SX) -> SX:
 
 
 @operation
-def dead_zone(vector: SX, width: SX) -> SX:
+def beyond(vector: SX, width: SX) -> SX:
     """What each element has beyond -width or width: zero in between."""
     return width * _beyond(vector / width)
 
@@ -95,9 +95,9 @@ def _beyond(x: SX) -> SX:
 
 
 MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
-    {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan, "dead_zone": _beyond}
+    {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan, "beyond": _beyond}
 )
-"""Functions that never decrease, by the name that a `Lemma` gives; the dead zone is that of width 1."""
+"""Functions that never decrease, by the name that a `Lemma` gives; `beyond` is that of width 1."""
 
 
 @final
@@ -193,8 +193,8 @@ class NormSquare:
 class Gathered:
     r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
 
-    .. math:: \dot G = -\lambda G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
-        G(t) = \int_0^t e^{-\lambda (t - s)} W^\top \mathrm{diag}(r) W\, ds \ge 0
+    .. math:: \dot G = -\mathrm{forgetting}\, G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
+        G(t) = \int_0^t e^{-\mathrm{forgetting} (t - s)} W^\top \mathrm{diag}(r) W\, ds \ge 0
 
     so it is never negative, though its weight is a state: that the state moves like this is a part of the exact test.
 
@@ -211,7 +211,7 @@ class Gathered:
     by
         r, a column of parameters.
     forgetting
-        :math:`\lambda`, a scalar of parameters.
+        A scalar of parameters.
     """
 
     vector: SX
@@ -244,7 +244,7 @@ class Gathered:
 
 
 def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
-    """-lambda G + W' diag(r) W."""
+    """-forgetting G + W' diag(r) W."""
     return regressor.T @ ca.diag(by) @ regressor - forgetting * memory
 
 

@@ -35,17 +35,17 @@ class AdaptiveKinematics(AbstractBlock):
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)                 \tag{4}
 
     The position itself is linear in the translations: :math:`e_x = f(q, \hat a_k) - x` is :math:`W_k(q)\, \tilde a_k`,
-    without any derivative. With R it is fitted too, and with forgetting by least squares over the last :math:`1/\mu`
-    seconds, :math:`\mu = \mathrm{forgetting}`, with :math:`G = \tfrac12 (G_k + G_k^\top)`, which is :math:`G_k`:
+    without any derivative. With R it is fitted too, and with forgetting by least squares over the last
+    :math:`1/\mathrm{forgetting}` seconds, with :math:`G = \tfrac12 (G_k + G_k^\top)`, which is :math:`G_k`:
 
     .. math::
 
         \dot{\hat a}_k &= P (Y_k(q, \dot q)^\top e_k - W_k(q)^\top R\, e_x), \quad
                            P = (\operatorname{diag}(1/\Gamma_k) + G)^{-1}                            \tag{5} \\
-        \dot G_k &= -\mu G + W_k(q)^\top R\, W_k(q)                                               \tag{6} \\
+        \dot G_k &= -\mathrm{forgetting}\, G + W_k(q)^\top R\, W_k(q)                              \tag{6} \\
         S &= \tfrac12 \alpha |\tilde a_k|^2_{\Gamma_k^{-1}} + \tfrac12 \alpha |\tilde a_k|^2_G       \tag{7} \\
         \dot S &= \alpha\, e_k^\top (\hat J \dot q - \dot x)
-                  - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha \mu |\tilde a_k|^2_G              \tag{8}
+                  - \tfrac12 \alpha |e_x|^2_R - \tfrac12 \alpha\, \mathrm{forgetting}\, |\tilde a_k|^2_G \tag{8}
 
     With R alone :math:`P = \Gamma_k`, and (8) spends :math:`\alpha |e_x|^2_R`.
 
@@ -68,7 +68,7 @@ class AdaptiveKinematics(AbstractBlock):
         Composite adaptation, absent unless given: weight of the position's prediction error. Larger learns faster;
         sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
     forgetting : scalar, 1/s, > 0
-        mu, absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
+        Absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
         bound of the gain P.
 
     Notes

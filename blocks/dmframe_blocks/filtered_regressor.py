@@ -20,17 +20,17 @@ class FilteredRegressor(AbstractBlock):
     r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
 
     Both sides of the dynamics, divided by the servo's stiffness, pass a filter of first order, of the rate
-    :math:`\lambda = \mathrm{bandwidth}`. The acceleration goes by parts: with :math:`P a_d = M \dot q`, and
+    :math:`\mathrm{bandwidth}`. The acceleration goes by parts: with :math:`P a_d = M \dot q`, and
     :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
     :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`.
-    Filtered, its regressor is :math:`Y_f = \lambda P + Y_z` with :math:`\dot Y_z = \lambda (R - Y_f)`, and with
-    :math:`W = \mathrm{weight}`:
+    Filtered, its regressor is :math:`Y_f = \mathrm{bandwidth}\, P + Y_z` with
+    :math:`\dot Y_z = \mathrm{bandwidth} (R - Y_f)`, and with :math:`W = \mathrm{weight}`:
 
     .. math::
 
-        \dot v_f &= \lambda (\dot q_c - \dot q - v_f), \quad
-        \dot q_f = \lambda (q - q_c - q_f)                                                  \tag{1} \\
-        \epsilon &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W \epsilon      \tag{2} \\
+        \dot v_f &= \mathrm{bandwidth} (\dot q_c - \dot q - v_f), \quad
+        \dot q_f = \mathrm{bandwidth} (q - q_c - q_f)                                       \tag{1} \\
+        e &= w\, Y_f \hat a_d + w_I q_f + \hat b - v_f, \quad e_f = W e                  \tag{2} \\
         \dot{\hat b} &= -\Gamma_b e_f                                                       \tag{3}
 
     products element by element. No torque is measured, and nothing is divided by an estimate: with
@@ -40,23 +40,23 @@ class FilteredRegressor(AbstractBlock):
 
     .. math::
 
-        K_\star \epsilon &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
+        K_\star e &= Y_f \tilde a_d + K_\star (\tilde w Y_f \hat a_d + \tilde w_I q_f + \tilde b) + h \tag{4} \\
         h &= Y_f a_d + K K_I q_f - K_\star v_f + K_\star b                                                  \tag{5}
 
-    h, of :math:`\dot h = -\lambda h`, is what the filters forget of their start; it is zero here, where they start at
-    rest. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
+    h, of :math:`\dot h = -\mathrm{bandwidth}\, h`, is what the filters forget of their start; it is zero here, where
+    they start at rest. With a_d_hat, w and w_I adapted by e_f and the regressors of (4):
 
     .. math::
 
-        S &= \tfrac12 |h|^2_{W/(\lambda K_\star)} + \tfrac12 |\tilde b|^2_{K_\star/\Gamma_b}  \tag{6} \\
-        \dot S &= -\tfrac12 |\epsilon|^2_{W K_\star} - \tfrac12 |\epsilon - h/K_\star|^2_{W K_\star}
+        S &= \tfrac12 |h|^2_{W/(\mathrm{bandwidth}\, K_\star)} + \tfrac12 |\tilde b|^2_{K_\star/\Gamma_b} \tag{6} \\
+        \dot S &= -\tfrac12 |e|^2_{W K_\star} - \tfrac12 |e - h/K_\star|^2_{W K_\star}
                   - \tfrac12 |h|^2_{W/K_\star}
-                  + e_f^\top (K_\star \epsilon - K_\star \tilde b - h)                       \tag{7}
+                  + e_f^\top (K_\star e - K_\star \tilde b - h)                       \tag{7}
 
     Parameters
     ----------
     bandwidth : scalar, 1/s, > 0
-        lambda. Larger forgets faster and passes more noise.
+        Larger forgets faster and passes more noise.
     weight : diagonal (n,), > 0
         W: how much the prediction error counts beside the other errors of a composite adaptation.
     friction : list of viscous, coulomb

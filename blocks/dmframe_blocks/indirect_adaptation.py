@@ -108,4 +108,4 @@ class IndirectAdaptation(AbstractBlock):
 
     def _beyond(self, error: SX, width: SX) -> Lemma:
         """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
-        return Lemma(width, error, ca.DM.zeros(error.shape[0]), width, "dead_zone")
+        return Lemma(width, error, ca.DM.zeros(error.shape[0]), width, "beyond")

@@ -17,15 +17,15 @@ class NullSpacePosture(AbstractBlock):
 
     .. math::
 
-        \dot q_{null} = -k (q - q_0)   \tag{1}
+        \dot q_{null} = -K_{null} (q - q_0)   \tag{1}
 
     The generator adds :math:`(I - \hat J^+ \hat J) \dot q_{null}` to its reference velocity. With a scalar
-    k that goes down the slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not depend
-    on it.
+    K_null that goes down the slope of :math:`\tfrac12 |q - q_0|^2` along the self-motion. The tool's proof does not
+    depend on it.
 
     Parameters
     ----------
-    k : diagonal (n,), 1/s, > 0
+    K_null : diagonal (n,), 1/s, > 0
         Posture gain. Larger returns faster to the posture, and asks more of the servo.
     q_0 : (n,), rad
         The posture.
@@ -39,16 +39,16 @@ class NullSpacePosture(AbstractBlock):
     [Siciliano2009]_ section 3.5.1, the gradient of a cost projected onto the null space.
     """
 
-    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null"}
+    renamed: ClassVar[Mapping[str, str]] = {"z": "dq_null", "k": "K_null"}
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_null", "n", "rad/s"),)
 
-    k: Diagonal = Positive("n", "1/s")
+    K_null: Diagonal = Positive("n", "1/s")
     q_0: Diagonal = Real("n", "rad")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={"dq_null": -p.k * (u.q - p.q_0)})
+        return Equations(outputs={"dq_null": -p.K_null * (u.q - p.q_0)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored: V does not see the self-motion."""

@@ -117,7 +117,7 @@ class PiTorqueInverse(AbstractBlock):
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
             driven=(Driven((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
-            truth={"bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
+            truth={"tau_bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},
         )
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:

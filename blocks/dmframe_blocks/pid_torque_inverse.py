@@ -121,7 +121,7 @@ class PidTorqueInverse(AbstractBlock):
             excess=robust.excess,
             supply=-ca.dot(u.epsilon, effect),
             driven=(Driven((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),),
-            truth={"bias": truth.K * truth.K_I * (truth.i + x.z)},
+            truth={"tau_bias": truth.K * truth.K_I * (truth.i + x.z)},
         )
 
     def _otherwise(self, p: Signals) -> tuple[Condition, ...]:

@@ -73,7 +73,7 @@ class Regressor(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (
         Port("B", "n", "N m s/rad"),
         Port("D", "n", "N m"),
-        Port("bias", "n", "N m"),
+        Port("tau_bias", "n", "N m"),
         Port("g_share"),
     )
 
@@ -135,7 +135,7 @@ class Regressor(AbstractBlock):
         if "coulomb" in self.friction:
             parts.append(truth.D)
         if self.bias:
-            parts.append(truth.bias)
+            parts.append(truth.tau_bias)
         return Certificate(truth={"a_d": ca.vertcat(*parts)})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:

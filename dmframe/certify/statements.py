@@ -202,7 +202,7 @@ def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:
     """Only an error against zero goes into its dead zone; of two signals, what is beyond it need not vanish."""
     for part in claim.parts:
         for term in part.certificate.dissipation:
-            dead = isinstance(term, Lemma) and term.phi == "dead_zone"
+            dead = isinstance(term, Lemma) and term.phi == "beyond"
             if dead and isinstance(term, Lemma) and term.second.is_zero() and signs.spends(term):
                 step = "dV/dt spends no less than the square of what it has beyond the dead zone [Barbalat's lemma]"
                 yield Statement(term.of, "goes into its dead zone", step, (f"the derivative of {term.of} is bounded",))

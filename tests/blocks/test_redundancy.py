@@ -36,7 +36,7 @@ GENERATORS = {
         "  observer: {type: task_observer, beta: 2}\n  task: {type: observed_tracking, gamma: 2}\n"
     ),
 }
-POSTURE = "  posture: {type: null_space_posture, k: [0.5, 0.4, 0.3], q_0: [0.2, 0.5, 0.8]}\n"
+POSTURE = "  posture: {type: null_space_posture, K_null: [0.5, 0.4, 0.3], q_0: [0.2, 0.5, 0.8]}\n"
 
 
 def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: str = POSTURE) -> Graph:
@@ -142,8 +142,8 @@ def test_with_the_posture_a_turn_of_the_path_brings_the_joints_back_and_without_
 
 
 def test_the_posture_pulls_each_joint_with_its_own_gain() -> None:
-    block = find_block("null_space_posture")(k=[0.5, 2], q_0=[1, -1])
+    block = find_block("null_space_posture")(K_null=[0.5, 2], q_0=[1, -1])
     u = Signals("posture", "inputs", {"q": ca.DM([1.5, 0])})
-    p = Signals("posture", "parameters", {"k": ca.DM([0.5, 2]), "q_0": ca.DM([1, -1])})
+    p = Signals("posture", "parameters", {"K_null": ca.DM([0.5, 2]), "q_0": ca.DM([1, -1])})
     dq_null = block.equations(u, Signals("posture", "states", {}), p).outputs["dq_null"]
     np.testing.assert_allclose(dq_null.full().ravel(), [-0.25, -2])

@@ -1,66 +1,118 @@
-"""The table of notation against every port, state and parameter of every registered block."""
+"""The tables of notation: written from the code, complete, and one symbol with one meaning."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
 
 import pytest
 
-from dmframe.block import AbstractBlock
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
-from dmframe.parameter import specs
-from dmframe.units import compatible
+from dmframe.naming import named
+from dmframe.port import Port
 
-PAGE = Path(__file__).parents[2] / "docs" / "notation.md"
-BLOCKS = block_types()
-
-
-def rows() -> dict[str, list[tuple[set[str], set[str], str]]]:
-    """Name -> (units, shapes, meaning) of each row of the tables; one name may stand in both."""
-    found = dict[str, list[tuple[set[str], set[str], str]]]()
-    for line in PAGE.read_text(encoding="utf-8").splitlines():
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("|") and len(cells) == 5 and cells[1].startswith("`"):
-            units, shapes = ({"" if part == "-" else part for part in cell.split("; ")} for cell in cells[2:4])
-            found.setdefault(cells[1].strip("`"), []).append((units, shapes, cells[4]))
-    return found
+ROOT = Path(__file__).parents[2]
 
 
-def known(name: str, unit: str, shape: str) -> bool:
-    return any(
-        any(compatible(unit, told) for told in units) and shape.removeprefix("* ") in shapes
-        for units, shapes, _ in rows().get(name, [])
-    )
+@pytest.fixture(scope="module")
+def notation() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_notation", ROOT / "docs" / "make_notation.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_notation"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
 
 
-@pytest.mark.parametrize("block", BLOCKS.values(), ids=list(BLOCKS))
-def test_every_port_and_state_stands_in_the_table_with_its_unit_and_shape(block: type[AbstractBlock]) -> None:
-    items = [*block.inputs, *block.outputs, *block.states, *block.truth]
-    missing = [
-        f"{item.name} [{item.unit}] ({item.shape})" for item in items if not known(item.name, item.unit, item.shape)
+def test_the_page_is_what_its_script_writes(notation: ModuleType) -> None:
+    text = notation.PAGE.read_text(encoding="utf-8")
+    assert notation.fill(text) == text, "stale; run: python docs/make_notation.py"
+
+
+def test_every_name_has_one_meaning_and_every_meaning_a_name(notation: ModuleType) -> None:
+    assert list(notation.faults(notation.entries(), notation.meanings())) == []
+
+
+@pytest.mark.parametrize("block", block_types().values(), ids=list(block_types()))
+def test_options_and_parts_of_a_law_take_no_name_of_another_thing(
+    notation: ModuleType, block: type[AbstractBlock]
+) -> None:
+    assert list(notation.clashes(block, notation.entries())) == []
+
+
+def test_every_port_and_state_stands_in_a_row_of_the_page_with_its_unit(notation: ModuleType) -> None:
+    rows = {cells[1]: cells for line in notation.lines() if len(cells := line.split(" | ")) > 5}
+    items = [item for kind in block_types().values() for item in (*kind.inputs, *kind.outputs, *kind.states)]
+    compact = {(item.name, item.unit or "-") for item in items if not re.search(r"[/*^]", item.unit)}
+    assert len(compact) > 30
+    assert [pair for pair in compact if pair[1] not in rows[f"`{pair[0]}`"][2].split("; ")] == []
+
+
+def test_every_meaning_is_in_words(notation: ModuleType) -> None:
+    assert [name for name, said in notation.meanings().items() if not re.search(r"[a-z]{2}", said.means)] == []
+
+
+def _set(name: str, **changes: str) -> Callable[[Any, Any], None]:
+    def change(found: Any, said: Any) -> None:
+        said[name] = replace(said[name], **changes)
+
+    return change
+
+
+def _second(name: str, like: str) -> Callable[[Any, Any], None]:
+    def change(found: Any, said: Any) -> None:
+        found[name], said[name] = replace(found[like], name=name), replace(said[like], because="")
+
+    return change
+
+
+FAULTS: dict[str, tuple[Callable[[Any, Any], Any], str]] = {
+    "no meaning": (lambda _, said: said.pop("u"), "u has no meaning in notation.yaml"),
+    "no name": (lambda found, _: found.pop("u"), "u has a meaning, and no block has it"),
+    "two units": (lambda found, _: found["u"].units.append("A"), "u has several units: V, A, and does not say why"),
+    "no reason": (_set("K_P", because=""), "K_P has several meanings, and does not say why"),
+    "two meanings": (_set("u", means="voltage; control"), "u has several meanings, and does not say why"),
+    "needless reason": (_set("u", because="it may"), "u says why it has several units or meanings, and has one"),
+    "alike in print": (_second("K1", "K_1"), "K1 and K_1 print alike"),
+    "a function's name": (_second("clip", "u"), "clip has several kinds: a sign in print too, and does not say why"),
+    "a size's letter": (_second("k", "u"), "k is the letter of a size too"),
+    "alike in the paper": (_set("u", paper="Gamma_d"), "the paper calls u and Gamma alike"),
+}
+
+
+@pytest.mark.parametrize("case", FAULTS)
+def test_a_fault_is_told(notation: ModuleType, case: str) -> None:
+    change, text = FAULTS[case]
+    found, said = deepcopy(notation.entries()), notation.meanings()
+    change(found, said)
+    assert text in list(notation.faults(found, said))
+
+
+class Confused(AbstractBlock):
+    """An option and a part of the law that are called like other things."""
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n", "V"),)
+
+    direct: bool = False
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """A law."""
+        return Equations(outputs={"y": named("w", u.u) + named("K1", u.u) + named("fresh", u.u) + named("y", u.u)})
+
+
+def test_a_confused_block_is_told(notation: ModuleType) -> None:
+    assert list(notation.clashes(Confused, notation.entries())) == [
+        "the option direct is a name too",
+        "a part of the law is called w, and something else is too",
+        "a part of the law is called K1, and something else is too",
     ]
-    assert missing == []
-
-
-@pytest.mark.parametrize("block", BLOCKS.values(), ids=list(BLOCKS))
-def test_every_parameter_stands_in_the_table_with_its_unit_and_shape(block: type[AbstractBlock]) -> None:
-    missing = [
-        f"{name} [{spec.unit}] ({spec.shape})"
-        for name, spec in specs(block).items()
-        if not known(name, spec.unit, spec.shape)
-    ]
-    assert missing == []
-
-
-def test_the_table_has_no_name_that_no_block_uses() -> None:
-    used = {
-        name
-        for block in BLOCKS.values()
-        for name in [*(i.name for i in (*block.inputs, *block.outputs, *block.states, *block.truth)), *specs(block)]
-    }
-    assert sorted(rows().keys() - used) == []
-
-
-def test_every_row_says_what_it_means() -> None:
-    assert all(re.search(r"[a-z]{2}", meaning) for told in rows().values() for _, _, meaning in told)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dmframe.adaptation import Adaptation, Estimate
-from dmframe.certificate import Clipped, NormSquare, Square, clip, dead_zone, norm
+from dmframe.certificate import Clipped, NormSquare, Square, beyond, clip, norm
 
 GAIN, WEIGHT = np.array([2.0, 3.0]), 1 / np.array([2.0, 3.0])
 TRUTH, NOMINAL = np.array([1.0, -0.5]), np.array([0.2, 0.1])
@@ -31,8 +31,8 @@ def law(**chosen: float) -> Adaptation:
 def by_hand(phi: np.ndarray, s: np.ndarray, theta: np.ndarray, chosen: dict[str, float]) -> np.ndarray:
     """The rate of theta for the gradient Gamma phi s, from the formulas of a textbook."""
     width = chosen.get("width", 0.0)
-    beyond = np.sign(s) * np.maximum(np.abs(s) - width, 0)
-    rate = -GAIN * (phi.T @ beyond)
+    outside = np.sign(s) * np.maximum(np.abs(s) - width, 0)
+    rate = -GAIN * (phi.T @ outside)
     rate -= chosen.get("leak", 0.0) * (theta - NOMINAL)
     rate -= chosen.get("error_leak", 0.0) * np.sqrt(s @ s) * (theta - NOMINAL)
     return rate
@@ -89,13 +89,13 @@ def test_a_dead_zone_leaves_at_most_its_width_times_what_it_ignores() -> None:
 
 def test_the_dead_zone_and_the_clip_add_up_to_their_argument() -> None:
     x, width = ca.SX.sym("x", 3), ca.SX.sym("width", 3)
-    function = ca.Function("f", [x, width], [dead_zone(x, width), clip(x, width)])
+    function = ca.Function("f", [x, width], [beyond(x, width), clip(x, width)])
     rng = np.random.default_rng(2)
     for _ in range(10):
         point, v = rng.normal(size=3), rng.uniform(0.1, 1, 3)
-        beyond, within = (value.full().ravel() for value in function(point, v))
+        outside, within = (value.full().ravel() for value in function(point, v))
         np.testing.assert_allclose(within, np.clip(point, -v, v), atol=1e-15)
-        np.testing.assert_allclose(beyond + within, point, atol=1e-15)
+        np.testing.assert_allclose(outside + within, point, atol=1e-15)
 
 
 def test_a_norm_has_a_derivative_at_zero() -> None:
