@@ -68,6 +68,7 @@ class Closure:
         self._claim, self._numbers = claim, numbers
         self._symbols = symbols_of(claim, numbers.uncertain)
         self._variables = (*claim.loop.controller, *claim.loop.plant)
+        self.seed = seed
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
         self._draw(random.Random(seed + 3))
         self._known = Echelon(self._shift.prime, self._columns)
@@ -80,6 +81,11 @@ class Closure:
     def uncertain(self) -> frozenset[str]:
         """Labels of the parameters known only up to intervals."""
         return self._numbers.uncertain
+
+    @property
+    def prime(self) -> int:
+        """Of the field in which all is decided."""
+        return self._shift.prime
 
     @property
     def variables(self) -> tuple[Variable, ...]:

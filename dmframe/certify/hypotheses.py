@@ -8,6 +8,7 @@ from typing import Final
 import casadi as ca
 
 from dmframe.certificate import SX, Assumption
+from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
@@ -15,13 +16,14 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.model import BlockModel, hashes, symbols_in
 from dmframe.diagram.wiring import Wire
+from dmframe.errors import ValueFault
 from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
 
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
 DEFINED: Final = {
     getattr(ca, f"OP_{name}"): name.lower()
-    for name in ("LOG", "LOG1P", "ASIN", "ACOS", "ACOSH", "ATANH", "TAN", "POW", "ERFINV")
+    for name in "LOG LOG1P ASIN ACOS ACOSH ATANH TAN POW CONSTPOW ERFINV SQRT FMOD REMAINDER".split()
 }
 """Functions that are not defined, or not bounded, everywhere."""
 DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
@@ -89,6 +91,38 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
     yield from (Assumption(f"{name}: {text}", "its equations need it") for text in seen)
 
 
+def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
+    for name, model in claim.diagram.models.items():
+        moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
+        for code, part in _risky([*model.equations.outputs.values(), *model.equations.rates.values()]):
+            if symbols_in([part]) & moving or not symbols_in([part]):
+                continue
+            if not _defined(code, part, numbers):
+                what = "divides by" if code in DIVISIONS else f"takes {DEFINED[code]} of"
+                text = f"{name}: {what} {_written(part)}, which this graph's numbers allow"
+                yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
+
+
+def _defined(code: int, part: SX, numbers: Numbers) -> bool:
+    try:
+        values = numbers.of(part)
+    except (ValueFault, ZeroDivisionError):
+        return True  # it holds more than parameters, or another divisor is told
+    low, high = min(map(lower, values)), max(map(upper, values))
+    if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
+        return low > 0 or high < 0
+    if code == ca.OP_SQRT:
+        return low >= 0
+    if code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
+        return low > -1 and high < 1
+    if code == ca.OP_ACOSH:
+        return low >= 1
+    if code == ca.OP_LOG1P:
+        return low > -1
+    return low > 0 or code == ca.OP_TAN
+
+
 def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> str:
     """In what sense a matrix stays invertible; empty where that follows, or is a condition of its own."""
     A = ca.SX(inverted.matrix)
@@ -136,9 +170,19 @@ def _risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
         code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
         if code in DIVISIONS:
             yield code, parts[DIVISIONS[code]]
-        elif code in DEFINED:
-            yield code, parts[0]
+        elif code in DEFINED and not _is_safe(code, parts):
+            yield code, parts[1] if code in (ca.OP_FMOD, ca.OP_REMAINDER) else parts[0]
         todo += parts
+
+
+def _is_safe(code: int, parts: Sequence[SX]) -> bool:
+    """A root of max(x, c), c > 0, and a whole power that is not negative, are defined everywhere."""
+    if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
+        floors = [parts[0].dep(k) for k in range(2)]
+        return any(floor.is_constant() and float(floor) > 0 for floor in floors)
+    if code in (ca.OP_POW, ca.OP_CONSTPOW) and parts[1].is_constant():
+        return float(parts[1]) >= 0 and float(parts[1]).is_integer()
+    return False
 
 
 def _written(divisor: SX) -> str:

@@ -15,7 +15,6 @@ import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
 from typing import final
 
 import casadi as ca
@@ -24,13 +23,21 @@ from dmframe.certificate import SX, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.symbols import Symbols, exact_values, symbols_of
-from dmframe.exact import Tape, random_prime
+from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
 
-SEED = 7
-BITS = 149
-Values = Mapping[str, Sequence[Fraction]]
+
+@final
+@dataclass(frozen=True)
+class Own:
+    """The graph's own numbers, and the field in which constants are solved for."""
+
+    values: Mapping[str, Sequence[Fraction]]
+    prime: int
+    seed: int
+
+
 MORE = 3
 """Points beyond the number of constants, each a further test."""
 
@@ -79,7 +86,8 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
 
 def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     """Why a goal goes to zero, if it does."""
-    symbols, own = symbols_of(claim, closure.uncertain), exact_values(claim.diagram)
+    symbols = symbols_of(claim, closure.uncertain)
+    own = Own(exact_values(claim.diagram), closure.prime, closure.seed)
     for item in closure.driven:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
@@ -112,7 +120,7 @@ def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
                 yield port.name, claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
 
 
-def _made_of(own: Values, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
+def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
     """The names of those of which the target is a combination with constant coefficients, element by element."""
     size = target.numel()
     pieces = [
@@ -144,15 +152,13 @@ def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) 
     return True
 
 
-def _sampled(
-    own: Values, symbols: Symbols, expressions: Sequence[SX], count: int
-) -> tuple[int, list[list[int]]] | None:
+def _sampled(own: Own, symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
     """All elements at random points that share their parameters."""
     tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
-    rng = random.Random(SEED)
-    shift = Shift(_prime(), rng)
+    rng = random.Random(own.seed)
+    shift = Shift(own.prime, rng)
     fixed = {
-        group.label: [shift.residue(value) for value in own[group.label]]
+        group.label: [shift.residue(value) for value in own.values[group.label]]
         for group in symbols.groups
         if group.kind == "parameter"
     }
@@ -168,11 +174,6 @@ def _sampled(
         if len(points) == count:
             return shift.prime, points
     return None
-
-
-@cache
-def _prime() -> int:
-    return random_prime(random.Random(SEED), BITS)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -30,8 +30,11 @@ def memory_starts(claim: Claim) -> list[Checked]:
                 start = _start_of(claim, part.block, term.memory)
                 if start is not None and any(map(any, start)):
                     name = f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0"
-                    holds = is_semidefinite(start)
-                    found[name] = Checked(name, "G(0) is positive semidefinite", None, holds, "V is positive")
+                    mirrored = [list(column) for column in zip(*start, strict=True)]
+                    holds = is_semidefinite(start) and start == mirrored
+                    found[name] = Checked(
+                        name, "G(0) is symmetric and positive semidefinite", None, holds, "V is positive"
+                    )
     return list(found.values())
 
 

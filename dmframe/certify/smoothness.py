@@ -14,7 +14,7 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Assumption
+from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
@@ -120,11 +120,11 @@ def _operations(claim: Claim, part: Part) -> Told:
     """No operation of a storage jumps while the loop moves, and none has a kink that shows."""
     moving = hashes(stack([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)]))
     moving |= hashes(stack(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values()))
-    for term in part.certificate.storage:
-        symbols = ca.symvar(ca.SX(term.value))
-        (value,) = ca.cse([ca.SX(term.value)])
+    for what, expression in _differentiated_of(part):
+        symbols = ca.symvar(expression)
+        (value,) = ca.cse([expression])
         tape = Tape.from_function(ca.Function("storage", [stack(symbols)], [value]))
-        where = f"{part.block}: the storage of {term.of}"
+        where = f"{part.block}: {what}"
         for k, code in moving_operations(tape, [symbol.element_hash() in moving for symbol in symbols]):
             if code in JUMPS:
                 yield "fault", f"{where} holds {NAMES[code]}, which jumps; the derivative of a jump is not zero"
@@ -133,6 +133,27 @@ def _operations(claim: Claim, part: Part) -> Told:
             elif code in EDGES:
                 text = f"{where}: the argument of {NAMES[code]} stays inside the region where it has a derivative"
                 yield "assumed", text
+
+
+def _differentiated_of(part: Part) -> Iterator[tuple[str, SX]]:
+    """What a certificate says that is differentiated, with its name."""
+    for term in part.certificate.storage:
+        yield f"the storage of {term.of}", ca.SX(term.value)
+    for left in part.certificate.excess:
+        yield f"the bounded residual of {left.of}", ca.SX(left.value) if isinstance(left, Square) else ca.SX(0)
+    for item in part.certificate.driven:
+        for vector in (*item.vectors, *item.bounded):
+            yield f"what drives {', '.join(item.of)}", ca.vec(ca.densify(vector))
+
+
+def jumps(expression: SX, still: set[int]) -> bool:
+    """Does an expression hold an operation that jumps, of anything but the symbols that stand still?"""
+    symbols = ca.symvar(expression)
+    function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
+    if not JUMPS & {function.instruction_id(k) for k in range(function.n_instructions())}:
+        return False
+    moving = [symbol.element_hash() not in still for symbol in symbols]
+    return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), moving))
 
 
 def _field(claim: Claim) -> Told:
@@ -172,8 +193,11 @@ def is_smooth_over(tape: Tape, kink: int) -> bool:
             zero.append(zero[one] or zero[other])
             flat.append((flat[one] or zero[other]) and (flat[other] or zero[one]))
         elif code == ca.OP_DIV:
-            zero.append(zero[a])
-            flat.append(flat[a] and (flat[b] or zero[a]))
+            zero.append(zero[a] and not zero[b])  # 0/0 is anything
+            flat.append(flat[a] and (flat[b] or zero[a]) and not zero[b])
+        elif code in (ca.OP_INV, ca.OP_POW):
+            zero.append(False)
+            flat.append(flat[a] and not zero[a])
         else:
             linear = code in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE)
             zero.append(linear and all(zero[place] for place in places))

@@ -13,6 +13,7 @@ from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Vanishing, combined, goals
 from dmframe.certify.positive import Signs
+from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import hashes, symbols_in
@@ -144,16 +145,17 @@ def _states(claim: Claim, closure: Closure, told: set[str]) -> list[Statement]:
 
 def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
     """What dV/dt spends, with whether its derivative is bounded."""
-    field = Field(claim.diagram)
+    field, still = Field(claim.diagram), _still(claim)
     rates = [field.derivative(square.vector) for square in spent]
     return [
-        Vanishing(square.of, square.vector, proved) for square, proved in zip(spent, closure.bounds(rates), strict=True)
+        Vanishing(square.of, square.vector, proved and not jumps(square.vector, still))
+        for square, proved in zip(spent, closure.bounds(rates), strict=True)
     ]
 
 
 def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> Iterator[Statement]:
     """Errors that go to zero because what vanishes is made of them, and their rates."""
-    field, rests = Field(claim.diagram), _at_rest(claim, closure, vanishing)
+    rests = _at_rest(claim, closure, vanishing)
     yield from (Statement(item.of, "goes to zero", AGAIN) for item in rests)
     sure = [item for item in (*vanishing, *rests) if item.proved]
     names, wanted = {item.of for item in sure}, _wanted(claim, closure)
@@ -162,7 +164,7 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
         if made is not None:
             yield Statement(goal.of, "goes to zero", made.step, made.assumes, goal.of in wanted)
         if goal.of in wanted and (made is not None or goal.of in names):
-            speed = field.second(goal.vector)
+            speed = _second(claim, goal.vector)
             if speed is not None and all(closure.bounds([speed])):
                 yield Statement(f"d({goal.of})/dt", "goes to zero", AGAIN, concludes=True)
 
@@ -183,7 +185,7 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
     for item in vanishing:
         if not (item.proved and _is_state(claim, item.vector)):
             continue
-        second = field.second(item.vector)
+        second = _second(claim, item.vector)
         if second is not None and all(closure.bounds([second])):
             found.append(
                 Vanishing(
@@ -191,6 +193,16 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
                 )
             )
     return found
+
+
+def _still(claim: Claim) -> set[int]:
+    return hashes(stack(parameter.symbol for parameter in claim.loop.parameters))
+
+
+def _second(claim: Claim, vector: SX) -> SX | None:
+    """The second derivative; None where the first jumps, so that it has none."""
+    field = Field(claim.diagram)
+    return None if jumps(field.derivative(vector), _still(claim)) else field.second(vector)
 
 
 def _is_state(claim: Claim, vector: SX) -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import Any, Literal, final
 
 from dmframe.certificate import Assumption
@@ -14,15 +15,15 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
-from dmframe.certify.hypotheses import hypotheses
-from dmframe.certify.identity import check_identity, empty_terms
+from dmframe.certify.hypotheses import hypotheses, undefined
+from dmframe.certify.identity import check_identity, empty_terms, equalities
 from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
@@ -143,6 +144,8 @@ def _verified(
     symbols = symbols_of(claim, uncertain)
     smooth = smoothness(diagram, claim)
     clock.built()
+    own = seed
+    seed = drawn(claim, symbols, own)
     if smooth.faults:
         return Verdict("not_applicable", "; ".join(smooth.faults), claim, build=clock.build, check=clock.check)
     try:
@@ -164,18 +167,22 @@ def _verified(
     bounds = bounds_of(claim, numbers, symbols)
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)
-    conditions += needed
+    conditions += [*needed, *undefined(claim, numbers)]
+    statements = statements_of(claim, symbols, signs, closure)
+    smooth = smoothness(diagram, claim)  # again: what follows may have differentiated a trajectory once more
+    if smooth.faults:
+        statements = [item for item in statements if item.says != "goes to zero"]
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
         reason=reason,
         claim=claim,
-        test=test,
+        test=replace(test, seed=own),
         kappa=payment(claim, numbers) if claim.cascaded else None,
         conditions=tuple(conditions),
         assumptions=tuple(dict.fromkeys([*assumptions, *given, *smooth.assumptions, *hypotheses(claim, closure)])),
         controls=controls,
-        statements=tuple(statements_of(claim, symbols, signs, closure)),
+        statements=tuple(statements),
         states=states_of(claim, closure),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
@@ -183,6 +190,13 @@ def _verified(
         build=clock.build,
         check=clock.check,
     )
+
+
+def drawn(claim: Claim, symbols: Symbols, seed: int) -> int:
+    """The seed of this claim's points and primes: nobody can write a claim that vanishes modulo primes known before."""
+    function = symbols.function("claim", [equality.expression for equality in equalities(claim)])
+    digest = sha256(f"{seed}:{claim.diagram.fingerprint}:{function.serialize()}".encode()).digest()
+    return int.from_bytes(digest[:8], "big")
 
 
 def _blame(refutation: Refutation, lacking: Sequence[str]) -> str:

@@ -101,7 +101,11 @@ def _followed(verdict: Verdict) -> Iterator[str]:
     if states is not None and states.open:
         yield _told("not known to be bounded, so that this is not the stability of the whole loop: ", states.open)
     if verdict.claim is not None:
-        named = dict.fromkeys(line.whole.text for law in verdict.claim.laws.values() for line in law.definitions)
+        lines = [(block, line) for block, law in verdict.claim.laws.items() for line in law.definitions]
+        told = {line.name: {other.whole.text for _, other in lines if other.name == line.name} for _, line in lines}
+        named = dict.fromkeys(
+            line.whole.text + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
+        )
         if named:
             yield _told("where ", named)
     for item in (item for item in verdict.statements if item.concludes):

@@ -38,8 +38,13 @@ class _Frozen(Trial):
     def cos_sin(self, angle: int) -> tuple[int, int]:
         return self._told_before() or self._tell(super().cos_sin(angle))
 
-    def signed(self, value: int, *, jumps: bool) -> int:
-        return (self._told_before() or self._tell((super().signed(value, jumps=jumps), 0)))[0]
+    def sign(self, value: int) -> int:
+        """Give any number, and the same one again, for x - x sign(x) is no more bounded than x."""
+        return (self._told_before() or self._tell((self.random(), 0)))[0]
+
+    def size(self, value: int) -> int:
+        """Of an absolute value nothing is known, but that it is even: no argument bounds it."""
+        return self.opaque(f"fabs of {min(value, self.prime - value)}")
 
     def opaque(self, key: str) -> int:
         if key.split(" ", 1)[0] not in BOUNDED:

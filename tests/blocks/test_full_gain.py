@@ -10,9 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from jsonschema import Draft202012Validator
-
 from faulty import verdict_with
+from jsonschema import Draft202012Validator
 
 from dmframe import linalg
 from dmframe.certify import Verdict, verify

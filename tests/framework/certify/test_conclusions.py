@@ -250,7 +250,7 @@ def test_two_loops_in_one_diagram_each_pay_for_their_own():
 def test_a_linear_combination_is_found_and_none_is_invented():
     """The coefficients that limits solves for are those of NumPy's least squares; a product is none."""
     from dmframe.certify.claim import claim_of
-    from dmframe.certify.limits import Vanishing, _made_of
+    from dmframe.certify.limits import Own, Vanishing, _made_of
     from dmframe.certify.symbols import exact_values, symbols_of
 
     loop = scalar_loop(
@@ -259,7 +259,7 @@ def test_a_linear_combination_is_found_and_none_is_invented():
         lambda x, u, p: Certificate(storage=(Square(x.x), Square(x.w)), dissipation=(Square(x.x), Square(x.w))),
     )
     claim = claim_of(loop)
-    symbols, own = symbols_of(claim), exact_values(loop)
+    symbols, own = symbols_of(claim), Own(exact_values(loop), 2**127 - 1, 7)
     x, w = (part.symbol for part in loop.loop.controller)
     k = loop.loop.parameters[0].symbol
     known = [Vanishing("x", x, True), Vanishing("w", w, True)]
