@@ -9,7 +9,8 @@ open direction only through sines, cosines and other bounded functions is bounde
 3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
 4. and so on, until nothing more follows. A signal that does not move with what is still open is bounded.
 
-Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. That trajectories, with the
+Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
+numbers there: with other numbers, a combination may close that this graph leaves open. That trajectories, with the
 derivatives that appear, are bounded is an assumption, and so is that no denominator comes close to zero.
 """
 
@@ -29,7 +30,7 @@ from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
-from dmframe.certify.symbols import symbols_of
+from dmframe.certify.symbols import exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.model import hashes, symbols_in
 from dmframe.diagram.projection import Box
@@ -133,11 +134,14 @@ class Closure:
     def _extend(self) -> None:
         """Values for symbols that have none yet; a derivative may have brought a trajectory's next one."""
         first, second = self._points
+        own = exact_values(self._claim.diagram)
         for group in self._symbols.groups:
             if group.label not in first:
-                size, values = group.symbol.numel(), group.values
-                known = [] if values is None else [self._shift.residue(value) for value in values]
-                first[group.label] = known or [self._shift.random() for _ in range(size)]
+                size = group.symbol.numel()
+                if group.kind == "parameter":
+                    first[group.label] = [self._shift.residue(value) for value in own[group.label]]
+                else:
+                    first[group.label] = [self._shift.random() for _ in range(size)]
                 shared = group.kind in ("parameter", "weight")
                 second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
 
@@ -208,7 +212,7 @@ class Closure:
                 break
             waiting = [item for item in waiting if item is not found]
             self.driven.append(found[1])
-            vectors += found[1].bounded
+            vectors += found[1].vectors
         self.missed = waiting
 
     def _grow(self, vectors: Sequence[SX]) -> bool:

@@ -48,11 +48,8 @@ def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
 def _servo_and_robot(diagram: Diagram) -> Iterator[Assumption]:
     plant = [name for name, block in diagram.blocks.items() if block.side is Side.PLANT]
     if plant:
-        types = ", ".join(f"{name} ({diagram.type_of(name)})" for name in plant)
-        yield Assumption(
-            f"the robot and its servo are what the graph says, rigid, with constant parameters: {types}",
-            "eqs. (3), (6), (7)",
-        )
+        text = f"the robot and its servo are what the graph says, rigid, with constant parameters: {', '.join(plant)}"
+        yield Assumption(text, "eqs. (3), (6), (7)")
 
 
 def _known(diagram: Diagram) -> Iterator[Assumption]:

@@ -4,16 +4,17 @@ Let every :math:`z_k \to 0`. A vector w goes to zero if it is, identically and e
 
 .. math:: w = \sum_k c_k z_k \quad\text{or}\quad R^\top w = \sum_k c_k z_k
 
-with constants :math:`c_k` that depend on parameters alone, and R of full row rank, uniformly: then
-:math:`|R^\top w|^2 \ge c |w|^2`. The constants are not guessed: they are solved for at random points of a prime field,
-more points than there are constants.
+with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. The constants are
+not guessed: they are solved for at random points of a prime field, more points than there are constants, with the
+parameters at the graph's own numbers.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cache
 from typing import final
 
@@ -22,13 +23,14 @@ import casadi as ca
 from dmframe.certificate import SX, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.symbols import Symbols, symbols_of
+from dmframe.certify.symbols import Symbols, exact_values, symbols_of
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
 
 SEED = 7
 BITS = 149
+Values = Mapping[str, Sequence[Fraction]]
 MORE = 3
 """Points beyond the number of constants, each a further test."""
 
@@ -77,24 +79,24 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
 
 def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     """Why a goal goes to zero, if it does."""
-    symbols = symbols_of(claim, closure.uncertain)
+    symbols, own = symbols_of(claim, closure.uncertain), exact_values(claim.diagram)
     for item in closure.driven:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
         ):
-            inputs = [_made_of(symbols, rest, vanishing) for rest in closure.remainders(item)]
+            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 return Made(
                     f"a stable linear equation drives it, and its input, made of {_listed(list(names))}, vanishes"
                 )
-    used = _made_of(symbols, goal.vector, vanishing)
+    used = _made_of(own, symbols, goal.vector, vanishing)
     if used is not None:
         return Made(f"it is made of {_listed(used)}")
     for name, R in full_rank(claim):
         if R.shape[0] == goal.vector.shape[0]:
             seen = R.T @ goal.vector
-            used = _made_of(symbols, seen, vanishing)
+            used = _made_of(own, symbols, seen, vanishing)
             if used is not None:
                 step = f"{name}'({goal.of}) is made of {_listed(used)}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
@@ -110,7 +112,7 @@ def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
                 yield port.name, claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
 
 
-def _made_of(symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
+def _made_of(own: Values, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:
     """The names of those of which the target is a combination with constant coefficients, element by element."""
     size = target.numel()
     pieces = [
@@ -122,7 +124,7 @@ def _made_of(symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> li
     if not pieces:
         return None
     chosen = list(range(len(pieces)))
-    rows = _sampled(symbols, [target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
+    rows = _sampled(own, symbols, [target, *(piece for _, piece in pieces)], len(pieces) + 1 + MORE)
     if rows is None or not _spans(rows, size, chosen):
         return None
     for k in range(len(pieces) - 1, -1, -1):  # the fewest that still do
@@ -142,17 +144,17 @@ def _spans(rows: tuple[int, list[list[int]]], size: int, chosen: Sequence[int]) 
     return True
 
 
-def _sampled(symbols: Symbols, expressions: Sequence[SX], count: int) -> tuple[int, list[list[int]]] | None:
+def _sampled(
+    own: Values, symbols: Symbols, expressions: Sequence[SX], count: int
+) -> tuple[int, list[list[int]]] | None:
     """All elements at random points that share their parameters."""
     tape = Tape.from_function(symbols.function("made", [ca.vec(ca.densify(x)) for x in expressions]))
     rng = random.Random(SEED)
     shift = Shift(_prime(), rng)
     fixed = {
-        group.label: [shift.random() for _ in range(group.symbol.numel())]
-        if group.values is None
-        else [shift.residue(value) for value in group.values]
+        group.label: [shift.residue(value) for value in own[group.label]]
         for group in symbols.groups
-        if group.kind in ("parameter", "weight")
+        if group.kind == "parameter"
     }
     points = list[list[int]]()
     for _ in range(4 * count):

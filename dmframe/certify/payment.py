@@ -25,7 +25,7 @@ from dmframe.errors import ValueFault
 from dmframe.exact.rational import as_float
 
 SOURCE = "composition of storage functions"
-TEXT = "kappa >= c sum_j a_j^2 / W_j"
+TEXT = "kappa >= c (a_1^2 / W_1 + a_2^2 / W_2 + ...)"
 
 
 @final
@@ -60,7 +60,9 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             text = f"{payer.block} pays for the cascade with the weight 1 that V gives it"
             margin = None if need is None else 1 - need
             value = None if margin is None else as_float(margin)
-            yield Checked(text, "1 > c sum_j a_j^2 / W_j", value, margin is not None and margin > 0, SOURCE)
+            yield Checked(
+                text, "1 > c (a_1^2 / W_1 + a_2^2 / W_2 + ...)", value, margin is not None and margin > 0, SOURCE
+            )
         elif not found:
             found = True
             kappa = payment(claim, numbers)

@@ -107,8 +107,8 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     found += [
         Statement(name, "is bounded", DRIVEN)
         for item in closure.driven
-        for name in dict.fromkeys(item.of)
-        if name not in held
+        for name, shown in zip(item.of, closure.bounds(item.bounded), strict=True)
+        if shown and name not in held
     ]
     found += _states(claim, closure, {statement.signal for statement in found})
     found += [Statement(square.of, "is square-integrable", SPENT) for square in spent]

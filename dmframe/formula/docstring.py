@@ -7,16 +7,12 @@ laws of several options: each has to hold for one, and each output and rate that
 
 from __future__ import annotations
 
-import ast
 import functools
 import inspect
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import pairwise
-from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -24,37 +20,23 @@ import numpy as np
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
 from dmframe.diagram import Diagram
-from dmframe.errors import BlockError, raise_all
+from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
-from dmframe.formula.latex import Numbers, UnreadableLatexError, evaluate, name_in, said, tokens
+from dmframe.formula.latex import evaluate, name_in, said, tokens
 from dmframe.formula.laws import POINTS, ReadBlock
+from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.reading import differs
 from dmframe.formula.robot import SIGNS
-
-_DISPLAYED: Final = re.compile(r"^([ \t]*)\.\. math::[ \t]*(.*)$")
-_INLINE: Final = re.compile(r":math:`([^`]*)`", re.DOTALL)
-_TAG: Final = re.compile(r"\\tag\{[^}]*\}")
+from dmframe.formula.stated import Stated, equations_of, shown, source_of
 
 
 @final
-@dataclass(frozen=True)
-class Stated:
-    """An equation of a docstring: its sides as words, and the line of its file."""
-
-    left: tuple[str, ...]
-    right: tuple[str, ...]
-    line: int
-    displayed: bool
-    source: str
-
-
-@final
-class UnreadError(BlockError):
+class UnreadError(DmframeError):
     """An equation of a docstring that cannot be read, so that nobody knows whether it is what the code computes."""
 
 
-def check_docstring(block: type[AbstractBlock]) -> list[BlockError]:
+def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
     """What the docstring of a block says that its code does not compute; each with file and line."""
     return list(_checked(block))
 
@@ -73,7 +55,7 @@ def unread(diagram: Diagram) -> list[str]:
 
 
 @functools.lru_cache(maxsize=256)
-def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
+def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     equations = list(equations_of(block))
     if not any(item.displayed for item in equations):
         return ()
@@ -85,126 +67,6 @@ def _checked(block: type[AbstractBlock]) -> tuple[BlockError, ...]:
         return ()
     file, _ = source_of(block)
     return tuple(kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
-
-
-def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
-    """All equations of a docstring, displayed and in the text, in the order of the file."""
-    text = block.__dict__.get("__doc__") or ""
-    _, first = source_of(block)
-    lines = text.split("\n")
-    place = 0
-    while place < len(lines):
-        head = _DISPLAYED.match(lines[place])
-        if head is None:
-            place += 1
-            continue
-        start, indent = place + 1, len(head[1])
-        place += 1
-        while place < len(lines) and (
-            not lines[place].strip() or len(lines[place]) - len(lines[place].lstrip()) > indent
-        ):
-            place += 1
-        body = [(first + number, lines[number]) for number in range(start, place)]
-        if head[2].strip():
-            body.insert(0, (first + start - 1, head[2]))
-        yield from _rows(body)
-    for found in _INLINE.finditer(text):
-        line = first + text[: found.start()].count("\n")
-        for words, source in _parts(found[1]):
-            yield from _equation(words, line, displayed=False, source=source)
-
-
-def source_of(block: type[AbstractBlock]) -> tuple[str, int]:
-    """The file of a block, and the line on which its docstring begins; 0 where the file cannot be read."""
-    file = Path(inspect.unwrap(block.equations).__code__.co_filename)
-    try:
-        classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
-    except (OSError, SyntaxError, UnicodeDecodeError):
-        return file.name, 0
-    return file.name, next((node.body[0].lineno for node in classes if node.name == block.__name__), 0)
-
-
-def _rows(body: Sequence[tuple[int, str]]) -> Iterator[Stated]:
-    r"""Equations of a displayed group: rows end with ``\\`` or a blank line; one without a left side goes on."""
-    rows: list[tuple[int, str]] = []
-    fresh = True
-    for line, text in body:
-        bare = _TAG.sub("", text)
-        if not bare.strip():
-            fresh = True
-            continue
-        if fresh:
-            rows.append((line, ""))
-        pieces = _row_ends(bare)
-        for number, piece in enumerate(pieces):
-            if number:
-                rows.append((line, ""))
-            rows[-1] = (rows[-1][0] if rows[-1][1].strip() else line, rows[-1][1] + " " + piece)
-        fresh = False
-    joined = list[tuple[int, str]]()
-    for line, row in (row for row in rows if row[1].strip()):
-        left = row.partition("&")[0]
-        if joined and "&" in row and not left.strip() and "=" not in row:
-            joined[-1] = (joined[-1][0], joined[-1][1] + " " + row)
-        else:
-            joined.append((line, row))
-    for line, row in joined:
-        for words, source in _parts(row):
-            yield from _equation(words, line, displayed=True, source=source)
-
-
-def _row_ends(text: str) -> list[str]:
-    r"""Split at ``\\`` outside of environments."""
-    pieces, depth, start = list[str](), 0, 0
-    for found in re.finditer(r"\\begin\{|\\end\{|\\\\", text):
-        if found[0] == r"\\":
-            if depth == 0:
-                pieces.append(text[start : found.start()])
-                start = found.end()
-        else:
-            depth += 1 if "begin" in found[0] else -1
-    return [*pieces, text[start:]]
-
-
-def _parts(text: str) -> Iterator[tuple[list[str], str]]:
-    """Equations that stand side by side, apart by commas."""
-    words, depth, part = tokens(_TAG.sub("", text)), 0, list[str]()
-    for word in words:
-        depth += {"(": 1, "{": 1, "[": 1, ")": -1, "}": -1, "]": -1}.get(word, 0)
-        if word in (",", ";") and depth == 0:
-            if part:
-                yield part, shown(part)
-            part = []
-        else:
-            part.append(word)
-    if part:
-        yield part, shown(part)
-
-
-def shown(words: Sequence[str]) -> str:
-    """Words as LaTeX again."""
-    text = ""
-    for word in words:
-        text += (" " if re.search(r"\\[A-Za-z]+$", text) and word[:1].isalpha() else "") + word
-    return text
-
-
-def _equation(words: list[str], line: int, *, displayed: bool, source: str) -> Iterator[Stated]:
-    """One equation, or a chain a = b = c as two."""
-    sides: list[list[str]] = [[]]
-    depth = 0
-    for word in words:
-        depth += {"(": 1, "{": 1, ")": -1, "}": -1}.get(word, 0)
-        if word == "=" and depth <= 0:
-            sides.append([])
-        else:
-            sides[-1].append(word)
-    if len(sides) == 1:
-        if displayed:
-            yield Stated((), tuple(sides[0]), line, displayed, source)
-        return
-    for left, right in pairwise(sides):
-        yield Stated(tuple(left), tuple(right), line, displayed, source)
 
 
 @final
@@ -450,7 +312,7 @@ class _Checker:
                 sides.setdefault(shown(item.left), []).append(item)
         return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
 
-    def faults(self) -> Iterator[tuple[int, str, type[BlockError]]]:
+    def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
         """Lines and what is wrong there."""
         for item in self._equations:
             verdict, text = self._told[item]

@@ -13,16 +13,19 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.formula.matrices import (
+    Eye,
+    Numbers,
+    UnreadableLatexError,
+    added,
+    as_matrix,
+    block_matrix,
+    inverted,
+    multiplied,
+    scaled,
+    stacked,
+)
 from dmframe.formula.names import LETTERS, Symbol
-
-Numbers = np.ndarray
-"""A matrix; a scalar is 1 x 1."""
-
-
-@final
-class UnreadableLatexError(Exception):
-    """A formula outside of the grammar, or a name that nothing bears."""
-
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (
@@ -70,7 +73,7 @@ def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
     value = reader.sum()
     if reader.rest():
         raise UnreadableLatexError(f"{reader.rest()} is not understood here")
-    return value if isinstance(value, Eye) else _matrix(value)
+    return value if isinstance(value, Eye) else as_matrix(value)
 
 
 def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:
@@ -78,14 +81,6 @@ def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:
     reader = LatexReader(words, lambda symbol: None, lambda symbol, arguments: None)
     symbol = reader.symbol()
     return (symbol, symbol.start) if symbol is not None and not reader.rest() else None
-
-
-@final
-class Eye:
-    """A multiple of an identity matrix, whose size is still open."""
-
-    def __init__(self, scale: float) -> None:
-        self.scale = scale
 
 
 @final
@@ -150,11 +145,11 @@ class LatexReader:
                 raise UnreadableLatexError("a prime has no meaning here; write \\top or \\dot")
             power = self._group()
             if power in (["\\top"], ["T"]):
-                value = _matrix(value).T
+                value = as_matrix(value).T
             elif power == ["-", "1"]:
                 value = inverted(value, matrix=True)
             elif len(power) == 1 and power[0].isdigit():
-                value = _matrix(value) ** int(power[0])
+                value = as_matrix(value) ** int(power[0])
             else:
                 raise UnreadableLatexError(f"the exponent {' '.join(power)} is not understood")
         return value
@@ -197,7 +192,7 @@ class LatexReader:
                 self._take()
                 parts.append(self.sum())
             self._expect(close)
-            return parts[0] if len(parts) == 1 else _stacked(parts)
+            return parts[0] if len(parts) == 1 else stacked(parts)
         if word == "{":
             return self._of(self._group())
         if word in ("\\frac", "\\tfrac", "\\dfrac"):
@@ -237,10 +232,10 @@ class LatexReader:
 
     def _arguments(self) -> list[Numbers]:
         self._expect("(")
-        found = [_matrix(self.sum())]
+        found = [as_matrix(self.sum())]
         while self._next() == ",":
             self._take()
-            found.append(_matrix(self.sum()))
+            found.append(as_matrix(self.sum()))
         self._expect(")")
         return found
 
@@ -316,7 +311,7 @@ class LatexReader:
                 raise UnreadableLatexError("a norm is not closed")
             inner.append(self._take())
         self._take()
-        vector, weight, squared = _matrix(self._of(inner)), None, False
+        vector, weight, squared = as_matrix(self._of(inner)), None, False
         while self._next() in ("^", "_"):
             if self._take() == "^":
                 squared = self._group() == ["2"]
@@ -324,7 +319,7 @@ class LatexReader:
                 weight = self._of(self._group())
         if weight is not None and not squared:
             raise UnreadableLatexError("a weighted norm is written with its square, |a|^2_W")
-        form = vector.T @ _matrix(multiplied(1.0 * np.ones((1, 1)) if weight is None else weight, vector))
+        form = vector.T @ as_matrix(multiplied(1.0 * np.ones((1, 1)) if weight is None else weight, vector))
         return form if squared else np.sqrt(form)
 
     def _bmatrix(self) -> Numbers:
@@ -337,8 +332,7 @@ class LatexReader:
         self._expect("\\end")
         self._group()
         rows = [_split(row, "\\cell") for row in _split(words[:end], "\\\\")]
-        blocks = [[self._of(cell) for cell in row] for row in rows]
-        return _blocks(blocks)
+        return block_matrix([[self._of(cell) for cell in row] for row in rows])
 
 
 _ENDS: Final = ("", "+", "-", ")", "]", "\\}", ",", "=", "}")
@@ -366,74 +360,3 @@ def _split(words: Sequence[str], mark: str) -> list[list[str]]:
         else:
             parts[-1].append(word)
     return parts
-
-
-def _blocks(rows: list[list[Any]]) -> Numbers:
-    heights = [max((item.shape[0] for item in row if not isinstance(item, Eye)), default=0) for row in rows]
-    return np.block([[_sized(item, height) for item in row] for row, height in zip(rows, heights, strict=True)])
-
-
-def _sized(item: Any, size: int) -> Numbers:
-    return item.scale * np.eye(size) if isinstance(item, Eye) else item
-
-
-def _stacked(parts: Sequence[Any]) -> Numbers:
-    """(a, b): columns above one another."""
-    if len({_matrix(part).shape[1] for part in parts}) != 1:
-        raise UnreadableLatexError("(a, b) stacks columns, and these have different widths")
-    return np.vstack([_matrix(part) for part in parts])
-
-
-def _matrix(value: Any) -> Numbers:
-    if isinstance(value, Eye):
-        raise UnreadableLatexError("the identity I needs a matrix beside it")
-    return np.asarray(value, dtype=float)
-
-
-def scaled(sign: float, value: Any) -> Any:
-    """A number times a value."""
-    return Eye(sign * value.scale) if isinstance(value, Eye) else sign * value
-
-
-def added(one: Any, other: Any) -> Any:
-    """A sum of equal shapes, or with a scalar or an identity."""
-    if isinstance(one, Eye) and isinstance(other, Eye):
-        return Eye(one.scale + other.scale)
-    if isinstance(one, Eye):
-        one, other = other, one
-    if isinstance(other, Eye):
-        if one.shape[0] != one.shape[1]:
-            raise UnreadableLatexError(f"the identity is added to {one.shape[0]} x {one.shape[1]}")
-        return one + other.scale * np.eye(one.shape[0])
-    if one.shape != other.shape and (1, 1) not in (one.shape, other.shape):
-        raise UnreadableLatexError(f"{_size(one)} and {_size(other)} cannot be added")
-    return one + other
-
-
-def _size(value: Numbers) -> str:
-    return f"{value.shape[0]} x {value.shape[1]}"
-
-
-def multiplied(left: Any, right: Any) -> Any:
-    """By shapes: a number scales, a column in front is a diagonal, else a matrix product."""
-    if isinstance(left, Eye):
-        return scaled(left.scale, right)
-    if isinstance(right, Eye):
-        return Eye(right.scale * float(left[0, 0])) if left.shape == (1, 1) else left * right.scale
-    if (1, 1) in (left.shape, right.shape) or (left.shape[1] == 1 and left.shape[0] == right.shape[0]):
-        return left * right
-    if left.shape[1] != right.shape[0]:
-        raise UnreadableLatexError(f"{_size(left)} and {_size(right)} cannot be multiplied")
-    return left @ right
-
-
-def inverted(value: Any, *, matrix: bool = False) -> Any:
-    """One over a value; of a square matrix, its inverse."""
-    value = _matrix(value)
-    if value.shape[0] == value.shape[1] and value.shape[0] > 1:
-        if not matrix:
-            raise UnreadableLatexError("a matrix is written with ^{-1}, not divided by")
-        return np.linalg.inv(value)
-    if value.shape[1] != 1:
-        raise UnreadableLatexError(f"{_size(value)} has no inverse")
-    return 1.0 / value

@@ -138,6 +138,21 @@ def test_a_stable_equation_with_a_bounded_input_bounds_its_state_and_a_vanishing
     assert "z" not in said(only_bounded, "goes to zero")
 
 
+def test_what_is_said_to_follow_from_a_driven_signal_has_to_follow():
+    verdict = verify(
+        scalar_loop(
+            "x z y",
+            lambda x, u, p: {"x": -x.x, "z": -p.k * x.z + x.x, "y": 1.0},
+            lambda x, u, p: Certificate(
+                storage=(Square(x.x),), dissipation=(Square(x.x),), driven=(Driven((x.z,), ((-p.k,),), (x.y,)),)
+            ),
+        )
+    )
+    assert "y" not in said(verdict, "is bounded")
+    assert verdict.states is not None
+    assert verdict.states.unfelt == ("toy.y",)
+
+
 @pytest.mark.parametrize(
     ("rate", "rest"),
     [
@@ -236,7 +251,7 @@ def test_a_linear_combination_is_found_and_none_is_invented():
     """The coefficients that limits solves for are those of NumPy's least squares; a product is none."""
     from dmframe.certify.claim import claim_of
     from dmframe.certify.limits import Vanishing, _made_of
-    from dmframe.certify.symbols import symbols_of
+    from dmframe.certify.symbols import exact_values, symbols_of
 
     loop = scalar_loop(
         "x w",
@@ -244,14 +259,14 @@ def test_a_linear_combination_is_found_and_none_is_invented():
         lambda x, u, p: Certificate(storage=(Square(x.x), Square(x.w)), dissipation=(Square(x.x), Square(x.w))),
     )
     claim = claim_of(loop)
-    symbols = symbols_of(claim)
+    symbols, own = symbols_of(claim), exact_values(loop)
     x, w = (part.symbol for part in loop.loop.controller)
     k = loop.loop.parameters[0].symbol
     known = [Vanishing("x", x, True), Vanishing("w", w, True)]
-    assert _made_of(symbols, 3 * x - k * w, known) == ["x", "w"]
-    assert _made_of(symbols, k * x, known) == ["x"]
-    assert _made_of(symbols, x * w, known) is None
-    assert _made_of(symbols, x + 1, known) is None
+    assert _made_of(own, symbols, 3 * x - k * w, known) == ["x", "w"]
+    assert _made_of(own, symbols, k * x, known) == ["x"]
+    assert _made_of(own, symbols, x * w, known) is None
+    assert _made_of(own, symbols, x + 1, known) is None
     rows = np.random.default_rng(0).normal(size=(9, 2))
     solved, *_ = np.linalg.lstsq(rows, rows @ np.array([3.0, -2.0]), rcond=None)
     assert np.allclose(solved, [3.0, -2.0])

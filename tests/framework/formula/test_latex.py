@@ -1,0 +1,87 @@
+"""LaTeX read as numbers: shapes decide what stands side by side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dmframe.formula.latex import evaluate, name_in, tokens
+from dmframe.formula.matrices import UnreadableLatexError
+from dmframe.formula.names import Symbol, symbol
+
+rng = np.random.default_rng(0)
+KNOWN = {
+    "J_hat": rng.normal(size=(2, 3)),
+    "x": rng.normal(size=(2, 1)),
+    "e": rng.normal(size=(3, 1)),
+    "K": rng.uniform(1, 2, size=(3, 1)),
+    "gamma": np.array([[2.0]]),
+    "A": rng.normal(size=(3, 3)) + 4 * np.eye(3),
+}
+J, x, e, K, A = (KNOWN[name] for name in ("J_hat", "x", "e", "K", "A"))
+
+
+def look(name):
+    return {symbol(key): value for key, value in KNOWN.items()}.get(name)
+
+
+def value(text):
+    return evaluate(tokens(text), look, lambda name, arguments: sum(arguments) if name == Symbol("f") else None)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (r"\hat J^\top x - K e", J.T @ x - K * e),
+        (r"K e^\top e", K * (e.T @ e)),
+        (r"\tfrac34 \gamma |e|^2", 1.5 * e.T @ e),
+        (r"\frac{e}{\gamma}", e / 2),
+        (r"|e|_{K/\gamma}^2", np.sum(K / 2 * e * e).reshape(1, 1)),
+        (r"A^{-1} (e - K)", np.linalg.solve(A, e - K)),
+        (r"(A + \gamma I) e", (A + 2 * np.eye(3)) @ e),
+        (r"(e,\, x)", np.vstack([e, x])),
+        (r"\begin{bmatrix} A & e \\ e^\top & \gamma \end{bmatrix}", np.block([[A, e], [e.T, np.array([[2.0]])]])),
+        (r"\operatorname{diag}(K)\, A", np.diagflat(K) @ A),
+        (r"\tanh(e/\gamma)", np.tanh(e / 2)),
+        (r"f(e, K)", e + K),
+        (r"-e^2", -(e**2)),
+    ],
+)
+def test_a_formula_is_its_numbers(text, expected):
+    np.testing.assert_allclose(value(text), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (r"x + e", "2 x 1 and 3 x 1 cannot be added"),
+        (r"\hat J x", "2 x 3 and 2 x 1 cannot be multiplied"),
+        (r"e / A", "not divided by"),
+        (r"\int e", "not understood"),
+        (r"e + ", "not understood"),
+        (r"(e + K", "missing"),
+        (r"|e", "not closed"),
+        (r"e'", "prime"),
+        (r"q", "nothing bears the name q"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(text, said):
+    with pytest.raises(UnreadableLatexError, match=said):
+        value(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [
+        (r"\dot{\hat a}_d", "da_d_hat"),
+        (r"\ddot q_{ref}", "ddq_ref"),
+        (r"K_\star", "K_star"),
+        (r"a_{d,\mathrm{nominal}}", "a_d_nominal"),
+        (r"\mathrm{maker\_gravity}", "maker_gravity"),
+        (r"\bar\alpha", "alpha_bar"),
+    ],
+)
+def test_a_name_is_that_of_the_code(text, name):
+    found = name_in(tokens(text))
+    assert found is not None
+    assert found[0] == symbol(name)
