@@ -44,7 +44,7 @@ duration: 1 s
 start: {{q: {[0.3] * n}}}
 blocks:
   path:     {{type: sinusoid, center: {[0.3] * n}, amplitude: 0.1, rate: 0.5}}
-  task:     {{type: joint_tracking, alpha: 2}}
+  task:     {{type: joint_tracking, alpha_bar: 2}}
   model:    {{type: regressor, friction: [viscous]}}
   dynamics: {{type: dynamic_compensator, Gamma: 0.01}}
   inverse:  {{type: pid_inverse, K_c: 1, Lambda: 0.000001, Lambda_P: 0.1, Lambda_I: 0.1, w_P: 2, w_I: 0.7,

@@ -45,7 +45,7 @@ class Controller:
         return np.asarray(Y - less)
 
     def reference(self, t: float, q: Array, dq: Array) -> tuple[Array, Array]:
-        """dq_ref = J^+ dx_d - gamma J'(x - x_d), and its derivative along the motion."""
+        """dq_r = J^+ dx_d - gamma J'(x - x_d), and its derivative along the motion."""
         pin.computeJointJacobiansTimeVariation(self.model, self.data, q, dq)
         pin.updateFramePlacement(self.model, self.data, self.loop.tool)
         x = self.data.oMf[self.loop.tool].translation
@@ -58,14 +58,15 @@ class Controller:
         forward = A @ dx_d
         turn = dJ @ J.T
         dforward = A @ (ddx_d - (turn + turn.T) @ forward)
-        dq_ref = J.T @ (forward - self.gamma * error)
-        ddq_ref = dJ.T @ (forward - self.gamma * error) + J.T @ (dforward - self.gamma * rate)
-        return dq_ref, ddq_ref
+        dq_r = J.T @ (forward - self.gamma * error)
+        ddq_r = dJ.T @ (forward - self.gamma * error) + J.T @ (dforward - self.gamma * rate)
+        return dq_r, ddq_r
 
     def step(self, t: float, q: Array, dq: Array, q_c: Array) -> Array:
         """The command dq_c from what is measured at t; then the states advance to t + T."""
         gain, T = self.gain, self.loop.T
-        dq_ref, ddq_ref = self.reference(t, q, dq)
+        dq_r, ddq_r = self.reference(t, q, dq)
+        dq_ref, ddq_ref = dq_r - gain["K_c"] * (q - self.q_r), ddq_r - gain["K_c"] * (dq - dq_r)
         sigma = dq - dq_ref
         Y_d = np.hstack(
             [self.regressor(q, dq, dq_ref, ddq_ref), np.diag(dq_ref), np.diag(np.tanh(dq_ref / self.loop.v_0))]
@@ -78,7 +79,7 @@ class Controller:
         self.w_P = self.w_P + T * gain["Lambda_P"] * e_c * sigma
         self.w_I = self.w_I + T * gain["Lambda_I"] * self.z * sigma
         self.z = self.z + T * e_c
-        self.q_r = self.q_r + T * (dq_ref + gain["K_c"] * (q - self.q_r))
+        self.q_r = self.q_r + T * dq_r
         if self.boxed:
             for name in ("w", "w_P", "w_I"):
                 setattr(self, name, np.clip(getattr(self, name), self.lower[name], self.upper[name]))

@@ -50,7 +50,8 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
     def control(t: Any, z: Any, x: Any, gain: Any) -> Any:
         a, q_r, integral, scale, w_P, w_I = jnp.split(z, ends)
         q_c, q, dq = x[:n], x[2 * n : 3 * n], x[3 * n :]
-        dq_ref, ddq_ref = jax.jvp(lambda t, q: reference(t, q, gain["gamma"]), (t, q), (jnp.ones_like(t), dq))
+        dq_r, ddq_r = jax.jvp(lambda t, q: reference(t, q, gain["gamma"]), (t, q), (jnp.ones_like(t), dq))
+        dq_ref, ddq_ref = dq_r - gain["K_c"] * (q - q_r), ddq_r - gain["K_c"] * (dq - dq_r)
         smooth = jnp.tanh(dq_ref / loop.v_0)
         E = robot.rotations([q[j] for j in range(n)])
 
@@ -66,7 +67,7 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
         dq_c = dq_ref - w_P * e_c + scale * tau - w_I * integral
         rates = [
             -gain["Gamma"] * transposed(sigma)[0],
-            dq_ref + gain["K_c"] * (q - q_r),
+            dq_r,
             e_c,
             -gain["Lambda"] * tau * sigma,
             gain["Lambda_P"] * e_c * sigma,

@@ -34,7 +34,7 @@ GENERATORS = {
     "observed_regulation": (GOAL, OBSERVED, tuple(KINEMATICS)),
     "observed_tracking": (CIRCLE, OBSERVED, tuple(KINEMATICS)),
     "known_tracking": (CIRCLE, "  task: {type: task_tracking, gamma: 1}\n", ("known",)),
-    "joint_tracking": ("", "  task: {type: joint_tracking, alpha: 2}\n", ("",)),
+    "joint_tracking": ("", "  task: {type: joint_tracking, alpha_bar: 2}\n", ("",)),
 }
 SERVOS = {
     "pi": ("Lambda: 0.01, Lambda_I: 1, w_I: 2", "{type: pi_servo, K_P: 100, K_I: 100}"),
@@ -45,7 +45,7 @@ SERVOS = {
 }
 ARM = "  arm: {type: manipulator, viscous: 5, coulomb: %s}\n"
 TORQUE = """\
-  task: {type: computed_torque, alpha: 2}
+  task: {type: computed_torque, alpha_bar: 2}
   command: {type: regressor, friction: [viscous], bias: true}
   torque: {type: certainty_equivalence}
   model: {type: regressor, friction: [viscous], bias: true, nominal: 0.8}
@@ -72,7 +72,8 @@ def graphs(robot: str) -> Iterator[tuple[str, str]]:
     for servo, (gains, law) in SERVOS.items():
         plant = f"  servo: {law}\n"
         for generator, (path, task, kinds) in GENERATORS.items():
-            extra = "K_c: 0.8, " if servo == "pid" else ""
+            tie = "position" if generator == "filtered_regulation" else "velocity"
+            extra = f"K_c: 0.8, tie: {tie}, " if servo == "pid" else ""
             for kind in kinds:
                 geometry = f"  geometry: {KINEMATICS[kind]}\n" if kind else ""
                 yield (

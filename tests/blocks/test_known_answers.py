@@ -191,7 +191,7 @@ def test_the_regressor_times_the_true_parameters_is_the_motions_torque() -> None
         closed_form.mass_matrix(Q) @ ddq_ref + closed_form.coriolis(Q, DQ) @ dq_ref + closed_form.gravity_torque(Q)
     )
     close(Y_d @ a_d, expected + B * dq_ref + D * np.tanh(dq_ref / 0.005))
-    assert answer("regressor", robot=robot, q=Q)["Y_d"].shape == (2, 20)
+    assert answer("regressor", {"friction": []}, robot=robot, q=Q)["Y_d"].shape == (2, 20)
 
 
 def test_a_frozen_block_cannot_be_changed() -> None:

@@ -39,7 +39,7 @@ SAMPLED = {  # the same of the sampled combinations, over so many seconds
     "known_tracking_pid": (50, 0.4),
     "joint_tracking_pi": (50, 0.4),
     "joint_tracking_pid": (50, 0.4),
-    "ur10_full": (60, 0.3),
+    "ur10_full": (60, 0.4),
     "panda_full": (40, 0.95),
 }
 

@@ -96,7 +96,8 @@ struct Controller {
         const Eigen::Matrix3d A = (J * J.transpose()).inverse(), turn = dJ * J.transpose();
         const Vec3 forward = A * dx_d, dforward = A * (ddx_d - (turn + turn.transpose()) * forward);
         const Vec3 wanted = forward - loop.gamma * (x - x_d), dwanted = dforward - loop.gamma * (J * dq - dx_d);
-        const Vec dq_ref = J.transpose() * wanted, ddq_ref = dJ.transpose() * wanted + J.transpose() * dwanted;
+        const Vec dq_r = J.transpose() * wanted, ddq_r = dJ.transpose() * wanted + J.transpose() * dwanted;
+        const Vec dq_ref = dq_r - loop.K_c.cwiseProduct(q - q_r), ddq_ref = ddq_r - loop.K_c.cwiseProduct(dq - dq_r);
         const Vec sigma = dq - dq_ref, smooth = (dq_ref / loop.v_0).array().tanh();
         regressor(q, dq, dq_ref, ddq_ref);
         const Vec tau = Y * a.template head<10 * N>() + dq_ref.cwiseProduct(a.template segment<N>(10 * N))
@@ -110,7 +111,7 @@ struct Controller {
         w_P += loop.T * loop.Lambda_P.cwiseProduct(e_c).cwiseProduct(sigma);
         w_I += loop.T * loop.Lambda_I.cwiseProduct(z).cwiseProduct(sigma);
         z += loop.T * e_c;
-        q_r += loop.T * (dq_ref + loop.K_c.cwiseProduct(q - q_r));
+        q_r += loop.T * dq_r;
         w = w.cwiseMax(loop.lower[0]).cwiseMin(loop.upper[0]);
         w_P = w_P.cwiseMax(loop.lower[1]).cwiseMin(loop.upper[1]);
         w_I = w_I.cwiseMax(loop.lower[2]).cwiseMin(loop.upper[2]);

@@ -65,7 +65,7 @@ class Flywheel(AbstractBlock):
 def flywheel() -> Diagram:
     blocks: dict[str, AbstractBlock] = {
         "path": Setpoint(q_d=(0.3,)),
-        "task": JointTracking(alpha=ALPHA),
+        "task": JointTracking(alpha_bar=ALPHA),
         "inverse": KinematicCommand(),
         "servo": PiServo(K_P=K_P, K_I=K_I),
         "arm": Flywheel(J=J),

@@ -80,7 +80,7 @@ FAULTS = {
         ("run", "ur10_fast", "ur10_fast_kinematic", "--set", "dynamics.Gamma=3"),
         "dmframe: ur10_fast_kinematic: --set dynamics.Gamma=3: unknown block or key; choose from arm, ",
     ),
-    "set to a bad value": ((*RUN, "--set", "task.alpha=-1"), ": blocks.task.alpha: expected a number > 0, found -1\n"),
+    "set to a bad value": ((*RUN, "--set", "task.alpha_bar=-1"), ": blocks.task.alpha_bar: expected a number > 0, found -1\n"),
 }
 
 

@@ -89,13 +89,13 @@ def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Pat
     plain = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
     told = strict(
         dmframe(
-            "run", "arm2_joint", *SHORT, "--json", "--out", "mine", "--set", "task.alpha=8", "--set", "clock=2 ms"
+            "run", "arm2_joint", *SHORT, "--json", "--out", "mine", "--set", "task.alpha_bar=8", "--set", "clock=2 ms"
         ).out
     )
     assert told["clock"] == 0.002
     assert told["error"]["rms_final"] < plain["error"]["rms_final"]
     kept = load_graph(tmp_path / "mine" / "graph.yaml")
-    assert kept.blocks["task"].alpha == 8  # type: ignore[attr-defined]
+    assert kept.blocks["task"].alpha_bar == 8  # type: ignore[attr-defined]
     assert kept.file.clock == 0.002
 
 

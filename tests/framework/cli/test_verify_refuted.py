@@ -21,7 +21,7 @@ class Liar(DynamicCompensator):
     def certificate(self, u, x, p, truth):
         honest = super().certificate(u, x, p, truth)
         (own,) = honest.storage
-        return Certificate((Square(own.of, own.vector, 2 * own.weight),), (), honest.supply)
+        return Certificate((Square(own.vector, 2 * own.weight),), (), honest.supply)
 '''
 
 

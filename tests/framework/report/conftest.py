@@ -89,7 +89,7 @@ def refuted(tmp_path_factory: pytest.TempPathFactory) -> Case:
 @pytest.fixture(scope="session")
 def failing() -> Case:
     """Its identity holds, and M_bar > 0 does not."""
-    return case("pendulum", "inverse.K_c=0.1", "duration=0.1")
+    return case("pendulum", "inverse.K_c=0.1", "inverse.tie=position", "duration=0.1")
 
 
 @pytest.fixture(scope="session")
