@@ -320,7 +320,7 @@ def test_a_prior_is_proved() -> None:
 
 
 def learnt(*overrides: str) -> tuple[float, float]:
-    """The tracking error of the last eighth, and how wrong the learnt model's torques are elsewhere, in parts of all."""
+    """The tracking error of the last eighth, and how wrong the learnt torques are elsewhere, in parts of all."""
     graph = load_graph("arm2_joint", ["model.nominal=0.7", *overrides])
     diagram = graph.diagram()
     run = simulate(diagram, 20.0, clock=graph.file.clock, start=graph.start)
