@@ -99,8 +99,9 @@ def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if symbols_in([part]) & moving or not symbols_in([part]):
                 continue
             if not _defined(code, part, numbers):
-                what = "divides by" if code in DIVISIONS else f"takes {DEFINED[code]} of"
-                text = f"{name}: {what} {_written(part)}, which this graph's numbers allow"
+                text = f"{name}: {_written(part)} is not zero"
+                if code not in DIVISIONS:
+                    text = f"{name}: {DEFINED[code]} of {_written(part)} is defined"
                 yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
 
 

@@ -165,9 +165,14 @@ def _verified(
     signs = Signs(claim, numbers)
     conditions, assumptions = conditions_of(claim, numbers, start)
     bounds = bounds_of(claim, numbers, symbols)
+    missing = list(dict.fromkeys(undefined(claim, numbers)))
+    if missing:
+        outcome, reason = _judge([*conditions, *missing], controls, (), bounds)
+        failed = (*conditions, *missing)
+        return Verdict(outcome, reason, claim, test, conditions=failed, build=clock.build, check=clock.check)
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)
-    conditions += [*needed, *undefined(claim, numbers)]
+    conditions += needed
     statements = statements_of(claim, symbols, signs, closure)
     smooth = smoothness(diagram, claim)  # again: what follows may have differentiated a trajectory once more
     if smooth.faults:

@@ -77,7 +77,7 @@ def page(graph: Graph, verdict: Verdict) -> str:
         parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
     if verdict.assumptions:
         parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
-    if verdict.statements:
+    if verdict.statements and verdict.outcome == "proved":
         parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
     parts += [f"  notice: {notice}" for notice in verdict.notices]
     if verdict.claim is not None:

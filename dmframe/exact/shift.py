@@ -39,7 +39,7 @@ class _Frozen(Trial):
         return self._told_before() or self._tell(super().cos_sin(angle))
 
     def sign(self, value: int) -> int:
-        """Give any number, and the same one again, for x - x sign(x) is no more bounded than x."""
+        """Return some number, and the same again: x - x s is no more bounded than x, whatever s is."""
         return (self._told_before() or self._tell((self.random(), 0)))[0]
 
     def size(self, value: int) -> int:
