@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from functools import cache
 from types import FunctionType
 from typing import Any
+from unittest import mock
 
 from closed_loops import FULL, Loop, known_blocks, loops, same_field, true_in_numbers
 
@@ -36,6 +37,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.model import hashes, symbols_in
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
+from dmframe.formula.laws import laws_of
 from dmframe.parameter import specs
 from dmframe.port import Side
 
@@ -263,10 +265,20 @@ def patched(mutant: Mutant) -> Iterator[None]:
             setattr(holder, name, mutant.original)
 
 
+@contextlib.contextmanager
+def docstrings_unread() -> Iterator[None]:
+    """Leave a fault to the exact test: a docstring that states the law would tell of it first."""
+    with (
+        mock.patch("dmframe.certify.claim.laws_of", lambda diagram, docstrings: laws_of(diagram)),
+        mock.patch("dmframe.certify.verify.unread", lambda diagram: []),
+    ):
+        yield
+
+
 def judged(mutant: Mutant, loop: Loop) -> Result:
     """What becomes of a fault in one closed loop."""
     block = mutant.owner in known_blocks()
-    with contextlib.nullcontext() if block else patched(mutant):
+    with contextlib.nullcontext() if block else patched(mutant), docstrings_unread():
         try:
             diagram = loop.build({mutant.owner: mutant} if block else {}, mutated_block)
             if block and known_blocks()[mutant.owner].side is Side.SOURCE and _free_of_sources(diagram):
