@@ -132,7 +132,7 @@ class PiInverse(AbstractBlock):
         return {"q_r": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(4), (5) and (6)."""
+        """(4) and (5), and what drives the command."""
         K_star = named("K_star", truth.K * truth.K_P)
         sigma = named("sigma", u.dq - u.dq_r)
         e, h = truth.i + u.q_c - x.q_r, u.q_c - x.q_r

@@ -151,7 +151,7 @@ class PidInverse(AbstractBlock):
         return {"q_r" if self.tie == "velocity" else "q_tie": u.q}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(6), (7) and (8)."""
+        """(6) and (7), and what drives the command."""
         K, K_D, K_P, K_I, B = truth.K, truth.K_D, truth.K_P, truth.K_I, truth.B
         K_star, M_bar = named("K_star", K * K_D), self._M_bar(p, truth)
         _, q_r, dq_ref = self._reference(u, x, p)

@@ -104,7 +104,7 @@ class Regressor(AbstractBlock):
         return rows
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and, if asked, (2)."""
+        """(1) and, if asked, the nominal parameters."""
         columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
         if self.gravity == "apart":
             still = ca.DM.zeros(p.robot.n)

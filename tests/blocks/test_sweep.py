@@ -64,11 +64,9 @@ def test_a_block_is_one_final_frozen_class_in_a_file_of_its_name(name: str) -> N
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-def test_a_blocks_page_has_its_equations_parameters_and_source(name: str) -> None:
+def test_a_blocks_page_has_its_parameters_and_source(name: str) -> None:
     kind = BLOCKS[name]
     page = inspect.getdoc(kind) or ""
-    assert ".. math::" in page
-    assert r"\tag{1}" in page
     parameters = page.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
     for field in kind.model_fields:
         assert re.search(rf"^(\w+, )*{field}(, \w+)* : ", parameters, re.MULTILINE), f"{field} is not documented"
@@ -83,7 +81,7 @@ def test_a_blocks_equations_are_numbered_as_its_methods_cite_them(name: str) -> 
     for method in (kind.equations, kind.certificate, kind.conditions):
         cited = set(re.findall(r"\((\d+)\)", method.__doc__ or ""))
         assert cited <= known, f"{method.__name__} cites {cited - known}"
-    assert "(1)" in (kind.equations.__doc__ or "")
+    assert not known or "(1)" in (kind.equations.__doc__ or "")
 
 
 @pytest.mark.parametrize("name", BLOCKS)

@@ -155,10 +155,10 @@ def test_the_schema_accepts_every_packaged_graph(dmframe: Any) -> None:
 
 BAD = {
     "unknown parameter": ("  task:     {type: joint_tracking, alfa: 2}", "alfa"),
-    "missing parameter": ("  task:     {type: joint_tracking}", "alpha"),
-    "unknown type": ("  task:     {type: joint_trackin, alpha: 2}", "joint_trackin"),
-    "no type": ("  task:     {alpha: 2}", "type"),
-    "wrong kind of value": ("  task:     {type: joint_tracking, alpha: {a: 2}}", "a"),
+    "missing parameter": ("  task:     {type: joint_tracking}", "alpha_bar"),
+    "unknown type": ("  task:     {type: joint_trackin, alpha_bar: 2}", "joint_trackin"),
+    "no type": ("  task:     {alpha_bar: 2}", "type"),
+    "wrong kind of value": ("  task:     {type: joint_tracking, alpha_bar: {a: 2}}", "a"),
 }
 
 
@@ -166,7 +166,7 @@ BAD = {
 def test_the_schema_refuses_a_bad_block(case: str, dmframe: Any) -> None:
     line, culprit = BAD[case]
     good = graphs()["pendulum"].read_text(encoding="utf-8")
-    bad = good.replace("  task:     {type: joint_tracking, alpha: 2}", line)
+    bad = good.replace("  task:     {type: joint_tracking, alpha_bar: 2}", line)
     assert bad != good
     faults = list(schema(dmframe).iter_errors(read_document(bad, "bad.yaml").data))
     assert any(culprit in fault.message for fault in faults)
