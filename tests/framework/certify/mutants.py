@@ -278,7 +278,7 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 
 @contextlib.contextmanager
 def nothing_printed() -> Iterator[None]:
-    """Leave a fault to the exact test, which the printed laws would go before; what follows from a proof is not asked."""
+    """Leave a fault to the exact test, before which the printed laws would tell of some; nor ask what follows."""
     with (
         mock.patch("dmframe.certify.claim._laws", return_value={}),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),

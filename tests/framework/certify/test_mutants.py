@@ -31,9 +31,9 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """All of a few, half of some, a quarter of more, an eighth of many; `make mutants` tries them all."""
+    """All of a few, half of some, a fifth of more, fewer of many; `make mutants` tries them all."""
     found = list(mutants)
-    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 4 if len(found) < 60 else 8]
+    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 5 if len(found) < 60 else 11]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
