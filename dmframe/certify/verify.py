@@ -173,8 +173,10 @@ def _verified(
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)
     conditions += needed
+    known = len(diagram.resolver.trajectories)
     statements = statements_of(claim, symbols, signs, closure)
-    smooth = smoothness(diagram, claim)  # again: what follows may have differentiated a trajectory once more
+    if len(diagram.resolver.trajectories) > known:  # what follows has differentiated a trajectory once more
+        smooth = smoothness(diagram, claim)
     if smooth.faults:
         statements = [item for item in statements if item.says != "goes to zero"]
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
