@@ -31,9 +31,9 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """All of a few, half of some, a fifth of more, fewer of many; `make mutants` tries them all."""
+    """All of a few, half of some, a sixth of more, fewer of many; `make mutants` tries them all."""
     found = list(mutants)
-    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 5 if len(found) < 60 else 11]
+    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 6 if len(found) < 60 else 13]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
