@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.diagram.model import hashes
+from dmframe.diagram.model import symbols_in
 from dmframe.errors import ValueFault
 
 Array = NDArray[np.float64]
@@ -221,7 +221,7 @@ def period_of(trajectory: Any, time: Any) -> float | None:
     Time must stand in sines and cosines alone, with angles of constant rates that have a common divisor.
     """
     rates = set[float]()
-    instant, seen = hashes(time), set[int]()
+    instant, seen = symbols_in([time]), set[int]()
     waiting = [trajectory[i] for i in range(trajectory.numel())]
     while waiting:
         item = waiting.pop()

@@ -15,7 +15,7 @@ from dmframe.analyse.set_point import true_values
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.errors import MissingError
 from dmframe.exact.enclosure import Enclosure
 from dmframe.results.dataset import element_labels
@@ -105,7 +105,7 @@ def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> 
     else:
         found = _known(diagram, signal, matrix, joints)
     problem = RankProblem(**common, **found)
-    known = hashes(problem.q) | hashes(problem.a) | hashes(problem.p)
+    known = symbols_in([problem.q]) | symbols_in([problem.a]) | symbols_in([problem.p])
     if symbols_in([problem.expression]) - known:
         raise MissingError(f"{signal.label}: expected a matrix of the pose and the kinematic parameters alone")
     return problem
@@ -202,7 +202,7 @@ def _part(loop: ClosedLoop, state: Array, variable: Variable) -> Array:
 
 
 def _depends(expression: SX, variable: Variable) -> bool:
-    return bool(symbols_in([expression]) & hashes(variable.symbol))
+    return bool(symbols_in([expression]) & symbols_in([variable.symbol]))
 
 
 def _only(found: Sequence[Variable], expected: str) -> Variable:

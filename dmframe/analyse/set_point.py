@@ -13,7 +13,7 @@ from dmframe.certificate import SX, Certificate
 from dmframe.certify import NotApplicableError, claim_of
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import Variable, stack
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.diagram.resolve import Leaf
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
@@ -64,7 +64,7 @@ def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
 
 
 def _truth(variable: Variable, certificate: Certificate, loop: ClosedLoop) -> np.ndarray | None:
-    own = hashes(variable.symbol)
+    own = symbols_in([variable.symbol])
     for square in certificate.storage:
         if not own & symbols_in([square.vector]):
             continue
@@ -156,8 +156,8 @@ def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
     (joined,) = project(loop, loop.joined([expression]))
     leaves = stack(leaf.symbol for leaf in loop.trajectories)
     held = ca.substitute(joined, leaves, stack(leaf.expression for leaf in loop.trajectories))
-    if symbols_in([held]) & hashes(loop.time):
-        reads = [v.label for v in variables(loop) if symbols_in(loop.joined([v.rate])) & hashes(loop.time)]
+    if symbols_in([held]) & symbols_in([loop.time]):
+        reads = [v.label for v in variables(loop) if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
         where = ", ".join(f"d {label}/dt" for label in reads) or name
         raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
     return ca.Function(name, [loop.state, loop.p], [ca.cse(held)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import final
 
 import casadi as ca
@@ -14,7 +15,7 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes
+from dmframe.diagram.model import symbols_in
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval, as_float, evaluate
 
@@ -49,16 +50,17 @@ class Numbers:
         values: dict[str, Sequence[Number]] = dict(exact_values(claim.diagram))
         self.values, self.uncertain = values | dict(uncertain), frozenset(uncertain)
         self._p = claim.loop.parameters
+        self._columns = [stack([p.symbol]) for p in self._p]
 
-    @property
+    @cached_property
     def known(self) -> set[int]:
         """Identities of the parameters' symbols."""
-        return hashes(stack(p.symbol for p in self._p))
+        return symbols_in(p.symbol for p in self._p)
 
     def of(self, expression: SX) -> list[Number]:
         """The elements of an expression, dense; raises `ValueFault` where it needs more than parameters."""
         joined = ca.vec(ca.densify(self.claim.loop.joined([ca.SX(expression)])[0]))
-        function = ca.Function("value", [stack([p.symbol]) for p in self._p], [joined], {"allow_free": True})
+        function = ca.Function("value", self._columns, [joined], {"allow_free": True})
         if function.has_free():
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise ValueFault(f"expected an expression in parameters alone, found {free}")
@@ -67,7 +69,7 @@ class Numbers:
     def with_states(self, expression: SX, state: SX, values: Sequence[Number]) -> list[Number] | None:
         """The elements of an expression in parameters and one state, the state anywhere in its intervals."""
         joined = ca.vec(ca.densify(expression))
-        function = ca.Function("value", [stack([p.symbol]) for p in self._p] + [state], [joined], {"allow_free": True})
+        function = ca.Function("value", [*self._columns, state], [joined], {"allow_free": True})
         return (
             None if function.has_free() else evaluate(function, [*(self.values[p.label] for p in self._p), values])[0]
         )

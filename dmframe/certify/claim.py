@@ -26,13 +26,14 @@ from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.certify.labels import labelled
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in, told_by
+from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.law import PrintedLaw
-from dmframe.formula.laws import laws_of
+from dmframe.formula.docstring import check_docstrings
+from dmframe.formula.laws import read_blocks
 from dmframe.linalg import times
 from dmframe.port import Side
 
@@ -158,10 +159,14 @@ class Claim:
         return total(own) - self.consumption
 
 
-def _laws(diagram: Diagram) -> Mapping[str, PrintedLaw]:
-    """The printed laws; one that is not what runs is a claim that nobody can read."""
+def _laws(diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated) -> Mapping[str, PrintedLaw]:
+    """The printed laws; one that is not what runs, or not what is proved, is a claim that nobody can read."""
     try:
-        return laws_of(diagram, docstrings=True)
+        check_docstrings(diagram)
+        blocks = read_blocks(diagram)
+        for name, certificate in certificates.items():
+            blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop)
+        return {name: block.law() for name, block in blocks.items()}
     except DmframeError as error:
         raise NotApplicableError(error.text) from None
 
@@ -179,10 +184,10 @@ def claim_of(diagram: Diagram) -> Claim:
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
-    laws = _laws(diagram)
-    field = Field(diagram)
     for name, certificate in stated.items():
         check_form(name, certificate)
+    laws = _laws(diagram, stated, truths)
+    field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())
     if not any(part.certificate.storage for part in parts):
@@ -228,9 +233,11 @@ class Field:
     def derivative(self, expression: SX) -> SX:
         """d/dt along the closed loop, trajectories moving as they like."""
         used = symbols_in([expression])
-        pairs = [(leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & hashes(leaf)]
+        pairs = [
+            (leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & symbols_in([leaf])
+        ]
         for (block, port, order), leaf in list(self.diagram.resolver.trajectories.items()):
-            if used & hashes(leaf.symbol):
+            if used & symbols_in([leaf.symbol]):
                 pairs.append((leaf.symbol, self.diagram.resolver.trajectory_rate(block, port, order)))
         if not pairs:
             return ca.SX(0)
@@ -239,7 +246,7 @@ class Field:
     def second(self, expression: SX) -> SX | None:
         """The second derivative; None where the first holds a projection's correction, which may jump."""
         first = self.derivative(expression)
-        if symbols_in([first]) & hashes(stack(item.correction for item in self.loop.projections)):
+        if symbols_in([first]) & symbols_in(item.correction for item in self.loop.projections):
             return None
         return self.derivative(first)
 
@@ -248,11 +255,11 @@ class Field:
         it has no lemma, so the correction must cancel there, as it does where ddq_ref is derived with it.
         """
         used = symbols_in([storage])
-        return [item for item in self.loop.projections if item.block == name and used & hashes(item.state)]
+        return [item for item in self.loop.projections if item.block == name and used & symbols_in([item.state])]
 
     def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
         r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""
-        own = hashes(projection.state)
+        own = symbols_in([projection.state])
         squares = [square for square in certificate.storage if symbols_in([square.vector, square.weight]) & own]
         if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
             (square,) = squares

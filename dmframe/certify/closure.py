@@ -32,7 +32,7 @@ from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.diagram.projection import Box
 from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime
@@ -324,7 +324,7 @@ def _stable(A: Sequence[Sequence[Number]]) -> bool:
 def numbers_of(rate: SX, numbers: Numbers, claim: Claim) -> list[Number] | None:
     """The values of an entry; of a state with a box, all that the box holds. None where it holds anything else."""
     for projection in claim.loop.projections:
-        if isinstance(projection.set, Box) and symbols_in([rate]) & hashes(projection.state):
+        if isinstance(projection.set, Box) and symbols_in([rate]) & symbols_in([projection.state]):
             ends = [numbers.of(end) for end in (projection.set.lower, projection.set.upper)]
             inside = [Interval(lower(low), upper(high)) for low, high in zip(*ends, strict=True)]
             return numbers.with_states(rate, projection.state, inside)

@@ -14,7 +14,7 @@ from dmframe.certify.claim import Claim, Field, total
 from dmframe.certify.identity import ATTEMPTS, residues
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
 
@@ -81,7 +81,7 @@ def _gains(claim: Claim, symbols: Symbols) -> list[Group]:
     return [
         group
         for group in symbols.groups
-        if group.label.split(".")[0] in controllers and held & hashes(group.symbol) and group.kind == "parameter"
+        if group.label.split(".")[0] in controllers and held & symbols_in([group.symbol]) and group.kind == "parameter"
     ]
 
 

@@ -14,7 +14,7 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
-from dmframe.diagram.model import BlockModel, hashes, symbols_in
+from dmframe.diagram.model import BlockModel, symbols_in
 from dmframe.diagram.wiring import Wire
 from dmframe.errors import ValueFault
 from dmframe.linalg import Inverted
@@ -77,12 +77,11 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
         text = _definite(claim, model, inverted)
         if text:
             yield Assumption(f"{name}: {text}", "its equations invert it")
-    moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
     outputs = [*model.equations.outputs.values(), *model.equations.rates.values()]
     known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
     seen = dict[str, None]()
     for code, divisor in _risky(outputs):
-        if divisor.element_hash() in known or not symbols_in([divisor]) & moving:
+        if divisor.element_hash() in known or not symbols_in([divisor]) & model.moving:
             continue
         if code in DIVISIONS:
             seen[f"{_written(divisor)} stays away from zero"] = None
@@ -94,9 +93,8 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
         for code, part in _risky([*model.equations.outputs.values(), *model.equations.rates.values()]):
-            if symbols_in([part]) & moving or not symbols_in([part]):
+            if symbols_in([part]) & model.moving or not symbols_in([part]):
                 continue
             if not _defined(code, part, numbers):
                 text = f"{name}: {_written(part)} is not zero"
@@ -127,8 +125,7 @@ def _defined(code: int, part: SX, numbers: Numbers) -> bool:
 def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> str:
     """In what sense a matrix stays invertible; empty where that follows, or is a condition of its own."""
     A = ca.SX(inverted.matrix)
-    moving = {element for symbol in (*model.inputs.values(), *model.states.values()) for element in hashes(symbol)}
-    if not symbols_in([A]) & moving:
+    if not symbols_in([A]) & model.moving:
         return ""
     for port in model.block.inputs:
         symbol = model.inputs.get(port.name)

@@ -28,7 +28,7 @@ from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in, told_by
+from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault
@@ -76,7 +76,7 @@ def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterato
 
 def _stored(claim: Claim, projection: Projection) -> Iterator[Square]:
     """The square of V that holds the projected state's error; none where V does not hold it."""
-    own = hashes(projection.state)
+    own = symbols_in([projection.state])
     for part in claim.parts:
         if part.block == projection.block:
             for term in part.certificate.storage:

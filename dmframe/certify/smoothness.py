@@ -19,7 +19,7 @@ from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.diagram.resolve import Leaf
 from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape
@@ -91,9 +91,9 @@ Told = Iterator[tuple[str, str]]
 def _symbols(diagram: Diagram, claim: Claim, part: Part) -> Told:
     """Every symbol of a storage is a state of the loop, a trajectory, the time or a parameter."""
     loop = claim.loop
-    states = hashes(stack(variable.symbol for variable in (*loop.controller, *loop.plant)))
-    leaves = hashes(stack(leaf.symbol for leaf in diagram.resolver.trajectories.values()))
-    constant = hashes(stack([*(parameter.symbol for parameter in loop.parameters), loop.time]))
+    states = symbols_in(variable.symbol for variable in (*loop.controller, *loop.plant))
+    leaves = symbols_in(leaf.symbol for leaf in diagram.resolver.trajectories.values())
+    constant = symbols_in([*(parameter.symbol for parameter in loop.parameters), loop.time])
     for term in part.certificate.storage:
         for symbol in ca.symvar(ca.SX(term.value)):
             if symbol.element_hash() not in states | leaves | constant:
@@ -105,21 +105,21 @@ def _symbols(diagram: Diagram, claim: Claim, part: Part) -> Told:
 
 
 def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
-    own = hashes(symbol)
+    own = symbols_in([symbol])
     for projection in claim.loop.projections:
-        if own & hashes(projection.correction):
+        if own & symbols_in([projection.correction]):
             return f"the correction of the projection of {projection.name}"
     for name, model in diagram.models.items():
         for state, leaf in model.states.items():
-            if own & hashes(leaf):
+            if own & symbols_in([leaf]):
                 return f"{name}.{state}, a state of a {model.block.side.value}"
     return f"{symbol}, which is no state, trajectory or parameter of this diagram"
 
 
 def _operations(claim: Claim, part: Part) -> Told:
     """No operation of a storage jumps while the loop moves, and none has a kink that shows."""
-    moving = hashes(stack([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)]))
-    moving |= hashes(stack(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values()))
+    moving = symbols_in([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)])
+    moving |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
     for what, expression in _differentiated_of(part):
         symbols = ca.symvar(expression)
         (value,) = ca.cse([expression])
@@ -165,7 +165,7 @@ def _field(claim: Claim) -> Told:
         function = ca.Function("rate", [stack(symbols)], [rate])
         if not JUMPS & {function.instruction_id(k) for k in range(function.n_instructions())}:
             continue
-        still = hashes(stack(parameter.symbol for parameter in loop.parameters))
+        still = symbols_in(parameter.symbol for parameter in loop.parameters)
         moving = [symbol.element_hash() not in still for symbol in symbols]
         jumps = {code for _, code in moving_operations(Tape.from_function(function), moving)} & JUMPS
         if jumps:
@@ -223,7 +223,7 @@ def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
         if isinstance(source, Derived):
             used |= symbols_in([resolver.input(block, source.of)])
     for (block, port, order), leaf in list(resolver.trajectories.items()):
-        if used & hashes(leaf.symbol) or (block, port, order + 1) in resolver.trajectories:
+        if used & symbols_in([leaf.symbol]) or (block, port, order + 1) in resolver.trajectories:
             yield leaf
 
 

@@ -15,8 +15,7 @@ from dmframe.certify.limits import Vanishing, combined, goals
 from dmframe.certify.positive import Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
-from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.exact import zero_test
 
 
@@ -173,8 +172,8 @@ def _wanted(claim: Claim, closure: Closure) -> set[str]:
     """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
     task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
     pairs = [pair for item in closure.driven for pair in zip(item.of, item.bounded, strict=True)]
-    plant = hashes(stack(variable.symbol for variable in claim.loop.plant))
-    desired = hashes(stack(leaf.symbol for leaf in claim.loop.trajectories))
+    plant = symbols_in(variable.symbol for variable in claim.loop.plant)
+    desired = symbols_in(leaf.symbol for leaf in claim.loop.trajectories)
     driven = {of for of, vector in pairs if symbols_in([vector]) & desired}
     return {of for of, vector in task.items() if symbols_in([vector]) & plant} | driven
 
@@ -196,7 +195,7 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
 
 
 def _still(claim: Claim) -> set[int]:
-    return hashes(stack(parameter.symbol for parameter in claim.loop.parameters))
+    return symbols_in(parameter.symbol for parameter in claim.loop.parameters)
 
 
 def _second(claim: Claim, vector: SX) -> SX | None:
@@ -259,8 +258,8 @@ def _is_projected(claim: Claim, square: Square) -> bool:
     """Does it hold a projected estimate, and no other state?"""
     used = symbols_in([square.vector])
     variables = (*claim.loop.controller, *claim.loop.plant)
-    moving = {variable.label for variable in variables if used & hashes(variable.symbol)}
-    return moving == {p.name for p in claim.loop.projections if used & hashes(p.state)} and len(moving) == 1
+    moving = {variable.label for variable in variables if used & symbols_in([variable.symbol])}
+    return moving == {p.name for p in claim.loop.projections if used & symbols_in([p.state])} and len(moving) == 1
 
 
 def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import final
 
 import casadi as ca
@@ -86,15 +87,19 @@ class ClosedLoop:
         """Expressions with the wall taken away: measured and commanded signals replaced by what they are."""
         if not self.crossings:
             return list(expressions)
-        leaves, meanings = columns(self.crossings)
+        leaves, meanings = self._crossed
         return list(ca.substitute(list(expressions), [leaves], [meanings]))
 
-    @property
+    @cached_property
+    def _crossed(self) -> tuple[SX, SX]:
+        return columns(self.crossings)
+
+    @cached_property
     def state(self) -> SX:
         """The controller's states, then the plant's, as one column."""
         return stack(variable.symbol for variable in (*self.controller, *self.plant))
 
-    @property
+    @cached_property
     def p(self) -> SX:
         """All parameters as one column."""
         return stack(parameter.symbol for parameter in self.parameters)
@@ -108,7 +113,7 @@ class ClosedLoop:
 
 def stack(items: Iterable[SX]) -> SX:
     """Expressions of any size as one dense column."""
-    return ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in items))
+    return ca.densify(ca.veccat(ca.SX(0, 1), *items))
 
 
 def columns(leaves: Sequence[Leaf]) -> tuple[SX, SX]:

@@ -26,7 +26,7 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.model import BlockModel, hashes, same_expression, signals_of, stated_by, symbols_in
+from dmframe.diagram.model import BlockModel, same_expression, signals_of, stated_by, symbols_in
 from dmframe.diagram.wiring import Derived, End, Wire
 from dmframe.errors import DmframeError
 from dmframe.port import Side
@@ -132,7 +132,7 @@ def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
     pointed, axes = model.robot.with_free_axes()
     restated = _restated(diagram, model, pointed)
     for signal in stated:
-        if signal not in restated or symbols_in([restated[signal]]) & hashes(axes):
+        if signal not in restated or symbols_in([restated[signal]]) & symbols_in([axes]):
             yield "axes", signal
     others = _others(model.robot)
     if not list(_changed(diagram, model, others.pop("all"))):
@@ -158,8 +158,8 @@ def _groups(robot: Any) -> dict[str, set[int]]:
     columns = {constant.name.rpartition(".")[2]: constant.symbol for constant in robot.constants}
     links = robot.k - 3
     lengths = columns.pop("a_k")
-    found = {"lengths": hashes(lengths[:links]), "tool": hashes(lengths[links:])}
-    return found | {{"rotations": "axes"}.get(key, key): hashes(symbol) for key, symbol in columns.items()}
+    found = {"lengths": symbols_in([lengths[:links]]), "tool": symbols_in([lengths[links:]])}
+    return found | {{"rotations": "axes"}.get(key, key): symbols_in([symbol]) for key, symbol in columns.items()}
 
 
 def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
@@ -229,7 +229,7 @@ def _handed_out(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]
         (expression,) = diagram.loop.joined([diagram.resolver.output(source.block, source.port)])
         used = symbols_in([expression])
         moving = [diagram.loop.time, diagram.loop.state, *(leaf.symbol for leaf in diagram.loop.trajectories)]
-        if used and not any(used & hashes(item) for item in moving):
+        if used and not any(used & symbols_in([item]) for item in moving):
             for signal, stated in _signals(model).items():
-                if symbols_in([stated]) & hashes(symbol):
+                if symbols_in([stated]) & symbols_in([symbol]):
                     yield f"{source.block}.{source.port}", signal

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, final
 
@@ -46,10 +47,15 @@ class BlockModel:
         """u, x, p as the block's methods take them."""
         return signals_of(self.name, self.inputs, self.states, {**self.parameters, **self.starts}, self.robot)
 
+    @cached_property
+    def moving(self) -> set[int]:
+        """Identities of the scalar symbols of its inputs and states, which are all that is not constant in a run."""
+        return symbols_in([*self.inputs.values(), *self.states.values()])
+
     def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
         """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
         used = symbols_in(expressions)
-        return tuple(name for name, symbol in self.inputs.items() if used & hashes(symbol))
+        return tuple(name for name, symbol in self.inputs.items() if used & symbols_in([symbol]))
 
 
 @contextmanager
@@ -75,14 +81,9 @@ FOREIGN = ("casadi", "numpy")
 """Folders of libraries: a fault in one is told at the line that called it."""
 
 
-def hashes(symbol: SX) -> set[int]:
-    """Identities of the scalar symbols in a column or matrix of symbols."""
-    return {element.element_hash() for element in ca.vertsplit(ca.vec(ca.densify(symbol)))} if symbol.numel() else set()
-
-
-def symbols_in(expressions: Sequence[SX]) -> set[int]:
+def symbols_in(expressions: Iterable[SX]) -> set[int]:
     """Identities of the scalar symbols on which expressions depend."""
-    return {symbol.element_hash() for expression in expressions for symbol in ca.symvar(expression)}
+    return {symbol.element_hash() for symbol in ca.symvar(ca.veccat(ca.SX(0, 1), *expressions))}
 
 
 def same_expression(one: SX, other: SX) -> bool:
@@ -135,9 +136,9 @@ def model_block(
     _check_steady(name, (outputs, rates), stated_by(name, block, signals, sizes))
     used = symbols_in([*outputs.values(), *rates.values()])
     for key in states.keys() - rates.keys():
-        if used & hashes(states.pop(key)):
+        if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
-    parameters |= {key: leaf for key, leaf in starts.items() if used & hashes(leaf)}
+    parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
     return BlockModel(
         name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)

@@ -15,7 +15,7 @@ from typing import final
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.diagram.model import BlockModel, hashes, symbol, symbols_in
+from dmframe.diagram.model import BlockModel, symbol, symbols_in
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
@@ -106,13 +106,13 @@ class Resolver:
             yield self.time, ca.SX(1)
         for name, model in self.models.items():
             for state, leaf in model.states.items():
-                if used & hashes(leaf):
+                if used & symbols_in([leaf]):
                     yield leaf, self.rate(name, state)
         for key, trajectory in list(self.trajectories.items()):
-            if used & hashes(trajectory.symbol):
+            if used & symbols_in([trajectory.symbol]):
                 yield trajectory.symbol, self.trajectory_rate(*key)
         for end, crossing in list(self.crossings.items()):
-            if used & hashes(crossing.symbol):
+            if used & symbols_in([crossing.symbol]):
                 yield crossing.symbol, self._rate_across(end, wanted_by)
 
     def _rate_across(self, end: End, wanted_by: str) -> SX:

@@ -6,10 +6,12 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, final
 
 import casadi as ca
+import numpy as np
 
 from dmframe.certificate import Certificate
-from dmframe.diagram import Diagram
+from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.model import BlockModel
+from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
@@ -31,23 +33,20 @@ def printed(diagram: Diagram, name: str) -> PrintedLaw:
     return laws_of(diagram)[name]
 
 
-def laws_of(diagram: Diagram, *, docstrings: bool = False) -> dict[str, PrintedLaw]:
-    """The laws of all blocks of a diagram.
+def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
+    """The laws of all blocks of a diagram. Raises `BlockError`, or several, where what is read is not what runs."""
+    return {name: block.law() for name, block in read_blocks(diagram).items()}
 
-    Raises `BlockError`, or several, where what is read is not what runs; with `docstrings` also where a block's
-    docstring states another law than its code.
-    """
-    if docstrings:
-        from dmframe.formula.docstring import check_docstrings
 
-        check_docstrings(diagram)
+def read_blocks(diagram: Diagram) -> dict[str, ReadBlock]:
+    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`."""
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
         block.compare()
-    return {name: block.law() for name, block in blocks.items()}
+    return blocks
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:
@@ -182,12 +181,10 @@ class ReadBlock:
             other = self.scalar_signs = reading.signs(ca.SX)
             self.scalars = self._certificate(other)
             self.elements = Elements(other.names)
-            names = [name for name, _ in _pieces(self.certificate)]
-            if names != [name for name, _ in _pieces(self.scalars)]:
-                raise self._fault("certificate", "the list of terms")
-            mine, theirs = ([piece for _, piece in _pieces(c)] for c in (self.certificate, self.scalars))
+            labels, mine = self._labelled(self.certificate, self.scalars)
+            theirs = [piece for _, piece in _pieces(self.scalars)]
             both = reading.of_signs(signs, mine), reading.of_signs(other, theirs)
-            pairs.append(("certificate", names, *both))
+            pairs.append(("certificate", labels, *both))
         again = [
             *signs.naming.again,
             *((n, self.stated.outputs[n]) for n in signs.naming.definitions if n in self.stated.outputs),
@@ -203,6 +200,36 @@ class ReadBlock:
                 for label, one, two in zip(labels, first.at(values), second.at(values), strict=True):
                     if differs(one, two):
                         raise self._fault(method, label)
+
+    def hold(self, proved: Certificate, seen: View, loop: ClosedLoop) -> None:
+        """Hold the certificate that prints to the one that is proved, which sees the whole closed loop.
+
+        Raises `BlockError`: a method that answers its callers differently could prove one law and print another.
+        """
+        given = (seen.u, seen.x, seen.p, seen.truth)
+        pairs = dict[str, tuple[Any, Any]]()
+        for columns, signals in zip(self.scalar_signs.columns.values(), given, strict=True):
+            for name, symbol in columns.items():
+                if symbol.nnz() and symbol.is_valid_input() and name in signals:  # else a number
+                    pairs.setdefault(str(symbol), (symbol, ca.densify(getattr(signals, name))))
+        labels, mine = self._labelled(self.scalars, proved)
+        symbols, values = zip(*pairs.values(), strict=True) if pairs else ((), ())
+        expected = ca.substitute([ca.SX(piece) for piece in self.scalar_signs.meant(mine)], list(symbols), list(values))
+        found = [ca.SX(piece) for _, piece in _pieces(proved)]
+        both = loop.joined([*expected, *found])
+        leaves = ca.symvar(ca.veccat(*both))
+        function = ca.Function("proved", [ca.veccat(*leaves)], both)
+        numbers = function.call([np.random.default_rng(POINTS).uniform(0.5, 1.5, len(leaves))])
+        for label, one, two in zip(labels, numbers, numbers[len(mine) :], strict=False):
+            if differs(one.full(), two.full()):
+                raise self._fault("certificate", label)
+
+    def _labelled(self, one: Certificate, other: Certificate) -> tuple[list[str], list[Any]]:
+        """The labels and the expressions of a certificate. Raises `BlockError` where another has other terms."""
+        labels = [label for label, _ in _pieces(one)]
+        if labels != [label for label, _ in _pieces(other)]:
+            raise self._fault("certificate", "the list of terms")
+        return labels, [piece for _, piece in _pieces(one)]
 
     def _fault(self, method: str, label: str) -> BlockError:
         where = place_of(self.type, method)

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from dmframe.certify import Verdict, verify
 from dmframe.config.graph import Graph, load_graph
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.simulate import Run, simulate
 
 Array = NDArray[np.float64]
@@ -109,7 +109,7 @@ def moves_with_the_position(verdict: Verdict) -> bool:
     assert verdict.claim is not None
     (q,) = (variable.symbol for variable in verdict.claim.loop.plant if variable.label == "arm.q")
     spent = [term for part in verdict.claim.parts for term in part.certificate.dissipation if hasattr(term, "vector")]
-    return any(symbols_in([term.vector]) & hashes(q) for term in spent)
+    return any(symbols_in([term.vector]) & symbols_in([q]) for term in spent)
 
 
 def positions_said_to_vanish(verdict: Verdict) -> list[str]:

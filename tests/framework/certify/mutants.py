@@ -35,7 +35,7 @@ from dmframe.certify.identity import equalities
 from dmframe.certify.reals import doubt
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
-from dmframe.diagram.model import hashes, symbols_in
+from dmframe.diagram.model import symbols_in
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.parameter import specs
@@ -318,9 +318,9 @@ def _free_of_sources(diagram: Diagram) -> bool:
     """Does nothing of the claim depend on what a source's equations say? Then no fault in them can matter."""
     claim = claim_of(diagram)
     sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
-    own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in hashes(p.symbol)}
+    own = {s for p in claim.loop.parameters if p.label.split(".")[0] in sources for s in symbols_in([p.symbol])}
     held = [claim.V, claim.residual, *(equality.expression for equality in equalities(claim))]
-    return not (own | hashes(claim.loop.time)) & symbols_in(held)
+    return not (own | symbols_in([claim.loop.time])) & symbols_in(held)
 
 
 def _refuted_at_once(diagram: Diagram) -> bool:

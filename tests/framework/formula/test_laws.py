@@ -11,6 +11,7 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types, graphs
 from dmframe.certificate import Certificate, Square
+from dmframe.certify import NotApplicableError, claim_of
 from dmframe.config import load_graph
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
@@ -137,6 +138,22 @@ def test_a_certificate_that_is_another_one_for_matrices_is_told():
     diagram = spring(lambda x, p: -p.k * x.q, lambda x, p: x.q if isinstance(x.q, ca.SX) else x.v)
     with pytest.raises(BlockError, match="Square 1 of its storage is not the same when certificate"):
         printed(diagram, "spring")
+
+
+def knows_the_proof_by_its_names(x):
+    return x.q if str(x.q[0]).startswith("spring.") else x.v
+
+
+def knows_the_proof_by_counting(calls=chain([True], repeat(False))):
+    return lambda x: x.q if next(calls) else x.v
+
+
+@pytest.mark.parametrize("vector", [knows_the_proof_by_its_names, knows_the_proof_by_counting()])
+def test_a_certificate_that_is_another_one_for_the_proof_is_no_claim(vector):
+    """It stores v as it prints, and q, which would be proved, when the proof asks."""
+    claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: x.q))
+    with pytest.raises(NotApplicableError, match=r"spring: test_laws\.py:\d+: Square 1 of its storage is not the same"):
+        claim_of(spring(lambda x, p: -p.k * x.q, lambda x, p: vector(x)))
 
 
 def test_a_block_that_insists_on_scalars_prints_element_by_element():
