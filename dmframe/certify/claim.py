@@ -31,8 +31,8 @@ from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
 from dmframe.errors import BlockError, DmframeError
-from dmframe.formula.law import PrintedLaw
 from dmframe.formula.docstring import check_docstrings
+from dmframe.formula.law import PrintedLaw
 from dmframe.formula.laws import read_blocks
 from dmframe.linalg import times
 from dmframe.port import Side

@@ -19,6 +19,7 @@ from typing import Final
 
 import casadi as ca
 
+from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.tape import Tape
 
 DIGITS: Final = 60
@@ -179,14 +180,7 @@ def _truth(value: object) -> Decimal:
 
 
 FUNCTIONS: Final[dict[int, Callable[..., Decimal]]] = {
-    ca.OP_ADD: lambda x, y: x + y,
-    ca.OP_SUB: lambda x, y: x - y,
-    ca.OP_MUL: lambda x, y: x * y,
-    ca.OP_DIV: lambda x, y: x / y,
-    ca.OP_NEG: lambda x: -x,
-    ca.OP_SQ: lambda x: x * x,
-    ca.OP_TWICE: lambda x: x + x,
-    ca.OP_INV: lambda x: ONE / x,
+    **ARITHMETIC,
     ca.OP_SIN: _sin,
     ca.OP_COS: _cos,
     ca.OP_SIGN: _sign,

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.errors import ValueFault
+from dmframe.exact.arithmetic import ARITHMETIC
 
 Numbers = NDArray[np.float64]
 
@@ -92,6 +93,9 @@ class Enclosure:
             found = self * inverse
         vague = through | ~np.isfinite(found.lower + found.upper)
         return Enclosure(np.where(vague, -np.inf, found.lower), np.where(vague, np.inf, found.upper))
+
+    def __rtruediv__(self, other: Any) -> Enclosure:
+        return Enclosure.of(other) / self
 
     def square(self) -> Enclosure:
         """Not the product with itself, which forgets that both factors are one."""
@@ -198,14 +202,12 @@ class Enclosing:
                         angles[id(angle)] = (angle, *angle.sin_cos())
                     register[targets[0]] = angles[id(angle)][1 if code == ca.OP_SIN else 2]
                 else:
-                    register[targets[0]] = _operate(code, [register[a] for a in arguments])
+                    register[targets[0]] = _OPERATIONS[code](*(register[a] for a in arguments))
         return outputs
 
 
-_KNOWN: Final = frozenset(
-    getattr(ca, f"OP_{name}")
-    for name in "OUTPUT INPUT CONST ASSIGN LIFT ADD SUB MUL DIV NEG SQ TWICE INV SIN COS".split()
-)
+_OPERATIONS: Final = {**ARITHMETIC, ca.OP_SQ: Enclosure.square}
+_KNOWN: Final = frozenset((ca.OP_OUTPUT, ca.OP_INPUT, ca.OP_CONST, ca.OP_SIN, ca.OP_COS, *_OPERATIONS))
 
 
 def _step(f: Any, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
@@ -216,25 +218,3 @@ def _step(f: Any, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]
     if not math.isfinite(constant):
         raise ValueFault(f"{f.name()}: expected finite constants, found {constant}")
     return code, tuple(f.instruction_input(k)), tuple(f.instruction_output(k)), constant
-
-
-def _operate(code: int, values: list[Enclosure]) -> Enclosure:
-    first, last = values[0], values[-1]
-    match code:
-        case ca.OP_ADD:
-            return first + last
-        case ca.OP_SUB:
-            return first - last
-        case ca.OP_MUL:
-            return first * last
-        case ca.OP_DIV:
-            return first / last
-        case ca.OP_NEG:
-            return -first
-        case ca.OP_SQ:
-            return first.square()
-        case ca.OP_TWICE:
-            return first + first
-        case ca.OP_INV:
-            return Enclosure.of(1.0) / first
-    return first  # an assignment

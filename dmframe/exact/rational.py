@@ -11,6 +11,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.errors import ValueFault
+from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.literal import literal
 
 
@@ -47,6 +48,14 @@ class Interval:
         if other.lower <= 0 <= other.upper:
             raise ZeroDivisionError
         return self * Interval(1 / other.upper, 1 / other.lower)
+
+    def __rtruediv__(self, other: int) -> Interval:
+        return Interval.of(Fraction(other)) / self
+
+    def square(self) -> Interval:
+        """Not the product with itself, which forgets that both factors are one."""
+        ends = sorted((self.lower * self.lower, self.upper * self.upper))
+        return Interval(Fraction(0) if self.lower <= 0 <= self.upper else ends[0], ends[1])
 
 
 def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[list[Fraction | Interval]]:
@@ -86,33 +95,12 @@ def _exact(constant: float, name: str) -> Fraction:
 
 
 def _operate(code: int, values: list[Any], name: str) -> Any:
+    if code not in ARITHMETIC:
+        raise ValueFault(
+            f"{name}: expected + - * / only, found CasADi's instruction {code}; its sign cannot be decided"
+        )
     if any(isinstance(value, Interval) for value in values):
         values = [Interval.of(value) for value in values]
-    first, last = values[0], values[-1]
-    match code:
-        case ca.OP_ASSIGN:
-            return first
-        case ca.OP_ADD:
-            return first + last
-        case ca.OP_SUB:
-            return first - last
-        case ca.OP_MUL:
-            return first * last
-        case ca.OP_DIV:
-            return first / last
-        case ca.OP_NEG:
-            return -first
-        case ca.OP_SQ:
-            return _square(first)
-        case ca.OP_TWICE:
-            return first + first
-        case ca.OP_INV:
-            return (Interval.of(Fraction(1)) if isinstance(first, Interval) else Fraction(1)) / first
-    raise ValueFault(f"{name}: expected + - * / only, found CasADi's instruction {code}; its sign cannot be decided")
-
-
-def _square(value: Fraction | Interval) -> Fraction | Interval:
-    if not isinstance(value, Interval):
-        return value * value
-    ends = sorted((value.lower * value.lower, value.upper * value.upper))
-    return Interval(Fraction(0) if value.lower <= 0 <= value.upper else ends[0], ends[1])
+        if code == ca.OP_SQ:
+            return values[0].square()
+    return ARITHMETIC[code](*values)

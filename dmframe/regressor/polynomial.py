@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple, final
 import casadi as ca
 
 from dmframe.errors import ValueFault
+from dmframe.exact.arithmetic import ARITHMETIC
 
 _HALF: Final = Fraction(1, 2)
 
@@ -157,25 +158,13 @@ def _dense(sparsity: Any) -> list[int]:
 
 
 def _operate(code: int, values: list[Any], name: str) -> Any:
-    first, last = values[0], values[-1]
+    first = values[0]
     if code == ca.OP_ASSIGN:
         return first
     if code in (ca.OP_SIN, ca.OP_COS) and isinstance(first, tuple):
         return wave(first[0], code == ca.OP_SIN, first[1])
-    if all(isinstance(value, Polynomial) for value in values):
-        match code:
-            case ca.OP_ADD:
-                return first + last
-            case ca.OP_SUB:
-                return first - last
-            case ca.OP_MUL:
-                return first * last
-            case ca.OP_NEG:
-                return -first
-            case ca.OP_SQ:
-                return first * first
-            case ca.OP_TWICE:
-                return first + first
+    if code in ARITHMETIC and code not in (ca.OP_DIV, ca.OP_INV) and all(isinstance(v, Polynomial) for v in values):
+        return ARITHMETIC[code](*values)
     raise ValueFault(
         f"{name}: expected sums and products of symbols, sines and cosines, found CasADi's instruction {code}"
     )
