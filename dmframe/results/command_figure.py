@@ -8,7 +8,7 @@ import numpy as np
 
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels, sliding
-from dmframe.results.figures import Runs, joint_slides, short, shown_unit, told
+from dmframe.results.drawn_runs import Runs, joint_slides, short, shown_unit, told
 from dmframe.results.plotting import (
     PAGE,
     POINTS,

@@ -8,7 +8,7 @@ import numpy as np
 
 from dmframe.diagram.closed_loop import Variable
 from dmframe.results.dataset import element_labels
-from dmframe.results.figures import mark_divergence, set_times, short, told
+from dmframe.results.drawn_runs import mark_divergence, set_times, short, told
 from dmframe.results.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
 from dmframe.simulate import Run
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dmframe.results.dataset import axis_labels
-from dmframe.results.figures import Runs, coordinate_labels, told
+from dmframe.results.drawn_runs import Runs, coordinate_labels, told
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.results.plotting import (
     GREY,

@@ -11,8 +11,8 @@ from PIL import Image
 
 from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
+from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
-from dmframe.results.figures import error_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
 from dmframe.results.plotting import look, save, styled, thin
 

@@ -1,0 +1,94 @@
+"""Tracking errors against time, and their norms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dmframe.results.drawn_runs import Runs, coordinate_labels, mark_divergence, set_times, told
+from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.plotting import (
+    COLUMN,
+    POINTS,
+    draw_curve,
+    frame,
+    look,
+    names_above,
+    new_figure,
+    span,
+    styled,
+    tame,
+    unit_text,
+)
+from dmframe.simulate import Run
+
+
+def error_figure(runs: Runs) -> Any:
+    """Tracking error against time, a panel a coordinate, and its norm on a logarithmic scale; None without a goal."""
+    errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
+    if not errors:
+        return None
+    first = next(iter(errors))
+    signal = errors[first].signal
+    same = {name: e for name, e in errors.items() if e.signal == signal and e.unit == errors[first].unit}
+    labels = coordinate_labels(runs[first], errors[first])
+    with styled():
+        figure = new_figure(COLUMN, 0.75 + 0.85 * len(labels) + 1.25)
+        panels = figure.subplots(
+            len(labels) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.0] * len(labels) + [1.4]
+        )[:, 0]
+        most = max(200, min(2000, POINTS // (len(same) * len(panels))))
+        for row, (label, unit, scale) in enumerate(labels):
+            for place, (name, error) in enumerate(same.items()):
+                draw_curve(
+                    panels[row], error.times, tame(error.values[:, row]) * scale, most, **_kind(place, name, runs[name])
+                )
+            curves = [(tame(e.values[:, row]) * scale, runs[name].divergence is not None) for name, e in same.items()]
+            frame(panels[row], curves, zero=True)
+            panels[row].set_ylabel(f"{label} [{unit_text(unit)}]")
+        _norms(panels[-1], same, runs, labels, most)
+        mark_divergence(panels, {name: runs[name] for name in same})
+        set_times(panels[-1], [runs[name] for name in same])
+        figure.align_ylabels(panels)
+        names_above(figure, panels[0], COLUMN)
+    return figure
+
+
+def _norms(
+    axes: Any, errors: Mapping[str, TrackingError], runs: Runs, labels: list[tuple[str, str, float]], most: int
+) -> None:
+    units, scale = list(dict.fromkeys(unit for _, unit, _ in labels)), labels[0][2]
+    tops, bottoms = list[float](), list[float]()
+    for place, (name, error) in enumerate(errors.items()):
+        norm = tame(error.norm) * scale
+        positive = norm[norm > 0]
+        draw_curve(axes, error.times, norm, most, **_kind(place, name, runs[name]))
+        if positive.size:
+            tops.append(span(positive, runs[name].divergence is not None)[1])
+            bottoms.append(float(np.quantile(positive, 0.02)))
+    axes.set_ylabel(f"norm [{', '.join(units)}]")
+    if tops:
+        axes.set_yscale("log")
+        top = max(tops)
+        axes.set_ylim(max(min(bottoms), top * 1e-6) * 0.7, top * 1.5)
+        log_ticks(axes)
+
+
+def log_ticks(axes: Any) -> None:
+    """Plain numbers at the decades, and between them where there are fewer than two."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axes.get_ylim()
+    decades = np.floor(np.log10(high)) - np.ceil(np.log10(low)) + 1
+    subs = (1.0,) if decades >= 2 else (1.0, 2.0, 5.0)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=8))
+    axes.yaxis.set_major_formatter(
+        FuncFormatter(lambda value, _: f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}")
+    )
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def _kind(place: int, name: str, run: Run) -> dict[str, Any]:
+    return {"label": told(name, run), **look(place)}
