@@ -1,0 +1,279 @@
+"""The terms of which V and dV/dt are made: squares, and what else is known never to be negative, or to be bounded.
+
+Each is built here of its parts, never stated as a whole, so that nobody can call a term non-negative that is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, final
+
+import casadi as ca
+
+from dmframe.condition import SX
+from dmframe.errors import BlockError
+from dmframe.naming import operation
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Square:
+    r"""The quadratic form :math:`|a|_W^2 = a^\top W a`.
+
+    Parameters
+    ----------
+    vector
+        a, a column.
+    weight
+        W: a matrix, or a column or scalar that stands for a diagonal.
+    of
+        How a reader writes a; the framework prints it from the expression, and no author says it.
+    """
+
+    vector: SX
+    weight: SX = 1
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        if isinstance(self.vector, str):
+            raise BlockError(
+                f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
+                "from its expression"
+            )
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Square:
+        """The same form of other expressions."""
+        vector, weight = pieces
+        return Square(vector, weight, self.of)
+
+    @property
+    def value(self) -> SX:
+        """The form as one scalar expression."""
+        if isinstance(self.weight, int | float) or self.weight.is_column():
+            return ca.dot(self.vector, self.weight * self.vector)
+        return ca.dot(self.vector, self.weight @ self.vector)
+
+
+TINY = 2.0**-100
+"""Under the root of a norm, so that it has a derivative, zero, at zero."""
+
+
+@operation
+def norm(vector: SX) -> SX:
+    """The Euclidean norm of a column."""
+    return ca.sqrt(ca.fmax(ca.sumsqr(vector), TINY))
+
+
+@operation
+def clip(vector: SX, width: SX) -> SX:
+    """Each element held between -width and width."""
+    return width * ca.fmin(ca.fmax(vector / width, -1), 1)
+
+
+@operation
+def beyond(vector: SX, width: SX) -> SX:
+    """What each element has beyond -width or width: zero in between."""
+    return width * _beyond(vector / width)
+
+
+def _beyond(x: SX) -> SX:
+    return x - ca.fmin(ca.fmax(x, -1), 1)
+
+
+MONOTONE: Final[Mapping[str, Callable[[SX], SX]]] = MappingProxyType(
+    {"tanh": ca.tanh, "sign": ca.sign, "atan": ca.atan, "beyond": _beyond}
+)
+"""Functions that never decrease, by the name that a `Lemma` gives; `beyond` is that of width 1."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Lemma:
+    r"""A term that is not a square, and that is not negative because :math:`\phi` never decreases.
+
+    .. math:: \sum_i w_i (a_i - b_i) (\phi(a_i / v_i) - \phi(b_i / v_i)), \quad w_i \ge 0, \; v_i > 0
+
+    Parameters
+    ----------
+    weight
+        w, a column or a scalar of parameters.
+    first, second
+        a and b, columns.
+    scale
+        v, a column or a scalar of parameters.
+    phi
+        A name of `MONOTONE`.
+    """
+
+    weight: SX
+    first: SX
+    second: SX
+    scale: SX
+    phi: str = "tanh"
+    of: str = ""
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.weight, self.first, self.second, self.scale
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        phi = MONOTONE[self.phi]
+        slip = phi(self.first / self.scale) - phi(self.second / self.scale)
+        return ca.sum1(self.weight * (self.first - self.second) * slip)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Lemma:
+        """The same term of other expressions."""
+        weight, first, second, scale = pieces
+        return Lemma(weight, first, second, scale, self.phi, self.of)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class NormSquare:
+    r"""The form :math:`|b|\,|a|_W^2`: a square whose weight grows with the norm of a signal.
+
+    Parameters
+    ----------
+    vector, weight, of
+        As of a `Square`.
+    by
+        b, a column of signals.
+    by_of
+        How a reader writes b; printed from the expression too.
+    """
+
+    vector: SX
+    weight: SX
+    by: SX
+    of: str = ""
+    by_of: str = ""
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight, self.by
+
+    @property
+    def value(self) -> SX:
+        """The form as one scalar expression."""
+        return norm(self.by) * self.square.value
+
+    @property
+    def square(self) -> Square:
+        """The form without the norm."""
+        return Square(self.vector, self.weight, self.of)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> NormSquare:
+        """The same form of other expressions."""
+        vector, weight, by = pieces
+        return NormSquare(vector, weight, by, self.of, self.by_of)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    r"""The form :math:`c\,|a|_G^2` with a matrix G that a block gathers along the motion, and forgets.
+
+    .. math:: \dot G = -\mathrm{forgetting}\, G + W^\top \mathrm{diag}(r) W, \quad G(0) = 0 \quad\Rightarrow\quad
+        G(t) = \int_0^t e^{-\mathrm{forgetting} (t - s)} W^\top \mathrm{diag}(r) W\, ds \ge 0
+
+    so it is never negative, though its weight is a state: that the state moves like this is a part of the exact test.
+
+    Parameters
+    ----------
+    vector
+        a, a column.
+    weight
+        c, a scalar of parameters.
+    memory
+        G, symmetric: a state, or made of one.
+    regressor
+        W.
+    by
+        r, a column of parameters.
+    forgetting
+        A scalar of parameters.
+    """
+
+    vector: SX
+    weight: SX
+    memory: SX
+    regressor: SX
+    by: SX
+    forgetting: SX
+    of: str = ""
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.weight, self.memory, self.regressor, self.by, self.forgetting
+
+    @property
+    def value(self) -> SX:
+        """The form as one scalar expression."""
+        return self.weight * ca.dot(self.vector, self.memory @ self.vector)
+
+    @property
+    def rate(self) -> SX:
+        """What dG/dt has to be."""
+        return gathered(self.memory, self.regressor, self.by, self.forgetting)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Gathered:
+        """The same form of other expressions."""
+        vector, weight, memory, regressor, by, forgetting = pieces
+        return Gathered(vector, weight, memory, regressor, by, forgetting, self.of)
+
+
+def gathered(memory: SX, regressor: SX, by: SX, forgetting: SX) -> SX:
+    """-forgetting G + W' diag(r) W."""
+    return regressor.T @ ca.diag(by) @ regressor - forgetting * memory
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Clipped:
+    r"""The term :math:`\sum_i \mathrm{clip}(s_i, v_i) b_i`, of either sign and at most :math:`\sum_i v_i |b_i|`.
+
+    Parameters
+    ----------
+    first, width, other
+        s, v and b: columns, the width of parameters above zero.
+    """
+
+    first: SX
+    width: SX
+    other: SX
+    of: str = ""
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.first, self.width, self.other
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        return ca.dot(clip(self.first, self.width), self.other)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Clipped:
+        """The same term of other expressions."""
+        first, width, other = pieces
+        return Clipped(first, width, other, self.of)
+
+
+Dissipated = Square | NormSquare | Lemma | Gathered
+"""A term that is never negative, by how it is built."""
+Stored = Square | Gathered
+"""A term of which V is made; a square alone is also positive."""
+Bounded = Square | NormSquare | Clipped
+"""A term with a known bound."""
