@@ -113,7 +113,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if not weight.is_zero():
                 text = f"weight of {term.of} in {role} >= 0"
                 yield _least(part, text, numbers, weight, strict=False)
-                yield _least(part, f"scale of {term.of} in {role} > 0", numbers, term.scale)
+                yield _least(part, f"width of {term.phi} in the term of {term.of} in {role} > 0", numbers, term.scale)
         elif isinstance(term, Gathered):
             yield _least(part, f"weight of |{term.of}|_G^2 in {role} >= 0", numbers, weight, strict=False)
             yield _least(
@@ -143,7 +143,7 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):
                 yield _mass_matrix(claim, weight)
                 continue
-            text = f"weight of |{term.of}|^2 in {role} > 0"
+            text = f"weight of |{term.of}|^2 in {role} > 0 (least pivot)"
             yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
     for name, model in claim.diagram.models.items():
         for inverted in model.inverted if model.robot is not None else ():

@@ -23,7 +23,9 @@ class Bound:
     Parameters
     ----------
     of
-        The term, as its block names it.
+        What the term is made of.
+    term
+        The term itself.
     value
         The bound at the graph's numbers, or over its intervals; None where parameters alone do not give it.
     constant
@@ -36,6 +38,7 @@ class Bound:
 
     block: str
     of: str
+    term: str
     value: float | None
     times: str
     weight: str
@@ -62,7 +65,7 @@ def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]
             value, constant = (
                 _width(term, numbers) if isinstance(term, Clipped) else _size(claim, term, numbers, symbols)
             )
-            yield Bound(part.block, term.of, value, _times(term), _weight(claim, part), constant)
+            yield Bound(part.block, term.of, _shown(term), value, _times(term), _weight(claim, part), constant)
 
 
 def _width(term: Clipped, numbers: Numbers) -> tuple[float | None, bool]:
@@ -90,6 +93,13 @@ def _stands_still(claim: Claim, expression: SX, symbols: Symbols) -> bool:
     """Does it keep its value along every motion, identically?"""
     rate = symbols.function("rate", [Field(claim.diagram).derivative(expression)])
     return bool(zero_test(rate, values=symbols.fixed).zero)
+
+
+def _shown(term: Bounded) -> str:
+    if isinstance(term, Clipped):
+        return term.of
+    square = f"|{term.of}|_W^2"
+    return f"|{term.by_of}| {square}" if isinstance(term, NormSquare) else square
 
 
 def _times(term: Bounded) -> str:

@@ -197,18 +197,20 @@ def _open(closure: Closure) -> Iterator[Assumption]:
         return
     names, felt = _listed(left), _listed([v.label for v in closure.felt()])
     yield Assumption(
-        f"a solution exists for all time, with {names} bounded: V does not weigh all of them, and the rates of {felt} "
-        "depend on them",
+        f"a solution exists for all time: V does not weigh all of {names}, and the rates of {felt} depend on them",
         "not shown",
     )
 
 
 def _trajectories(claim: Claim) -> Iterator[Assumption]:
-    orders = dict[str, int]()
-    for block, port, order in claim.diagram.resolver.trajectories:
+    resolver, orders = claim.diagram.resolver, dict[tuple[str, str], int]()
+    for block, port, order in resolver.trajectories:
+        orders[block, port] = max(order, orders.get((block, port), 0))
+    for (block, port), order in orders.items():
         name = f"{block}.{port}"
-        orders[name] = max(order, orders.get(name, 0))
-    for name, order in orders.items():
+        if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
+            yield Assumption(f"{name} is constant", "Theorems 1, 2 and 4")
+            continue
         rates = f" and its {ORDERS[min(order, len(ORDERS) - 1)]}derivative{'s' * (order > 1)}" if order else ""
         yield Assumption(f"{name}{rates} {'are' if order else 'is'} bounded", "Theorems 1 to 4")
 

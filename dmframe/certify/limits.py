@@ -106,7 +106,9 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
             seen = R.T @ goal.vector
             used = _made_of(own, symbols, seen, vanishing)
             if used is not None:
-                step = f"{name}'({goal.of}) is made of {_listed(used)}, and {name} has full row rank"
+                whole = f"{name}'({goal.of})"
+                made = "goes to zero" if used == [whole] else f"is made of {_listed(used)}"
+                step = f"{whole} {made}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
 

@@ -12,6 +12,7 @@ that it pays for; one that V holds with the weight 1 pays if that number is belo
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import final
@@ -25,7 +26,8 @@ from dmframe.errors import ValueFault
 from dmframe.exact.rational import as_float
 
 SOURCE = "composition of storage functions"
-TEXT = "kappa >= c (a_1^2 / W_1 + a_2^2 / W_2 + ...)"
+NEED = "c (a_1^2/d_1 + a_2^2/d_2 + ...)"
+WHERE = "c |a_1 v_1 + a_2 v_2 + ...|^2 is consumed, and dV/dt spends d_1 |v_1|^2 + d_2 |v_2|^2 + ..."
 
 
 @final
@@ -60,14 +62,25 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             text = f"{payer.block} pays for the cascade with the weight 1 that V gives it"
             margin = None if need is None else 1 - need
             value = None if margin is None else as_float(margin)
-            yield Checked(
-                text, "1 > c (a_1^2 / W_1 + a_2^2 / W_2 + ...)", value, margin is not None and margin > 0, SOURCE
-            )
+            yield Checked(text, f"1 > {NEED}: {WHERE}", value, margin is not None and margin > 0, SOURCE)
         elif not found:
             found = True
             kappa = payment(claim, numbers)
-            text = "the servo level pays for the cascade: some kappa > 0 exists"
-            yield Checked(text, TEXT, as_float(kappa.least) if kappa else None, kappa is not None, SOURCE)
+            unpaid = [] if kappa else list(_unpaid(claim, numbers))
+            text = "the servo level pays for the cascade, with any kappa above"
+            if unpaid:
+                text = f"the servo level pays for the cascade; it lacks a weight above zero of |{unpaid[0]}|^2 in dV/dt"
+            value = as_float(kappa.least) if kappa else None
+            yield Checked(text, f"kappa > {NEED}: {WHERE}", value, kappa is not None, SOURCE)
+
+
+def _unpaid(claim: Claim, numbers: Numbers) -> Iterator[str]:
+    """What is consumed and has no weight above zero in dV/dt at the graph's numbers."""
+    for payer, _ in _payers(claim):
+        for share, term in zip(payer.certificate.pays, payer.paying, strict=True):
+            with suppress(ZeroDivisionError, ValueFault):
+                if not share.is_zero() and numbers.least(term.weight) <= 0:
+                    yield term.of
 
 
 def _payers(claim: Claim) -> list[tuple[Part, list[Part]]]:

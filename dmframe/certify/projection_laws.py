@@ -71,9 +71,10 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
         text += f"; {one_way} of its {len(branches)} comparisons went one way only"
     least = min(margins) if np.isfinite(margins).all() else None
     holds = least is not None and least >= 0 and not one_way
+    shown = None if holds else least  # on the set's own faces it is zero, which tells nobody anything
     # a box's law is affine between its faces and between signs of the rate: each such case has been a point
     how = "cases" if isinstance(kept, Box) else "sampled"
-    return Checked(f"{projection.name}: law of the {projection.kind}", text, least, holds, "projection lemma", how)
+    return Checked(f"{projection.name}: law of the {projection.kind}", text, shown, holds, "projection lemma", how)
 
 
 def _branches(expressions: Sequence[SX]) -> Iterator[SX]:

@@ -93,7 +93,7 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
         yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False)
     if rest:
         at = sorted({row % truth.shape[0] for row in rest})
-        yield Assumption(f"{text}{_at(projection, at)}, where the plant's start decides it", SOURCE)
+        yield Assumption(f"{text}{_at(projection, at)}: where the plant starts decides it", SOURCE)
 
 
 def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
@@ -103,7 +103,9 @@ def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:
 
 
 def _at(projection: Projection, rows: Sequence[int]) -> str:
-    return f", at [{', '.join(map(str, rows))}]" if projection.kind == "box" else ""
+    if projection.kind != "box":
+        return ""
+    return f", in {'elements' if len(rows) > 1 else 'element'} {', '.join(map(str, rows))} (counted from 0)"
 
 
 def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
@@ -123,7 +125,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
             f"{name}: true value stands still", f"{text}; undecided: {error}", None, False, LEMMA, "undecided"
         )
         return
-    yield Checked(f"{name}: true value stands still", text, 0.0 if still else None, still, LEMMA)
+    yield Checked(f"{name}: true value stands still", text, None, still, LEMMA)
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
@@ -142,7 +144,7 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     if known and (projection.kind == "box" or not unknown):
         yield decided(text, shown, SOURCE, partial(_least_room, projection, numbers, start), strict=False)
     if unknown:
-        yield Assumption(f"{text}{_at(projection, unknown)}, where the plant's start decides it", SOURCE)
+        yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
 
 
 def _start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> list[Number | None]:

@@ -51,6 +51,8 @@ class Verdict:
         Which states are bounded, and which are not known to be.
     fixed
         Parameters that are zero in the graph, and that the proof takes for zero, by label.
+    uncertain
+        Parameters over whose intervals the conditions hold, by label.
     notices
         Equations of docstrings that could not be read, and so not be held to the code; they are printed nowhere.
     bounds
@@ -71,10 +73,22 @@ class Verdict:
     statements: tuple[Statement, ...] = ()
     states: States | None = None
     fixed: tuple[str, ...] = ()
+    uncertain: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
     build: float = 0.0
     check: float = 0.0
+
+    @property
+    def headline(self) -> str:
+        """The outcome in words, with what a proof does not reach."""
+        words = self.outcome.replace("_", " ")
+        if self.outcome == "proved" and self.bounds:
+            grows = any(bound.times for bound in self.bounds)
+            words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
+        if self.outcome == "proved" and self.states is not None and self.states.open:
+            words += ", but not the stability of the whole loop"
+        return words
 
     @property
     def residual_bound(self) -> float | None:
@@ -158,7 +172,7 @@ def _verified(
         refutation = refute(claim, symbols, seed=seed)
         lacking = remedies(claim, Numbers(claim, uncertain))
         return Verdict(
-            "refuted", _blame(refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
+            "refuted", _blame(claim, refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
         )
     controls = negative_controls(claim, symbols, seed=seed)
     numbers = Numbers(claim, uncertain)
@@ -193,6 +207,7 @@ def _verified(
         states=states_of(claim, closure),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
+        uncertain=tuple(uncertain),
         notices=tuple(unread(diagram)),
         build=clock.build,
         check=clock.check,
@@ -206,14 +221,20 @@ def drawn(claim: Claim, symbols: Symbols, seed: int) -> int:
     return int.from_bytes(digest[:8], "big")
 
 
-def _blame(refutation: Refutation, lacking: Sequence[str]) -> str:
+def _blame(claim: Claim, refutation: Refutation, lacking: Sequence[str]) -> str:
     if lacking:
         return f"{refutation.says} is not what the blocks claim; {'; '.join(lacking)}"
     where = ", ".join(refutation.blame)
     if refutation.says != "dV/dt":
         return f"{refutation.says} is not what the block claims, though dV/dt of the diagram is; to blame: {where}"
-    none = "no single block: each keeps its own claim, but what they exchange differs"
-    return f"dV/dt is not what the blocks claim; to blame: {where or none}"
+    if where:
+        return f"dV/dt is not what the blocks claim; to blame: {where}"
+    supplies = {name: law.supply.text for name, law in claim.laws.items() if law.supply is not None}
+    exchanged = "; ".join(f"{name} {text}" for name, text in supplies.items() if text != "0")
+    return (
+        "dV/dt is not what the blocks claim; to blame: no single block: each keeps its own claim, but what they "
+        f"exchange does not cancel: {exchanged}"
+    )
 
 
 def _judge(
@@ -230,7 +251,7 @@ def _judge(
     unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
     if unbounded:
         return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"
-    residual = " plus a bounded residual" if bounds else ""
+    residual = " plus a residual" if bounds else ""
     return (
         "proved",
         f"dV/dt equals minus the dissipation{residual}, for all values of the symbols; every condition holds",

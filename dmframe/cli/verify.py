@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -19,10 +20,11 @@ from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
+from dmframe.report.notation import spelled
 
 NOT_PROVED = 1
 HARD: Final = "\N{NO-BREAK SPACE}"
-WRAPPED: Final[dict[str, Any]] = {"width": 112, "subsequent_indent": " " * 8, "break_on_hyphens": False}
+WIDEST: Final = 116
 
 
 def verify_graphs(
@@ -58,30 +60,32 @@ def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
 
 def page(graph: Graph, verdict: Verdict) -> str:
     """A verdict for the terminal."""
-    parts = [f"{graph.name}: {verdict.outcome.replace('_', ' ')}", f"  {verdict.reason}"]
+    parts = [f"{graph.name}: {verdict.headline}", fill(f"  {spelled(verdict.reason)}", **_wrapped())]
     if verdict.test is not None and verdict.test.zero:
         bound = verdict.test.log2_error_bound
         parts.append(
             f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
         )
     if verdict.bounds:
-        parts += ["  dV/dt may be above minus the dissipation by", columns(_bounds(verdict), "    ")]
+        parts += [spelled("  dV/dt may be above minus the dissipation by"), columns(_bounds(verdict), "    ")]
     if verdict.refutation is not None:
-        parts.append(f"  fewest signals that refute it: {', '.join(verdict.refutation.signals) or 'none'}")
+        signals = ", ".join(verdict.refutation.signals)
+        parts.append(f"  fewest signals that refute it: {signals or 'none; it is false with all of them at zero'}")
         parts.append("  the exact point is in --json")
     if verdict.conditions:
-        rows = [(c.name, f"{c.value:.4g}" if c.value is not None else "-", _mark(c)) for c in verdict.conditions]
-        parts += ["  conditions, with the least value that must be positive", columns(rows, "    ")]
+        rows = [(spelled(c.name), "" if c.value is None else f"{c.value:.4g}", _mark(c)) for c in verdict.conditions]
+        parts.append(f"  conditions{_over(verdict)}; a margin must be above zero, or, with ≥, not below")
+        parts.append(columns(rows, "    "))
     if verdict.controls:
         refuted = sum(control.refuted for control in verdict.controls)
         parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
     if verdict.assumptions:
-        parts += ["  assumed", *(f"    {item.text}" for item in verdict.assumptions)]
+        parts += ["  assumed", *(_line(item.text) for item in verdict.assumptions)]
     if verdict.statements and verdict.outcome == "proved":
-        parts += ["  so", *(f"    {line}" for line in _followed(verdict))]
+        parts += ["  so", *_followed(verdict)]
     parts += [f"  notice: {notice}" for notice in verdict.notices]
     if verdict.claim is not None:
-        parts.append(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide")
+        parts.append(spelled(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide"))
     return "\n".join(parts)
 
 
@@ -94,10 +98,10 @@ def _followed(verdict: Verdict) -> Iterator[str]:
             yield _told(f"{says.removeprefix('is ')}: ", sure)
         for item in found:
             if item.assumes:
-                yield f"{item.signal} {says}, if {' and '.join(item.assumes)}"
+                yield _line(f"{item.signal} {says}, if {' and '.join(item.assumes)}")
     states = verdict.states
     if states is not None and states.unfelt:
-        yield _told("may drift together, felt by no other signal (whole turns): ", states.unfelt)
+        yield _told("may drift together unfelt by all else, as joints that turn round and round: ", states.unfelt)
     if states is not None and states.open:
         yield _told("not known to be bounded, so that this is not the stability of the whole loop: ", states.open)
     if verdict.claim is not None:
@@ -110,12 +114,26 @@ def _followed(verdict: Verdict) -> Iterator[str]:
             yield _told("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
         assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
-        yield fill(f"=> {item.signal} {item.says}: {item.step}{assumed}", **WRAPPED)
+        yield _line(f"=> {item.signal} {item.says}: {item.step}{assumed}")
 
 
 def _told(lead: str, items: Iterable[str]) -> str:
-    kept = ", ".join(item.replace(" ", HARD) for item in items)  # a formula is not broken between lines
-    return fill(lead + kept, **WRAPPED).replace(HARD, " ")
+    return _line(lead + ", ".join(item.replace(" ", HARD) for item in items))  # a formula is not broken between lines
+
+
+def _line(text: str) -> str:
+    """One item, wrapped below itself."""
+    return fill(f"    {spelled(text)}", **_wrapped()).replace(HARD, " ")
+
+
+def _wrapped() -> dict[str, Any]:
+    width = min(WIDEST, shutil.get_terminal_size((WIDEST, 24)).columns)
+    return {"width": max(width, 40), "subsequent_indent": " " * 8, "break_on_hyphens": False}
+
+
+def _over(verdict: Verdict) -> str:
+    """The intervals over which the conditions were decided."""
+    return f", over the intervals of {', '.join(verdict.uncertain)}" if verdict.uncertain else ""
 
 
 def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
@@ -126,7 +144,7 @@ def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
         unknown = "a constant of the motion" if bound.constant else "no known bound"
         number = unknown if bound.value is None else f"<= {kappa}{bound.value:.4g}"
         value = f"{number} {'times ' if bound.value is None and bound.times else ''}{bound.times}".strip()
-        rows.append((f"{bound.block}: {bound.of}", value))
+        rows.append((spelled(f"{bound.block}: {bound.term}"), spelled(value)))
     return rows
 
 

@@ -1,24 +1,25 @@
 r"""What certificates write, ``J'(x - x_d)/2 - sigma/gamma``, as LaTeX; and formulas found in plain sentences.
 
 A *marked text* is a sentence with its formulas between dollar signs and its code between backticks; both the HTML
-and the Markdown are made from it.
+and the Markdown are made from it. A terminal shows the same formulas in Unicode.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from dmframe.formula import PrintedLaw
-from dmframe.formula.names import LETTERS, latex_name
+from dmframe.formula.names import LETTERS, latex_name, unicode_name
 
 _DOTS: Final = {1: r"\dot", 2: r"\ddot"}
 _SIGNS: Final = {">=": r"\ge ", "<=": r"\le ", "*": r"\,", "~": r"\sim "}
+_UNICODE_SIGNS: Final = {">=": "≥", "<=": "≤", "-": "−", "*": "·"}
 _ARTICLES: Final = frozenset({"a", "A", "I", "s"})
 _TOKEN: Final = re.compile(
-    r"(?P<rate>\bd(?P<of>[A-Z])/dt\b)|(?P<name>[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)*)(?P<primes>'*)|"
-    r"(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
+    r"(?P<rate>\bd(?P<of>[A-Z])/dt\b)|(?P<over>/dt\b)|(?P<name>[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)*)(?P<primes>'*)|"
+    r"(?P<comma>,)|(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
 )
 
 _LABEL: Final = re.compile(r"\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
@@ -48,14 +49,37 @@ def _known(laws: Mapping[str, PrintedLaw]) -> dict[str, str]:
     return {formula.text: formula.latex for formula in formulas}
 
 
+def in_unicode(text: str) -> str:
+    """A formula in the code's names as a terminal shows it; a text that is no formula stays as it is."""
+    pieces, place = list[str](), 0
+    while place < len(text):
+        token = _TOKEN.match(text, place)
+        if token is None:
+            pieces.append(text[place])
+            place += 1
+            continue
+        pieces.append(_unicode_piece(token))
+        place = token.end()
+    return "".join(pieces).replace("^2", "²")
+
+
+def _unicode_piece(token: re.Match[str]) -> str:
+    if token["rate"]:
+        return unicode_name(token["of"], "dot")
+    if token["name"]:
+        name, primes = token["name"], len(token["primes"])
+        if primes and name[0].isupper():
+            return f"{unicode_name(name)}ᵀ"
+        return unicode_name(name, {0: "", 1: "dot"}.get(primes, "ddot"))
+    if token["close"]:
+        return ")" + ("ᵀ" if token["after"] else "")
+    return _UNICODE_SIGNS.get(token.group(), token.group())
+
+
 def latex(text: str) -> str:
     """A formula in the code's names as LaTeX; a text that is no formula stays text."""
     pieces, place = list[str](), 0
     while place < len(text):
-        if text[place] == ",":
-            pieces.append(r",\; ")
-            place += 1
-            continue
         token = _TOKEN.match(text, place)
         if token is None or not _is_formula(token, text):
             return rf"\text{{{_escaped(text)}}}"
@@ -72,12 +96,10 @@ def _is_formula(token: re.Match[str], text: str) -> bool:
     name = token["name"]
     if name is None:
         return True
-    if name.endswith("_box") or (token["primes"] and text[token.end() : token.end() + 1].islower()):
+    if name == "do" or name.endswith("_box") or (token["primes"] and text[token.end() : token.end() + 1].islower()):
         return False
-    head, *below = name.split("_")
-    if below:
-        return True
-    return len(name) == 1 or name in LETTERS or re.fullmatch(r"d{1,2}[a-z]", head) is not None
+    head = name.split("_")[0]
+    return len(head) == 1 or head in LETTERS or re.fullmatch(r"d{1,2}[a-z]", head) is not None
 
 
 def _piece(token: re.Match[str]) -> str:
@@ -87,6 +109,10 @@ def _piece(token: re.Match[str]) -> str:
         return _primed(token["name"], len(token["primes"])) + " "
     if token["close"]:
         return ")" + (r"^{\top} " if token["after"] else "")
+    if token["over"]:
+        return "/dt "
+    if token["comma"]:
+        return r",\; "
     if token["sign"]:
         return _SIGNS.get(token["sign"], f"{token['sign']}")
     return " " if token["blank"] else token["number"]
@@ -103,32 +129,39 @@ def _primed(name: str, primes: int) -> str:
 
 def marked(text: str) -> str:
     """A sentence as marked text: its formulas are found among its words, names with an underscore become code."""
-    out, run, place = list[str](), list[re.Match[str]](), 0
+    signs = {"formula": lambda part: f"${latex(part)}$", "code": lambda part: f"`{part}`"}
+    return "".join(signs[kind](part) if kind in signs else part for kind, part in _parts(text))
 
-    def close() -> None:
-        out.append(_finished(run))
-        run.clear()
 
+def spelled(text: str) -> str:
+    """A sentence for a terminal: its formulas in Unicode, all else as it is."""
+    return "".join(in_unicode(part) if kind == "formula" else part for kind, part in _parts(text))
+
+
+def _parts(text: str) -> Iterator[tuple[str, str]]:
+    """A sentence taken apart: formulas, code and words."""
+    run, place = list[re.Match[str]](), 0
     while place < len(text):
         label = _LABEL.match(text, place)
         if label is not None:
-            close()
-            out.append(f"`{label.group()}`")
+            yield from _finished(run)
+            run.clear()
+            yield "code", label.group()
             place = label.end()
             continue
         token = _TOKEN.match(text, place)
         in_word = place > 0 and text[place - 1].isalpha() and not (run and run[-1].end() == place)
-        if token is not None and not in_word and _is_formula(token, text) and not _ends_a_word(token, text):
+        if token is not None and not in_word and _goes_on(run, token, text):
             run.append(token)
             place = token.end()
             continue
-        close()
+        yield from _finished(run)
+        run.clear()
         word = re.match(r"[A-Za-z0-9_'-]+|.", text[place:], re.DOTALL)
         assert word is not None  # the second branch takes any character
-        out.append(_code(word.group()))
+        yield "code" if "_" in word.group() else "words", word.group()
         place += word.end()
-    close()
-    return "".join(out)
+    yield from _finished(run)
 
 
 def marked_prose(text: str) -> str:
@@ -137,27 +170,32 @@ def marked_prose(text: str) -> str:
     return "".join(piece if place % 2 else marked(piece) for place, piece in enumerate(pieces))
 
 
+def _goes_on(run: Sequence[re.Match[str]], token: re.Match[str], text: str) -> bool:
+    """Does a formula begin, or go on, with this token? With a comma only while a bracket is open."""
+    if token["comma"]:
+        source = "".join(known.group() for known in run)
+        return source.count("(") > source.count(")")
+    return _is_formula(token, text) and not _ends_a_word(token, text)
+
+
 def _ends_a_word(token: re.Match[str], text: str) -> bool:
     """Is this only the beginning of a word such as ``x-axis``?"""
     rest = text[token.end() :]
     return bool(token["name"]) and re.match(r"-[a-z]{2}|'[a-z]", rest) is not None
 
 
-def _code(word: str) -> str:
-    return f"`{word}`" if "_" in word else word
-
-
-def _finished(run: list[re.Match[str]]) -> str:
-    """A stretch of formula tokens as ``$...$``, with the blanks and brackets at its ends left to the sentence."""
+def _finished(run: list[re.Match[str]]) -> Iterator[tuple[str, str]]:
+    """A stretch of formula tokens, with the blanks and brackets at its ends left to the sentence."""
     source = "".join(token.group() for token in run)
     names = [token["name"] for token in run if token["name"]]
     signs = any(token["sign"] in ("+", "=", "<", ">", ">=", "<=", "/", "^", "|", "-") for token in run)
     rates = any(token["rate"] for token in run)
     if not rates and (not names or (not signs and all(name in _ARTICLES for name in names))):
-        return source.replace("<=", "≤").replace(">=", "≥")
+        yield "words", source.replace("<=", "≤").replace(">=", "≥")
+        return
     body = source.strip()
     start, end = source.index(body), source.index(body) + len(body)
-    while end > start and (source[end - 1] in "-+/*^=<> " or _open(source[start:end], ")")):
+    while end > start and (source[end - 1] in "-+/*^=<> (" or _open(source[start:end], ")")):
         end -= 1
     while start < end and (source[start] == " " or _open(source[start:end], "(")):
         start += 1
@@ -167,7 +205,9 @@ def _finished(run: list[re.Match[str]]) -> str:
     article = re.match(r"[aAI] (?=[A-Za-z(|])", body)
     if article:  # "a z" begins with the article, not with a matrix
         start, body = start + 2, body[2:]
-    return f"{source[:start]}${latex(body)}${source[end:]}"
+    yield "words", source[:start]
+    yield "formula", body
+    yield "words", source[end:]
 
 
 def _open(text: str, bracket: str) -> bool:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, final
+from typing import final
 
 from dmframe.certify import Verdict
 from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
-
-HEADLINES: Final = {"proved": "Proved", "refuted": "Refuted", "not_applicable": "Not proved, and not refuted"}
 
 
 @final
@@ -35,11 +33,30 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
         "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
         f"equals exactly minus a sum of terms none of which can be negative{_beside(verdict)}.",
         _decided(verdict),
-        "The identity holds for all values of the free symbols, not only for those of this graph; the conditions, and "
-        "what follows, were decided at the numbers of this graph.",
+        f"The identity holds for all values of the free symbols, not only for those of this graph; {_where(verdict)}",
         f"The test can say no: {_controls(verdict)}",
     )
-    return Meaning(HEADLINES["proved"], sentence, means, _limits(clock))
+    return Meaning(verdict.headline.capitalize(), sentence, means, _limits(clock))
+
+
+def _where(verdict: Verdict) -> str:
+    """At which numbers the rest was decided."""
+    if not verdict.uncertain:
+        return "the conditions, and what follows, were decided at the numbers of this graph."
+    labels = _listed([f"`{label}`" for label in verdict.uncertain])
+    return (
+        f"the conditions were decided at the numbers of this graph and anywhere in the intervals of {labels}; what "
+        "follows, at the numbers."
+    )
+
+
+def _open(verdict: Verdict) -> str:
+    """What is not said of a loop of which some state is not known to be bounded."""
+    states = verdict.states
+    if states is None or not states.open:
+        return ""
+    left = _listed([f"`{label}`" for label in states.open])
+    return f" This is not the stability of the whole loop: neither $V$ nor anything that follows from it bounds {left}."
 
 
 def _sentence(verdict: Verdict) -> str:
@@ -54,15 +71,12 @@ def _sentence(verdict: Verdict) -> str:
         ]
     goes = f" {_listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
     under = "under the conditions checked and the assumptions listed below."
-    states = verdict.states
-    if states is not None and states.open:
-        left = _listed([f"`{label}`" for label in states.open])
+    if left_open := _open(verdict):
         return (
             "in continuous time, as a mathematical theorem, an energy-like function $V$ never grows, so that what it "
-            f"holds stays bounded,{goes} {under} This is not the stability of the whole loop: neither $V$ nor anything "
-            f"that follows from it bounds {left}."
+            f"holds stays bounded,{goes} {under}{left_open}"
         )
-    turns = ""
+    turns, states = "", verdict.states
     if states is not None and states.unfelt:
         left = _listed([f"`{label}`" for label in states.unfelt])
         turns = f", but for a common drift of {left} that no other signal feels, such as whole turns"
@@ -81,22 +95,24 @@ def _beside(verdict: Verdict) -> str:
     if claim is not None and claim.loop.projections:
         terms.append("what the projections add, which is never positive")
     if verdict.bounds:
-        terms.append("the bounded terms listed below")
+        terms.append("the terms listed below that a robust adaptation leaves over")
     return f", plus {_listed(terms)}" if terms else ""
 
 
 def _sentence_with_residual(verdict: Verdict) -> str:
     """What a bounded residual leaves: V may grow, and nothing is said to go to zero."""
     ultimate = any(item.says == "is ultimately bounded" for item in verdict.statements)
+    assumed = list(dict.fromkeys(marked(text) for item in verdict.statements for text in item.assumes))
+    provided = f", if {_listed(assumed)}," if assumed else ","
     follows = (
         "every signal that $V$ holds ends up in a bounded set"
         if ultimate
-        else "what $\\dot V$ spends is bounded in the mean square, but $V$ alone bounds no other signal"
+        else f"what $\\dot V$ spends is bounded in the mean square{provided} but $V$ alone bounds no other signal"
     )
     return (
-        "in continuous time this control loop is stable up to a bounded residual, as a mathematical theorem: an "
-        "energy-like function $V$ of its state falls wherever what it spends is more than what a robust adaptation "
-        f"leaves over, so {follows}, under the conditions checked and the assumptions listed below."
+        "in continuous time, as a mathematical theorem, an energy-like function $V$ falls wherever what it spends is "
+        f"more than what a robust adaptation leaves over, so {follows}, under the conditions checked and the "
+        f"assumptions listed below.{_open(verdict)}"
     )
 
 
@@ -126,16 +142,15 @@ def _controls(verdict: Verdict) -> str:
 
 def _limits(clock: float | None) -> tuple[str, ...]:
     sampled = (
-        "The theorem speaks of continuous time, as the simulated loop of this graph does."
+        "What a sampled controller does: the theorem is one of continuous time, as is the simulated loop of this graph."
         if clock is None
-        else f"The theorem speaks of continuous time. This controller runs every {plain(clock, 's')}: what sampling "
-        "does to $V$ was measured, not proved, and stands under “The loop as it runs”."
+        else "What sampling does: the theorem is one of continuous time, and this controller runs every "
+        f"{plain(clock, 's')}. What that does to $V$ was measured, not proved, and stands under “The loop as it runs”."
     )
     return (
         sampled,
-        "It speaks of the model: whatever the assumptions exclude, such as flexible joints or a saturated motor, is "
-        "outside of it.",
-        "It does not say how fast or how accurately the robot follows its path.",
+        "Anything beyond the model: whatever the assumptions exclude, such as flexible joints or a saturated motor.",
+        "How fast, or how accurately, the robot follows its path.",
     )
 
 
@@ -157,12 +172,11 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
         "again.",
     )  # fmt: skip
     not_means = (
-        "It does not say that the loop is unstable: a false claim is no proof of the contrary.",
-        "It does not depend on the graph's numbers: they were free symbols. That the claim holds for a single choice "
-        "of them is not ruled out.",
+        "That the loop is unstable: a false claim is no proof of the contrary.",
+        "That the claim holds for no choice of numbers: they were free symbols, and a single choice is not ruled out.",
     )
     del clock
-    return Meaning(HEADLINES["refuted"], f"the blocks' claim about $V$ is false; {place}.", means, not_means)
+    return Meaning("Refuted", f"the blocks' claim about $V$ is false; {place}.", means, not_means)
 
 
 def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
@@ -190,11 +204,11 @@ def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
         means = ("The test was not able to tell right from wrong here, so its answer does not count.",)
         why = f"{marked(verdict.reason)}."
     not_means = (
-        "It does not say that the loop is unstable, and not that the blocks are wrong.",
-        "It does not say that the loop is stable either.",
+        "That the loop is unstable, or that the blocks are wrong.",
+        "That the loop is stable.",
     )
     del clock
-    return Meaning(HEADLINES["not_applicable"], why, means, not_means)
+    return Meaning("Not proved, and not refuted", why, means, not_means)
 
 
 def _listed(items: list[str]) -> str:
