@@ -93,12 +93,10 @@ def _followed(verdict: Verdict) -> Iterator[str]:
     """What follows: the signals of each kind, and last the conclusions, each with its step."""
     for says in dict.fromkeys(item.says for item in verdict.statements):
         found = [item for item in verdict.statements if item.says == says and not item.concludes]
-        sure = dict.fromkeys(item.signal for item in found if not item.assumes)
-        if sure:
-            yield _told(f"{says.removeprefix('is ')}: ", sure)
-        for item in found:
-            if item.assumes:
-                yield _line(f"{item.signal} {says}, if {' and '.join(item.assumes)}")
+        for assumes in dict.fromkeys(item.assumes for item in found):
+            given = f", if {' and '.join(assumes)}" if assumes else ""
+            signals = dict.fromkeys(item.signal for item in found if item.assumes == assumes)
+            yield _told(f"{says.removeprefix('is ')}{given}: ", signals)
     states = verdict.states
     if states is not None and states.unfelt:
         yield _told("may drift together unfelt by all else, as joints that turn round and round: ", states.unfelt)

@@ -24,8 +24,6 @@ from dmframe.report.terms import Terms, rows_of_lines, shown, terms_of
 from dmframe.report.words import Meaning, meaning_of
 from dmframe.units import plain
 
-KINDS = ("is bounded", "is square-integrable", "goes to zero")
-
 
 @final
 @dataclass(frozen=True)
@@ -205,16 +203,16 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
 
 
 def _condition(checked: Checked) -> Condition:
-    margin = "not found" if checked.value is None else f"{checked.value:.4g}"
+    margin = f"{checked.value:.4g}" if checked.value is not None else "" if checked.holds else "not found"
     said = "" if checked.expression in checked.name else f": {checked.expression}"
     return Condition(marked(checked.name + said), margin, checked.holds, checked.how, marked(checked.source))
 
 
 def _follows(statements: tuple[Statement, ...], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
-    """Statements that say the same by the same step, together."""
-    grouped = dict[tuple[str, str], list[Statement]]()
-    for item in statements:
-        grouped.setdefault((item.says, item.step), []).append(item)
+    """Statements that say the same by the same step, together; conclusions last."""
+    grouped = dict[tuple[str, str, bool], list[Statement]]()
+    for item in sorted(statements, key=lambda item: item.concludes):
+        grouped.setdefault((item.says, item.step, item.concludes), []).append(item)
     return [
         Follows(
             says,
@@ -222,7 +220,7 @@ def _follows(statements: tuple[Statement, ...], laws: Mapping[str, PrintedLaw]) 
             tuple(signal_latex(item.signal, laws) for item in items),
             tuple(dict.fromkeys(marked(text) for item in items for text in item.assumes)),
         )
-        for (says, step), items in grouped.items()
+        for (says, step, _), items in grouped.items()
     ]
 
 

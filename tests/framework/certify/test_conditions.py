@@ -186,7 +186,7 @@ def test_an_interval_bounds_what_samples_of_it_give() -> None:
         for name, item in checked(built(servo=servo)).items():
             if name in least and item.value is not None:
                 least[name] = min(least[name], item.value)
-    kappa = "the servo level pays for the cascade: some kappa > 0 exists"
+    kappa = "the servo level pays for the cascade, with any kappa above"
     for name, sampled in least.items():
         bound = bounds[name].value
         assert bound is not None

@@ -182,7 +182,7 @@ def test_a_start_that_the_plant_decides_is_told_as_an_assumption() -> None:
     checked, assumed = conditions(diagram(Says(by_plant=True, w_box=[0, 1])))
     assert not [item for item in checked if "starts inside" in item.name]
     assert [item.text for item in assumed] == [
-        "learner.w: starts inside the box, at [0, 1], where the plant's start decides it"
+        "learner.w: starts inside the box, in elements 0, 1 (counted from 0): where the plant starts decides it"
     ]
 
 
@@ -217,7 +217,7 @@ def test_a_truth_made_of_states_that_stands_still_is_found_to() -> None:
     verdict = verify(diagram(Learner(w_box=[0, 1]), moves="kept"), trials=1)
     assert verdict.outcome == "proved"
     assert STILL in [item.name for item in verdict.conditions]
-    assert any("where the plant's start decides it" in item.text for item in verdict.assumptions)
+    assert any("where the plant starts decides it" in item.text for item in verdict.assumptions)
 
 
 def test_a_truth_that_is_a_number_needs_no_such_condition() -> None:

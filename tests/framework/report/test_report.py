@@ -103,9 +103,10 @@ def test_the_verdict_stands_first_in_one_sentence(pages, texts, name, headline):
 def test_the_numbers_of_a_page_are_those_of_the_json(contents, pages, texts, name):
     data, seen = as_data([contents[name]])["graphs"][0], words(pages[name])
     for condition in data["verdict"]["conditions"]:
-        shown = "not found" if condition["value"] is None else f"{condition['value']:.4g}"
-        assert f" {shown} {'holds' if condition['holds'] else 'fails'}" in seen
-        assert f"| {shown} | {'holds' if condition['holds'] else '**fails**'} |" in texts[name]
+        none = "" if condition["holds"] else "not found "
+        shown = none if condition["value"] is None else f"{condition['value']:.4g} "
+        assert f" {shown}{'holds' if condition['holds'] else 'fails'}" in seen
+        assert f"| {shown.strip()} | {'holds' if condition['holds'] else '**fails**'} |" in texts[name]
     controls = data["verdict"]["mutants"]
     for text in (seen, texts[name]):
         assert f"{controls['refuted']} of {controls['tried']} were refuted" in text
