@@ -163,6 +163,9 @@ def _gain(value: Any, spec: Spec) -> Any:
     if isinstance(value, Mapping) and "inverse_of" in value:
         return _prior(value)
     rows = _numbers(value, replace(spec, sign=""))
+    if isinstance(rows, tuple) and {_depth(row) for row in rows} == {1} and _depth(rows) < 0:
+        lengths = " and ".join(str(length) for length in dict.fromkeys(map(len, rows)))
+        raise ValueError(f"expected rows of one length, found rows of {lengths} numbers in {_shown(value)}")
     if _depth(rows) == 2:
         check_definite(rows)
         return rows

@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from dmframe.analyse import (
+    Linear,
     bode_svg,
     equilibrium,
     frozen,
