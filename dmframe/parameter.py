@@ -169,10 +169,9 @@ def _gain(value: Any, spec: Spec) -> Any:
     if _depth(rows) == 2:
         check_definite(rows)
         return rows
-    numbers = _numbers(value, spec)
-    if _depth(numbers) not in (0, 1):
+    if _depth(rows) not in (0, 1):
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
-    return numbers
+    return _numbers(value, spec)
 
 
 def _prior(value: Mapping[str, Any]) -> Prior:

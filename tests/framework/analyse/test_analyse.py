@@ -113,7 +113,7 @@ def test_a_double_real_pole_is_told_as_one_and_a_pair_as_a_pair() -> None:
         none = np.zeros((2, 0))
         return Linear(("a[0]", "a[1]"), (), (), np.zeros(2), 0, 0.0, np.array(A), none, none, none, np.array(A), none)
 
-    split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.0000001, -0.5]])  # (s + 0.3)^2 but for the last digits
+    split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.00000000000001, -0.5]])  # (s + 0.3)^2 but for the last digits
     assert np.any(split.poles.imag)
     assert split.pole(0) == split.pole(-1) == pytest.approx(-0.3)
     assert split.pole(0).imag == 0  # type: ignore[union-attr]
