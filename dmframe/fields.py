@@ -18,7 +18,7 @@ EXPRESSIONS: Final = (ca.SX, ca.MX, ca.DM, int, float, np.number)
 def check_fields(stated: Any) -> None:
     """Raise `TypeError` where a field of a dataclass holds something else than its annotation says."""
     for name, kind in _kinds(stated.__class__).items():
-        fault = _fault(name, kind, getattr(stated, name))
+        fault = fault_of(name, kind, getattr(stated, name))
         if fault:
             raise TypeError(f"{type(stated).__name__}: {fault}")
 
@@ -28,24 +28,24 @@ def _kinds(of: type) -> dict[str, Any]:
     return get_type_hints(of)
 
 
-def _fault(name: str, kind: Any, value: Any) -> str:
+def fault_of(name: str, kind: Any, value: Any) -> str:
     """What is wrong with a value, told of its innermost part; empty where nothing is."""
     origin, parts = get_origin(kind), get_args(kind)
     if origin is tuple and isinstance(value, tuple):
-        found = (_fault(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
+        found = (fault_of(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
     elif origin is Mapping and isinstance(value, Mapping):
-        keys = (_fault(f"each name of {name}", parts[0], key) for key in value)
+        keys = (fault_of(f"each name of {name}", parts[0], key) for key in value)
         found = (fault for faults in (keys, _values(name, parts[1], value)) for fault in faults)
     elif _is(kind, value):
         return ""
     else:
-        comma = "; is a comma missing?" if origin is tuple and not _fault(name, parts[0], value) else ""
+        comma = "; is a comma missing?" if origin is tuple and not fault_of(name, parts[0], value) else ""
         return f"expected {name} to be {_words(kind)}, found {_found(value)}{comma}"
     return next(filter(None, found), "")
 
 
 def _values(name: str, kind: Any, value: Mapping[Any, Any]) -> Any:
-    return (_fault(f"{name}[{key!r}]", kind, item) for key, item in value.items())
+    return (fault_of(f"{name}[{key!r}]", kind, item) for key, item in value.items())
 
 
 def _is(kind: Any, value: Any) -> bool:

@@ -75,12 +75,13 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
-    """All expressions of a certificate but its truths."""
+    """All expressions of a certificate, by its fields."""
     for role in ("storage", "dissipation", "excess", "driven"):
         yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
     consumed = certificate.consumes
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]
     yield "supply and pays", [certificate.supply, *certificate.pays]
+    yield "truth", list(certificate.truth.values())
 
 
 def _ill_driven(driven: Sequence[object]) -> Iterator[str]:
