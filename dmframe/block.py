@@ -27,6 +27,7 @@ from dmframe.errors import (
     nearest,
     raise_all,
 )
+from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
 from dmframe.port import TIME, Port, Side, State
 from dmframe.units import compatible
@@ -62,6 +63,9 @@ class Equations:
 
     outputs: Mapping[str, SX] = field(default_factory=dict)
     rates: Mapping[str, SX] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 class AbstractBlock(BaseModel):

@@ -17,6 +17,7 @@ from typing import Any, final
 import casadi as ca
 
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
+from dmframe.fields import check_fields
 from dmframe.terms import (
     MONOTONE,
     TINY,
@@ -50,6 +51,9 @@ class Consumed:
 
     vector: SX
     c: SX
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def value(self) -> SX:
@@ -87,6 +91,9 @@ class Driven:
     bounded: tuple[SX, ...]
     otherwise: tuple[Condition, ...] = ()
     of: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -139,6 +146,9 @@ class Certificate:
     truth: Mapping[str, SX] = field(default_factory=dict)
     excess: tuple[Bounded, ...] = ()
     driven: tuple[Driven, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, final
 
+from dmframe.fields import check_fields
+
 SX = Any
 """A CasADi expression; the library is untyped."""
 
@@ -24,6 +26,9 @@ class Inequality:
     strict: bool = True
     otherwise: str = ""
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @final
 @dataclass(frozen=True)
@@ -39,6 +44,9 @@ class CommonLyapunov:
     b: SX
     source: str
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @final
 @dataclass(frozen=True)
@@ -47,6 +55,9 @@ class Assumption:
 
     text: str
     source: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 Condition = Inequality | CommonLyapunov | Assumption

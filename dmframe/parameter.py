@@ -163,13 +163,15 @@ def _gain(value: Any, spec: Spec) -> Any:
     if isinstance(value, Mapping) and "inverse_of" in value:
         return _prior(value)
     rows = _numbers(value, replace(spec, sign=""))
+    if isinstance(rows, tuple) and {_depth(row) for row in rows} == {1} and _depth(rows) < 0:
+        lengths = " and ".join(str(length) for length in dict.fromkeys(map(len, rows)))
+        raise ValueError(f"expected rows of one length, found rows of {lengths} numbers in {_shown(value)}")
     if _depth(rows) == 2:
         check_definite(rows)
         return rows
-    numbers = _numbers(value, spec)
-    if _depth(numbers) not in (0, 1):
+    if _depth(rows) not in (0, 1):
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
-    return numbers
+    return _numbers(value, spec)
 
 
 def _prior(value: Mapping[str, Any]) -> Prior:

@@ -13,7 +13,7 @@ from typing import Final, final
 import casadi as ca
 
 from dmframe.condition import SX
-from dmframe.errors import BlockError
+from dmframe.fields import check_fields
 from dmframe.naming import operation
 
 
@@ -38,10 +38,11 @@ class Square:
 
     def __post_init__(self) -> None:
         if isinstance(self.vector, str):
-            raise BlockError(
+            raise TypeError(
                 f"Square({self.vector!r}, ...): expected the vector and its weight; what a term is called is printed "
                 "from its expression"
             )
+        check_fields(self)
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -119,6 +120,9 @@ class Lemma:
     phi: str = "tanh"
     of: str = ""
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     @property
     def pieces(self) -> tuple[SX, ...]:
         """Its expressions."""
@@ -157,6 +161,9 @@ class NormSquare:
     by: SX
     of: str = ""
     by_of: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def pieces(self) -> tuple[SX, ...]:
@@ -213,6 +220,9 @@ class Gathered:
     forgetting: SX
     of: str = ""
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
     @property
     def pieces(self) -> tuple[SX, ...]:
         """Its expressions."""
@@ -254,6 +264,9 @@ class Clipped:
     width: SX
     other: SX
     of: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def pieces(self) -> tuple[SX, ...]:

@@ -27,6 +27,9 @@ _SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope l
 _NULL: Final = 1e-9
 """Singular values below this, relative to the largest of the balanced matrix, count as zero."""
 
+_PARTED: Final = 1e-6
+"""Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
+
 
 @final
 @dataclass(frozen=True)
@@ -74,6 +77,16 @@ class Linear:
         """Eigenvalues of A [1/s], without those at zero; slowest first."""
         found = np.linalg.eigvals(self._others.T @ self.A @ self._others)
         return np.asarray(found[np.lexsort((found.imag, -found.real))], dtype=complex)
+
+    def pole(self, place: int) -> complex | None:
+        """The slowest pole (0) or the fastest (-1), if there is one.
+
+        A pair is complex where it is parted by more than what rounding makes of a double real pole.
+        """
+        if not len(self.poles):
+            return None
+        found = complex(self.poles[np.argsort(np.abs(self.poles))][place])
+        return complex(found.real) if abs(found.imag) <= _PARTED * abs(found) else found
 
     @property
     def at_rest(self) -> int:

@@ -46,6 +46,9 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if not all(type(term) in BOUNDED for term in certificate.excess):
         yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
+    for what, pieces in _stated(certificate):
+        if any(isinstance(piece, ca.MX) for piece in pieces):
+            yield f"{what}: expected expressions of its u, x, p and truth, found an MX; write constants as ca.DM"
     for term in (*certificate.storage, *terms, *certificate.excess):
         pieces = [ca.SX(piece) for piece in term.pieces]
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
@@ -69,6 +72,16 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
             yield f"pays has {len(certificate.pays)} shares, expected one for each of {len(terms)} dissipated squares"
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
             yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
+
+
+def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
+    """All expressions of a certificate, by its fields."""
+    for role in ("storage", "dissipation", "excess", "driven"):
+        yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
+    consumed = certificate.consumes
+    yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]
+    yield "supply and pays", [certificate.supply, *certificate.pays]
+    yield "truth", list(certificate.truth.values())
 
 
 def _ill_driven(driven: Sequence[object]) -> Iterator[str]:

@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import numpy as np
 import typer
 
 from dmframe.analyse.linear import Linear
@@ -83,7 +82,9 @@ def _loop(found: Analysis) -> Iterator[tuple[str, ...]]:
 
 
 def _pole(linear: Linear, place: int) -> str:
-    pole = linear.poles[np.argsort(np.abs(linear.poles))][place]
+    pole = linear.pole(place)
+    if pole is None:
+        return "none"
     return f"{pole.real:.4g}" + (f" +- {abs(pole.imag):.4g}j" if pole.imag else "") + " 1/s"
 
 
@@ -114,7 +115,8 @@ def _bracket(bracket: Bracket) -> str:
         return f"none; unstable at {_time(bracket.unstable)}"
     if math.isinf(bracket.unstable):
         return f"above {_time(bracket.stable)}, the longest looked at"
-    return f"between {_time(bracket.stable)} and {_time(bracket.unstable)}"
+    stable, unstable = _time(bracket.stable), _time(bracket.unstable)
+    return stable if stable == unstable else f"between {stable} and {unstable}"
 
 
 def _time(value: float) -> str:

@@ -66,11 +66,8 @@ def told_by(name: str, what: str) -> Iterator[None]:
     except DmframeError:
         raise
     except Exception as error:  # a user's block may raise anything
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        frames = [
-            f for f in traceback.extract_tb(error.__traceback__) if not set(FOREIGN) & set(Path(f.filename).parts)
-        ]
-        frame = frames[-1] if frames else frame
+        frames = traceback.extract_tb(error.__traceback__)
+        frame = [frames[-1], *(frame for frame in frames if not _foreign(Path(frame.filename)))][-1]
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"
         raise BlockError(
             f"{name}: {what}, {Path(frame.filename).name}:{frame.lineno}: {type(error).__name__}: {reason}"
@@ -78,7 +75,12 @@ def told_by(name: str, what: str) -> Iterator[None]:
 
 
 FOREIGN = ("casadi", "numpy")
-"""Folders of libraries: a fault in one is told at the line that called it."""
+"""Folders of libraries: a fault in one, or in the framework, is told at the line that called it."""
+
+
+def _foreign(file: Path) -> bool:
+    framework = file.is_relative_to(Path(__file__).parents[1]) or file.name == "<string>"  # what dataclasses generate
+    return framework or bool(set(FOREIGN) & set(file.parts))
 
 
 def symbols_in(expressions: Iterable[SX]) -> set[int]:

@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, final
 
-import numpy as np
-
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
@@ -104,9 +102,9 @@ def _loop(found: Analysis) -> Iterator[tuple[str, str, str]]:
 
 
 def _pole(linear: Linear, place: int) -> str:
-    if not len(linear.poles):
+    pole = linear.pole(place)
+    if pole is None:
         return "none"
-    pole = linear.poles[np.argsort(np.abs(linear.poles))][place]
     return f"{pole.real:.4g}" + (f" ± {abs(pole.imag):.4g} j" if pole.imag else "")
 
 

@@ -11,6 +11,15 @@ _REFERENCES: Final = {
     "Model”, Journal of Neuroscience 5(7), 1985, pp. 1688–1703.",
     "SlotineLi1987": "J.-J. E. Slotine, W. Li, “On the Adaptive Control of Robot Manipulators”, International Journal "
     "of Robotics Research 6(3), 1987, pp. 49–59.",
+    "SlotineLi1991": "J.-J. E. Slotine, W. Li, “Applied Nonlinear Control”, Prentice Hall, 1991.",
+    "NarendraAnnaswamy1987": "K. S. Narendra, A. M. Annaswamy, “A New Adaptive Law for Robust Adaptation Without "
+    "Persistent Excitation”, IEEE Transactions on Automatic Control 32(2), 1987, pp. 134–145.",
+    "IoannouSun1996": "P. A. Ioannou, J. Sun, “Robust Adaptive Control”, Prentice Hall, 1996.",
+    "LeeKwonPark2018": "T. Lee, J. Kwon, F. C. Park, “A Natural Adaptive Control Law for Robot Manipulators”, IEEE/RSJ "
+    "International Conference on Intelligent Robots and Systems, 2018, pp. 1–9.",
+    "Siciliano2009": "B. Siciliano, L. Sciavicco, L. Villani, G. Oriolo, “Robotics: Modelling, Planning and Control”, "
+    "Springer, 2009.",
+    "Spong2006": "M. W. Spong, S. Hutchinson, M. Vidyasagar, “Robot Modeling and Control”, Wiley, 2006.",
 }
 
 

@@ -11,13 +11,20 @@ import numpy as np
 
 from dmframe.certificate import SX, Clipped, Gathered, Lemma
 from dmframe.certify.claim import Claim, Part
+from dmframe.diagram.closed_loop import Parameter
+from dmframe.diagram.truths import value_of
+from dmframe.diagram.view import owners_of
 from dmframe.formula import Line, PrintedLaw, PrintedTerm
 from dmframe.formula.names import latex_name
 from dmframe.formula.tree import Name, Node
+from dmframe.parameter import Spec
+from dmframe.port import Port, State
 from dmframe.report.laws import Row
 
 FEW = 4
 """Elements of a diagonal up to which each is written out."""
+FEW_OF_MATRIX = 9
+"""The same of a matrix."""
 
 
 @final
@@ -57,7 +64,7 @@ class TermRow:
 @final
 @dataclass(frozen=True)
 class Legend:
-    """A symbol of the weights: LaTeX, the parameter that it stands for, its value and unit."""
+    """A symbol of the weights: LaTeX, the parameter or signal that it stands for, its value and unit."""
 
     symbol: str
     label: str
@@ -158,10 +165,13 @@ def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str)
 
 
 def _value(claim: Claim, weight: SX) -> str:
-    """The weight's elements at the graph's numbers; one where all are equal, their range where they are many."""
+    """The weight at the graph's numbers, where these are all that it needs."""
     loop = claim.loop
     function = ca.Function("value", [loop.p], loop.joined([ca.vec(ca.densify(weight))]), {"allow_free": True})
-    return "varies with the pose" if function.has_free() else shown(function(loop.p_values).full().ravel())
+    if function.has_free():
+        return "varies with the pose"
+    numbers = function(loop.p_values).full().ravel()
+    return shown(numbers if weight.is_column() else numbers.reshape(weight.shape, order="F"))
 
 
 Used = tuple[str, PrintedLaw, list[str]]
@@ -200,36 +210,84 @@ def _definitions(law: PrintedLaw, names: Sequence[str]) -> Iterator[Line]:
 
 
 def _legend(claim: Claim, used: Sequence[Used]) -> Iterator[Legend]:
-    """The parameters behind the names: the block's own, or those that another block hands out as a truth."""
-    known = {parameter.label: parameter for parameter in claim.loop.parameters}
-    told = set[tuple[str, str]]()
-    for block, _, names in used:
+    """What the names of the weights stand for, but for those that a printed definition says."""
+    told, parameters = set[tuple[str, str]](), {item.label: item for item in claim.loop.parameters}
+    for block, law, names in used:
+        defined, owners = {line.name for line in law.definitions}, owners_of(claim.diagram, block, claim.truths)
         for name in names:
-            label = f"{block}.{name}"
-            parameter = known.get(label) or known.get(_handed_out(claim, name))
-            if parameter is None or (name, parameter.label) in told:
+            row = _meaning(claim, parameters, block, name, owners.get(name))
+            if row is None or (name, row.label) in told or (name in defined and row.label not in parameters):
                 continue
-            told.add((name, parameter.label))
-            yield Legend(latex_name(name), parameter.label, shown(parameter.value.ravel()), parameter.unit)
+            told.add((name, row.label))
+            yield row
 
 
-def _handed_out(claim: Claim, name: str) -> str:
-    """The parameter that an output of this name is."""
-    for block, model in claim.diagram.models.items():
-        expression = model.equations.outputs.get(name)
-        for key, symbol in model.parameters.items():
-            if expression is not None and expression.shape == symbol.shape and ca.is_equal(expression, symbol):
-                return f"{block}.{key}"
-    return ""
+def _meaning(
+    claim: Claim, parameters: Mapping[str, Parameter], block: str, name: str, owner: str | None
+) -> Legend | None:
+    """A parameter of the block, a true value that another block has, or a signal."""
+    model, symbol = claim.diagram.models[block], latex_name(name)
+    if name in model.parameters:
+        label = f"{block}.{name}"
+        return Legend(symbol, label, _number(claim, parameters[label]), parameters[label].unit)
+    if owner is not None:
+        value = claim.loop.joined([value_of(claim.diagram, owner, name, claim.truths)])[0]
+        same = [item for item in parameters.values() if _is(item.symbol, value)]
+        if same:
+            return Legend(symbol, same[0].label, _number(claim, same[0]), same[0].unit)
+        unit = next(port.unit for port in model.block.truth if port.name == name)
+        return Legend(symbol, f"{owner}.{name}", _value(claim, value), unit)
+    signals: list[Port | State] = [*model.block.inputs, *model.block.outputs, *model.block.states]
+    units = [item.unit for item in signals if item.name == name]
+    return Legend(symbol, f"{block}.{name}", "a signal", units[0]) if units else None
+
+
+def _number(claim: Claim, parameter: Parameter) -> str:
+    """Of a matrix its rows: the loop has each of its elements once, its block's model has it as it was given."""
+    block, _, key = parameter.label.partition(".")
+    values = claim.diagram.models[block].values if block in claim.diagram.models else {}
+    return shown(values.get(key, parameter.value))
+
+
+def _is(symbol: SX, value: SX) -> bool:
+    return bool(symbol.shape == value.shape and ca.is_equal(symbol, value))
 
 
 def shown(values: np.ndarray) -> str:
-    """Numbers for a table."""
+    """Numbers for a table: one where all are equal, each where they are few, else their range."""
     values = np.atleast_1d(values)
     if values.size == 0:
         return "none"
+    if values.ndim == 2 and min(values.shape) > 1:
+        return _rows(values)
+    values = values.ravel()
     if np.all(values == values[0]):
         return f"{values[0]:.4g}"
     if values.size <= FEW:
         return ", ".join(f"{value:.4g}" for value in values)
-    return f"{values.size} values from {np.min(values):.4g} to {np.max(values):.4g}"
+    return f"{values.size} values {_range(values)}"
+
+
+def _rows(values: np.ndarray) -> str:
+    """A matrix as a graph writes it; of a large one its size, and what stands on its diagonal and beside it."""
+    if values.size <= FEW_OF_MATRIX:
+        return "[" + ", ".join("[" + ", ".join(f"{value:.4g}" for value in row) + "]" for row in values) + "]"
+    rows, columns = values.shape
+    if rows != columns or not np.allclose(values, values.T, rtol=1e-12):
+        return f"{rows} x {columns}, {_range(values)}"
+    beside = values[~np.eye(rows, dtype=bool)]
+    return f"{rows} x {columns}, diagonal {_range(np.diag(values))}, off the diagonal {_range(beside)}"
+
+
+def _range(values: np.ndarray) -> str:
+    least, most = f"{np.min(values):.4g}", f"{np.max(values):.4g}"
+    return least if least == most else f"from {least} to {most}"
+
+
+def parameter_text(value: np.ndarray, spec: Spec) -> str:
+    """A parameter's value for a table; of a box or a ball both of its parts, in brackets where they are lists."""
+    between = {"box": "to", "ball": "plus or minus"}.get(spec.form)
+    if between is None:
+        return shown(value)
+    parts = [shown(value[..., end]) for end in (0, 1)]
+    return f" {between} ".join(f"[{part}]" if " " in part else part for part in parts)

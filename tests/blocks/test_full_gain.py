@@ -275,7 +275,7 @@ def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: 
         with pytest.raises(SystemExit) as stopped:
             main()
         assert not stopped.value.code
-    assert "484 values from" in (tmp_path / "report.md").read_text()
+    assert "| 22 x 22, diagonal from" in (tmp_path / "report.md").read_text()
 
 
 # The prior of a model.

@@ -6,12 +6,14 @@ import ast
 import json
 import re
 import tomllib
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
 import typer.main
 from typer.testing import CliRunner
 
+from dmframe import certificate
 from dmframe.catalogue import graphs
 from dmframe.cli.app import app
 from dmframe.config.document import read_document, read_file
@@ -62,6 +64,31 @@ def test_the_reference_lists_every_key_of_a_graph_file() -> None:
     for section in (GraphFile, RobotSection, SolverSection, LogSection):
         for key in section.model_fields:
             assert f"`{key}`" in text, key
+
+
+def test_the_reference_tells_every_field_of_a_certificate_and_every_kind_of_term_and_condition() -> None:
+    text = read("docs", "reference", "certificate.md")
+    assert [item.name for item in fields(certificate.Certificate) if f"| `{item.name}` |" not in text] == []
+    kinds = [item for item in vars(certificate).values() if is_dataclass(item) and item is not certificate.Certificate]
+    assert len(kinds) > 8
+    assert [kind.__name__ for kind in kinds if f"`{kind.__name__}(" not in text] == []
+
+
+def test_the_index_lists_every_page_of_its_folders() -> None:
+    text = read("docs", "index.md")
+    pages = [page for page in ROOT.joinpath("docs").rglob("*.md") if page.name != "index.md"]
+    assert len(pages) > 30
+    assert [page.name for page in pages if f"({page.relative_to(ROOT / 'docs')})" not in text] == []
+
+
+MATH = re.compile(r"\$\$.*?\$\$|\$[^$\n]+\$|`[^`\n]+`", re.DOTALL)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_no_page_cites_as_a_docstring_does(page: Path) -> None:
+    """``[Key]_`` is reStructuredText: Markdown prints the underscore."""
+    text = MATH.sub("", CODE.sub("", page.read_text(encoding="utf-8")))
+    assert re.findall(r"\[\w+\]_|:math:|``", text) == []
 
 
 def test_the_how_to_lists_every_packaged_robot() -> None:

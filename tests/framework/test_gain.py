@@ -52,6 +52,12 @@ def test_it_is_positive_definite_where_its_eigenvalues_say_so(n: int, seed: int,
         ([[1, 2], [3, 10]], "expected a symmetric matrix, found 3 at [1, 0] and 2 at [0, 1]"),
         ([[1, 2], [2 + 1e-15, 10]], "expected a symmetric matrix, found 2.0000000000000009 at [1, 0] and 2 at [0, 1]"),
         ([[1, 2]], "expected a square matrix, found 1 x 2"),
+        ([[2, 3, 0], [1, 2]], "expected rows of one length, found rows of 3 and 2 numbers in [[2, 3, 0], [1, 2]]"),
+        (
+            [[2, 0], 1],
+            "expected a number, a list of numbers, or the rows of a symmetric positive definite matrix, "
+            "found [[2, 0], 1]",
+        ),
     ],
 )
 def test_the_first_element_that_is_wrong_is_named(matrix: Any, text: str) -> None:

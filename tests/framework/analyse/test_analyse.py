@@ -13,6 +13,7 @@ from scipy.linalg import expm
 from scipy.optimize import brentq
 
 from dmframe.analyse import (
+    Linear,
     bode_svg,
     equilibrium,
     frozen,
@@ -105,6 +106,21 @@ def test_a_pi_servo_on_a_pure_inertia_has_the_textbooks_poles_and_margins() -> N
     assert joint.margins.gain == np.inf
     assert joint.passive_servo.holds
     assert joint.port is None
+
+
+def test_a_double_real_pole_is_told_as_one_and_a_pair_as_a_pair() -> None:
+    def loop(A: list[list[float]]) -> Linear:
+        none = np.zeros((2, 0))
+        return Linear(("a[0]", "a[1]"), (), (), np.zeros(2), 0, 0.0, np.array(A), none, none, none, np.array(A), none)
+
+    split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.00000000000001, -0.5]])  # (s + 0.3)^2 but for the last digits
+    assert np.any(split.poles.imag)
+    assert split.pole(0) == split.pole(-1) == pytest.approx(-0.3)
+    assert split.pole(0).imag == 0  # type: ignore[union-attr]
+    pair = loop([[-1.0, 2.0], [-2.0, -1.0]]).pole(0)
+    assert pair is not None
+    assert (pair.real, abs(pair.imag)) == pytest.approx((-1, 2))
+    assert loop([[0.0, 0.0], [0.0, 0.0]]).pole(0) is None
 
 
 def test_the_closed_loops_poles_are_the_characteristic_polynomials_roots() -> None:

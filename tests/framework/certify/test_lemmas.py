@@ -15,6 +15,7 @@ from dmframe.certificate import MONOTONE, Certificate, Consumed, Gathered, Lemma
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Numbers
 from dmframe.certify.conditions import conditions_of
+from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.diagram import Diagram
 from dmframe.robot.library import load
 
@@ -156,10 +157,10 @@ def test_a_certificate_that_raises_is_told_with_its_line() -> None:
 
 
 FORMS = {
-    "expected each term of the storage to be a Square": lambda c, u: Certificate(
+    "expected storage[0] to be a Square or a Gathered, found a Lemma": lambda c, u: Certificate(
         (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
     ),
-    "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered": lambda c, u: Certificate(
+    "expected dissipation[0] to be a Square, a NormSquare, a Lemma or a Gathered": lambda c, u: Certificate(
         c.storage, (ca.dot(u.sigma, u.sigma),), c.supply
     ),
     "expected columns of one length": lambda c, u: Certificate(c.storage, (Square(u.sigma, ca.SX(3, 1)),), c.supply),
@@ -181,6 +182,9 @@ FORMS = {
     "a certificate holds stranger, which is no signal": lambda c, u: Certificate(
         c.storage, (Square(u.sigma, ca.SX.sym("stranger")),), c.supply
     ),
+    "supply and pays: expected expressions of its u, x, p and truth, found an MX": lambda c, u: Certificate(
+        c.storage, supply=ca.MX(0)
+    ),
     "expected a Certificate, found dict": lambda c, u: {},
 }
 
@@ -191,3 +195,10 @@ def test_an_ill_formed_certificate_is_not_applicable_and_says_why(text: str) -> 
     verdict = verdict_of(diagram(swapped=made))
     assert verdict.outcome == "not_applicable"
     assert text in verdict.reason
+
+
+def test_a_subclass_of_a_term_is_none() -> None:
+    """It could say anything of itself."""
+    kind = type("Liar", (Square,), {"value": property(lambda self: -1)})
+    with pytest.raises(NotApplicableError, match="dynamics: expected each term of the storage to be a Square"):
+        check_form("dynamics", Certificate((kind(ca.SX.sym("x")),)))

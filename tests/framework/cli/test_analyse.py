@@ -7,7 +7,9 @@ from typing import Any
 
 import pytest
 
+from dmframe.analyse import Bracket
 from dmframe.catalogue import graphs
+from dmframe.cli.analyse import _bracket
 
 
 def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
@@ -19,6 +21,11 @@ def test_the_page_tells_margins_poles_and_periods(dmframe: Any) -> None:
     assert loop.split()[-2:] == ["no", "yes"]  # a PID servo is passive only with its inverse
     assert tie.split()[1:] == ["1", "0.3024", "0.3028"]  # 20.3 k^2 + 60 k = 20, and 20 k^2 + 60 k = 20
     assert "over the graph's own servo gains" in said.out
+
+
+def test_two_ends_that_read_alike_are_told_once() -> None:
+    assert _bracket(Bracket(0.038676971, 0.038676999, "")) == "38.677 ms"
+    assert _bracket(Bracket(0.004, 0.005, "")) == "between 4 ms and 5 ms"
 
 
 def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> None:

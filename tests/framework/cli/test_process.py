@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 import xarray
 
+import dmframe
+
 START = (sys.executable, "-c", "from dmframe.cli import main; main()")
 LONG = ("run", "arm2_joint", "--until", "2000 s", "--no-plots", "--out", "mine")
 FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
@@ -54,6 +56,18 @@ def test_the_installed_script_is_the_same_command(tmp_path: Path) -> None:
         pytest.skip("the distribution is not installed here")
     done = subprocess.run([script, "graphs"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.startswith("arm2_joint ")
+
+
+def test_the_package_run_as_a_module_is_the_same_command(tmp_path: Path) -> None:
+    def said(*words: str) -> tuple[int, str, str]:
+        command = [sys.executable, "-m", "dmframe", *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout, done.stderr
+
+    assert said("--version") == (0, f"dmframe {dmframe.__version__}\n", "")
+    status, out, err = said("check", "nosuch")
+    assert (status, out) == (2, "")
+    assert err.startswith("dmframe: nosuch: ")
 
 
 @pytest.mark.parametrize(

@@ -51,5 +51,13 @@ def test_sources_are_those_of_the_documentation():
         assert plain.lower() in text.lower()
 
 
+def test_every_source_that_a_packaged_block_cites_is_told_in_full():
+    folders = (REPOSITORY / "blocks" / "dmframe_blocks", REPOSITORY / "plants" / "dmframe_plants")
+    texts = [file.read_text(encoding="utf-8") for folder in folders for file in folder.rglob("*.py")]
+    cited = {key for text in texts for key in re.findall(r"\[([A-Z]\w+\d{4}[a-z]?)\]_", text)}
+    assert len(cited) > 4
+    assert cited - _REFERENCES.keys() == set()
+
+
 def test_a_source_of_somebody_elses_block_is_told_where_to_find():
     assert reference("Nobody1900") == "see the documentation of the block that cites it"

@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
+from dmframe.certify.claim import claim_of
 from dmframe.config import load_graph
-from dmframe.report.terms import shown, terms_of
+from dmframe.errors import DmframeError
+from dmframe.parameter import Spec
+from dmframe.report.terms import parameter_text, shown, terms_of
 
 
 def test_weights_are_those_of_the_theory_and_their_numbers_those_of_the_graph(proved):
@@ -53,6 +58,79 @@ def test_the_legend_names_each_symbol_of_the_weights(proved):
 )
 def test_numbers_are_shown_as_a_table_bears_them(values, expected):
     assert shown(np.array(values)) == expected
+
+
+GAIN = "[[2, 1, 0], [1, 2, 0], [0, 0, 1]]"
+
+
+def test_a_gain_that_is_a_matrix_is_written_out_and_so_is_its_inverse_in_v():
+    graph = load_graph("observed_regulation_pi", ["geometry.adapt=tool", f"geometry.Gamma_k={GAIN}"])
+    terms = terms_of(claim_of(graph.diagram()))
+    assert [item.value for item in terms.legend if item.label == "geometry.Gamma_k"] == [GAIN]
+    (weight,) = [row.value for row in terms.storage if row.block == "geometry"]
+    found = np.array([[float(number) for number in row.split(",")] for row in weight[2:-2].split("], [")])
+    np.testing.assert_allclose(found, np.linalg.inv([[2, 1, 0], [1, 2, 0], [0, 0, 1]]), atol=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        (np.diag([1.0, 2, 3, 4]) + 0.5, "4 x 4, diagonal from 1.5 to 4.5, off the diagonal 0.5"),
+        (np.diag([3.0, 3, 3, 3]), "4 x 4, diagonal 3, off the diagonal 0"),
+        (np.arange(12.0).reshape(4, 3), "4 x 3, from 0 to 11"),
+        (np.arange(16.0).reshape(4, 4), "4 x 4, from 0 to 15"),
+        (np.array([[2.0, -1.0], [-1.0, 2.0]]), "[[2, -1], [-1, 2]]"),
+        (np.array([[7.0]]), "7"),
+    ],
+)
+def test_a_large_matrix_is_told_by_its_size_and_what_stands_on_and_off_its_diagonal(values, expected):
+    assert shown(values) == expected
+
+
+@pytest.mark.parametrize(
+    ("form", "value", "expected"),
+    [
+        ("box", [[0.0, 0.004]], "0 to 0.004"),
+        ("box", [[0.0, 1], [0, 2]], "0 to [1, 2]"),
+        ("ball", [[1.0, 2], [3, 2]], "[1, 3] plus or minus 2"),
+        ("diagonal", [1.0, 2], "1, 2"),
+    ],
+)
+def test_a_box_and_a_ball_are_told_by_both_parts_and_brackets_hold_lists_alone(form, value, expected):
+    assert parameter_text(np.array(value), Spec("n", "", "", form)) == expected
+
+
+def test_a_symbol_that_another_block_states_has_its_row():
+    legend = {item.symbol: (item.label, item.value, item.unit) for item in terms_of(theorem("theorem_1")).legend}
+    assert legend["K_{2}"] == ("task.K_2", "3", "rad^2/(m^2 s)")
+    assert legend[r"\mathrm{task\_weight}"] == ("task.alpha", "200", "N/m")
+    assert legend["B"] == ("arm.B", "5, 5, 2", "N m s/rad")
+
+
+def theorem(name):
+    return claim_of(load_graph(name).diagram())
+
+
+LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
+SIGNS = {"M", "I"}  # the inertia, printed beside the arm's equation, and the identity
+SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
+MARKS = re.compile(r"\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]")
+
+
+@pytest.mark.parametrize("name", graphs())
+def test_every_symbol_of_a_printed_weight_stands_in_the_table_or_is_defined_on_the_page(name):
+    try:
+        claim = theorem(name)
+    except DmframeError:
+        assert name.endswith("_kinematic")  # it claims nothing
+        return
+    terms = terms_of(claim)
+    told = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
+    weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.excess)]
+    weights += [row.right for row in terms.definitions]
+    found = {symbol for weight in weights for symbol in SYMBOL.findall(MARKS.sub(" ", weight))}
+    assert len(found) > 3
+    assert found - told == set()
 
 
 @pytest.mark.parametrize("name", graphs())

@@ -1,0 +1,5 @@
+"""``python -m dmframe`` is the command ``dmframe``."""
+
+from dmframe.cli import main
+
+main()

@@ -1,0 +1,91 @@
+"""What a block's author states, held field by field to its annotations: CasADi's expressions are untyped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import cache
+from types import UnionType
+from typing import Any, Final, get_args, get_origin, get_type_hints
+
+import casadi as ca
+import numpy as np
+
+EXPRESSIONS: Final = (ca.SX, ca.MX, ca.DM, int, float, np.number)
+"""What may stand for an expression, which the annotations call `SX`, an `Any`."""
+
+
+def check_fields(stated: Any) -> None:
+    """Raise `TypeError` where a field of a dataclass holds something else than its annotation says."""
+    for name, kind in _kinds(stated.__class__).items():
+        fault = fault_of(name, kind, getattr(stated, name))
+        if fault:
+            raise TypeError(f"{type(stated).__name__}: {fault}")
+
+
+@cache
+def _kinds(of: type) -> dict[str, Any]:
+    return get_type_hints(of)
+
+
+def fault_of(name: str, kind: Any, value: Any) -> str:
+    """What is wrong with a value, told of its innermost part; empty where nothing is."""
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is tuple and isinstance(value, tuple):
+        found = (fault_of(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
+    elif origin is Mapping and isinstance(value, Mapping):
+        keys = (fault_of(f"each name of {name}", parts[0], key) for key in value)
+        found = (fault for faults in (keys, _values(name, parts[1], value)) for fault in faults)
+    elif _is(kind, value):
+        return ""
+    else:
+        comma = "; is a comma missing?" if origin is tuple and not fault_of(name, parts[0], value) else ""
+        return f"expected {name} to be {_words(kind)}, found {_found(value)}{comma}"
+    return next(filter(None, found), "")
+
+
+def _values(name: str, kind: Any, value: Mapping[Any, Any]) -> Any:
+    return (fault_of(f"{name}[{key!r}]", kind, item) for key, item in value.items())
+
+
+def _is(kind: Any, value: Any) -> bool:
+    if kind is Any:
+        numbers = isinstance(value, np.ndarray) and value.ndim <= 2 and value.dtype.kind in "iuf"
+        return numbers or (isinstance(value, EXPRESSIONS) and not isinstance(value, bool))
+    if isinstance(kind, UnionType):
+        return any(_is(part, value) for part in get_args(kind))
+    return isinstance(kind, type) and isinstance(value, kind)
+
+
+def _words(kind: Any) -> str:
+    origin, parts = get_origin(kind), get_args(kind)
+    if origin is tuple:
+        return f"a tuple of {_many(parts[0])}"
+    if origin is Mapping:
+        return f"a mapping of names to {_many(parts[1])}"
+    if isinstance(kind, UnionType):
+        *first, last = map(_words, parts)
+        return f"{', '.join(first)} or {last}"
+    return _KNOWN[kind][0] if kind in _KNOWN else _article(kind.__name__)
+
+
+_KNOWN: Final = {
+    Any: ("an expression", "expressions"),
+    str: ("a text", "texts"),
+    bool: ("True or False", ""),
+    type(None): ("None", ""),
+}
+
+
+def _many(kind: Any) -> str:
+    if get_origin(kind) is tuple:
+        return f"tuples of {_many(get_args(kind)[0])}"
+    return _KNOWN[kind][1] if kind in _KNOWN else re.sub(r"\ban? ", "", _words(kind))
+
+
+def _found(value: Any) -> str:
+    return "None" if value is None else _article(type(value).__name__)
+
+
+def _article(name: str) -> str:
+    return f"{'an' if name[0] in 'aeioAEIO' or name in ('SX', 'MX', 'ndarray') else 'a'} {name}"
