@@ -184,8 +184,6 @@ def claim_of(diagram: Diagram) -> Claim:
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
-    for name, certificate in stated.items():
-        check_form(name, certificate)
     laws = _laws(diagram, stated, truths)
     field = Field(diagram)
     named = labelled(stated, laws)
@@ -318,6 +316,8 @@ def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certifica
         certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
     if certificate is not None and not isinstance(certificate, Certificate):
         raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
+    if certificate is not None:
+        check_form(name, certificate)
     return certificate, seen.owners
 
 

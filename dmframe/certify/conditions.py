@@ -34,6 +34,8 @@ from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
+from dmframe.fields import fault_of
+from dmframe.formula.reading import place_of
 
 SIGNS = "V is positive, dV/dt not"
 
@@ -76,9 +78,14 @@ def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
         seen = view(claim.diagram, name, claim.truths)
         try:
             with told_by(name, "conditions()"):
-                yield from ((name, condition) for condition in block.conditions(seen.p, seen.truth))
+                stated = block.conditions(seen.p, seen.truth)
         except BlockError as error:
             raise NotApplicableError(error.text) from None
+        given = tuple(stated) if isinstance(stated, list) else stated
+        fault = fault_of("what it returns", tuple[Condition, ...], given)
+        if fault:
+            raise NotApplicableError(f"{name}: conditions(), {place_of(type(block), 'conditions')}: {fault}")
+        yield from ((name, condition) for condition in stated)
 
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:

@@ -20,7 +20,7 @@ from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.notation import marked, marked_prose, signal_latex
 from dmframe.report.planar import RobotModel, robot_model
-from dmframe.report.terms import Terms, rows_of_lines, shown, terms_of
+from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
 from dmframe.units import plain
 
@@ -190,9 +190,7 @@ def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
     for key in type(block).model_fields:
         if key in model.values:
             spec = specs(type(block))[key]
-            ends = model.values[key]
-            between = {"box": "to", "ball": "plus or minus"}.get(spec.form)
-            text = f"[{shown(ends[..., 0])}] {between} [{shown(ends[..., 1])}]" if between else shown(ends.ravel())
+            text = parameter_text(model.values[key], spec)
             values.append(Value(key, text, units[key], marked_prose(law.parameters.get(key, ""))))
         elif key not in units:
             option = getattr(block, key)

@@ -16,7 +16,7 @@ _REFERENCES: Final = {
     "Persistent Excitation”, IEEE Transactions on Automatic Control 32(2), 1987, pp. 134–145.",
     "IoannouSun1996": "P. A. Ioannou, J. Sun, “Robust Adaptive Control”, Prentice Hall, 1996.",
     "LeeKwonPark2018": "T. Lee, J. Kwon, F. C. Park, “A Natural Adaptive Control Law for Robot Manipulators”, IEEE/RSJ "
-    "International Conference on Intelligent Robots and Systems, 2018, pp. 1–9.",
+    "International Conference on Intelligent Robots and Systems, 2018.",
     "Siciliano2009": "B. Siciliano, L. Sciavicco, L. Villani, G. Oriolo, “Robotics: Modelling, Planning and Control”, "
     "Springer, 2009.",
     "Spong2006": "M. W. Spong, S. Hutchinson, M. Vidyasagar, “Robot Modeling and Control”, Wiley, 2006.",
