@@ -14,6 +14,7 @@ from dmframe.formula.tree import (
     SCALAR,
     Applied,
     Choice,
+    Derivative,
     Identity,
     Inverse,
     Name,
@@ -123,12 +124,14 @@ class _Reader:
         called = operation_of(of.which_function())
         if called is None:
             raise UnreadableError(f"it calls {of.which_function().name()}, which is no operation")
+        if called.sign == "derivative":  # what it is of and by; its third argument is its value
+            return Derivative(self.node(of.dep(0)), self.node(of.dep(1)), x.shape)
         arguments = [self.node(of.dep(k)) for k in range(of.n_dep())]
         if called.given:
             return robot_call(called, arguments, x.shape)
         if called.sign in _SIGNS:
             return _SIGNS[called.sign](arguments, x.shape)
-        return Applied(called.sign, tuple(arguments), x.shape)
+        return Applied(called.sign, tuple(arguments), x.shape, said=called.said)
 
     def add(self, x: Any, shape: Shape) -> Node:
         """A + b, and the two halves of if_else."""
