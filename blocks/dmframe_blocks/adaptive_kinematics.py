@@ -175,11 +175,9 @@ class AdaptiveKinematics(AbstractBlock):
     def _with(self, robot: Any, estimate: SX) -> SX:
         """All kinematic parameters, the adapted ones replaced by their estimates."""
         known = robot.a_k
-        return {
-            "all": lambda: estimate,
-            "links": lambda: ca.vertcat(estimate, tool(known)),
-            "tool": lambda: ca.vertcat(links(known), estimate),
-        }[self.adapt]()
+        if self.adapt == "all":
+            return estimate
+        return ca.vertcat(*([estimate, tool(known)] if self.adapt == "links" else [links(known), estimate]))
 
 
 @operation

@@ -21,8 +21,8 @@ class Manipulator(AbstractBlock):
 
         M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q) \tag{1}
 
-    A maker's servo may already compensate a share `maker_gravity` of gravity :math:`g_{full}(q)`, and `maker_viscous` of
-    the joints' own viscous friction; the outer loop is not told. What is left for it is :math:`g = (1 -
+    A maker's servo may already compensate a share `maker_gravity` of gravity :math:`g_{full}(q)`, and `maker_viscous`
+    of the joints' own viscous friction; the outer loop is not told. What is left for it is :math:`g = (1 -
     \mathrm{maker\_gravity})\, g_{full}(q)` and :math:`B = \mathrm{viscous} - \mathrm{maker\_viscous}`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,

@@ -100,7 +100,7 @@ class _Point:
     def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
         """A function of the robot, J(q)."""
         robot, functions = self.read.signs.robot, self.read.reading.functions
-        methods = [method for method, sign in SIGNS.items() if name in (symbol(sign), symbol(_AS_IN_PAPER.get(method, sign)))]
+        methods = [method for method, sign in (*SIGNS.items(), *_PAPER) if symbol(sign) == name]
         if robot is None or functions is None or not methods:
             return None
         parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
@@ -113,7 +113,7 @@ class _Point:
             return None
 
 
-_AS_IN_PAPER: Final = {method: sign for sign, method in PAPER.items()}
+_PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
 def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:

@@ -79,5 +79,6 @@ def _nodes(node: Any) -> Iterator[Node]:
 
 
 def _unicode(text: str) -> str:
-    """Names between backticks as symbols."""
-    return re.sub(r"`(\w+)`", lambda found: unicode_name(found[1]), text)
+    """The first line of a docstring as a part of a sentence, names between backticks as symbols."""
+    text = text[:1].lower() + text[1:] if text[1:2].islower() or text[1:2] == " " else text
+    return re.sub(r"`(\w+)`", lambda found: unicode_name(found[1]), text).rstrip(".")
