@@ -52,6 +52,10 @@ class Manipulator(AbstractBlock):
         Viscous friction that the maker's servo compensates; more than the joints have, and the arm is left with
         negative friction.
 
+    Notes
+    -----
+    `momentum` is that of the joints, by which the inverses bound their commands.
+
     References
     ----------
     [WangTAC2020]_ eqs. (1), (3), properties P2 and P3; Section V for the friction.

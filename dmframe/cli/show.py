@@ -155,7 +155,11 @@ def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
         yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
     said = [("", list(law.truths))]
     said += [(f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()]
-    told = [f"  {option}\n" * bool(option) + _equations(lines, wide) for option, lines in said if lines]
+    told = [
+        f"  {option}\n{textwrap.indent(_equations(lines, wide - 2), '  ')}" if option else _equations(lines, wide)
+        for option, lines in said
+        if lines
+    ]
     if told:
         yield "\n".join(["true values that it states, for the certificates of other blocks", *told])
     signs = where(shown)

@@ -89,16 +89,19 @@ def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
 _IN_WORDS: Final = {"\\top": "ᵀ", "\\ge": "≥", "\\le": "≤", "\\cdot": "·", "\\to": "→", "-": "−"}
 
 
+_RELATIONS: Final = ("=", "+", "\\ge", "\\le", "\\to", "<", ">")
+
+
 def in_unicode(text: str) -> str:
     """A short formula of a docstring's text for a terminal: its names as symbols, the rest as it stands."""
     reader, out = LatexReader(tokens(text), lambda symbol: None, lambda symbol, arguments: None), ""
     while reader.rest():
         found, word = reader.named_or_word()
-        spaced = (found is not None or word in ("\\to",)) and bool(re.search(r"[^\W_]$|[\u0300-\u036f)]$", out))
-        spaced = spaced or word in ("=", "+", "-", "\\ge", "\\le", "\\to", "<", ">")
-        out += " " * spaced + (unicode_symbol(found) if found is not None else _IN_WORDS.get(word, word))
-        out += " " * (found is None and word in ("=", "+", "\\ge", "\\le", "\\to", "<", ">"))
-    return re.sub(r" +", " ", out).strip()
+        spaced = found is not None and bool(re.search(r"[^\W_]$|[\u0300-\u036f)]$", out))
+        binary = found is None and (word in _RELATIONS or (word == "-" and re.search(r"[\w\u0300-\u036f)]$", out)))
+        text = unicode_symbol(found) if found is not None else _IN_WORDS.get(word, word)
+        out += f" {text} " if binary else " " * spaced + text
+    return re.sub(r" +", " ", out).replace("^ᵀ", "ᵀ").strip()
 
 
 def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:

@@ -168,7 +168,7 @@ class ReadRobot:
         return self._call("position", q=q, a_k=a_k)
 
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
-        """The Jacobian of f; of other translations where a second argument gives them."""
+        """The Jacobian of the tool's position; of other translations where a second argument gives them."""
         return self._call("jacobian", q=q, a_k=a_k)
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
@@ -176,7 +176,7 @@ class ReadRobot:
         return self._call("kinematic_regressor", q=q, psi=psi)
 
     def position_regressor(self, q: Any) -> Any:
-        """The regressor of the position: f(`q`) is W_k(`q`) `a_k`, but for sliding joints."""
+        """The regressor of the position: it is W_k(`q`) `a_k`, but for sliding joints."""
         return self._call("position_regressor", q=q)
 
     def inverse_dynamics(
@@ -187,7 +187,7 @@ class ReadRobot:
         return self._call("inverse_dynamics", **motion, inertia=inertia, gravity_share=gravity_share)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
-        """The dynamic regressor without friction: times `a_inertia` M `ddq_ref` + C `dq_ref` + g_full."""
+        """The regressor of the torque of this motion, without friction, in ten inertial parameters a link."""
         return self._call("regressor", q=q, dq=dq, dq_ref=dq_ref, ddq_ref=ddq_ref)
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
@@ -203,7 +203,7 @@ class ReadRobot:
         return self._call("gravity_torque", q=q, inertia=inertia)
 
     def coulomb(self, dq: Any) -> Any:
-        """The smooth sign tanh(`dq`/`v_0`) of Coulomb friction."""
+        """The smooth sign tanh(`dq`/`v_0`) of Coulomb friction, `v_0` being the robot's friction_velocity."""
         return self._call("coulomb", dq=dq)
 
 

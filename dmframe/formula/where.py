@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
 from typing import Any, Final
 
@@ -11,7 +11,7 @@ from dmframe.formula import tree
 from dmframe.formula.dialects import UNICODE
 from dmframe.formula.law import Line
 from dmframe.formula.names import unicode_name
-from dmframe.formula.reading import START
+from dmframe.formula.reading import GIVEN, START
 from dmframe.formula.robot import MEANINGS
 from dmframe.formula.tree import Applied, Derivative, Diagonal, Name, Node, Norm, Piece, Product
 
@@ -33,8 +33,9 @@ def sizes_show(lines: Iterable[Line]) -> bool:
     return any(isinstance(node, Piece) for line in lines for node in _nodes(line.right.node))
 
 
-_PIECE, _WEIGHTED, _DIAGONAL = "a_(i…j)", "|a|²_W", "K a"
-_CONVENTIONS: Final = (_PIECE, _WEIGHTED, _DIAGONAL)
+_ELEMENT, _ROW, _PIECE, _WEIGHTED, _DIAGONAL = "a_i", "a_(i,:)", "a_(i…j)", "|a|²_W", "K a"
+_CONVENTIONS: Final = (_ELEMENT, _ROW, _PIECE, _WEIGHTED, _DIAGONAL)
+"""Stand last."""
 
 
 def _said(node: Node) -> Iterator[tuple[str, str]]:
@@ -51,20 +52,31 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
         case Name(name) if name.endswith(START):
             bare = unicode_name(name.removesuffix(START))
             yield unicode_name(name), f"where {bare} starts, the parameter of its name"
+        case Name(name) if name.endswith(GIVEN):
+            yield unicode_name(name), f"the parameter {name.removesuffix(GIVEN)}"
         case Derivative():
             yield "∂a/∂q", "the Jacobian: a row for each element of a, a column for each of q"
-        case Piece():
-            yield _PIECE, "elements i to j of a, of a matrix rows or columns, counted from 1, both ends included"
+        case Piece(_, rows, columns):
+            if all(stop - start == 1 for start, stop in (rows, columns or rows)):
+                yield _ELEMENT, "element i of a, counted from 1"
+            elif rows[1] - rows[0] == 1:
+                yield _ROW, "row i of a, counted from 1"
+            else:
+                yield _PIECE, "elements i to j of a, of a matrix rows or columns, counted from 1, both ends included"
         case Norm(_, True, weight) if weight is not None:
             yield _WEIGHTED, "aᵀ W a; a column W stands for diag(W)"
-        case Product(_, factors) if any(map(_scales, factors[:-1])):
+        case Product(_, factors) if any(map(_scales, _vectors(factors)[:-1])):
             yield _DIAGONAL, "diag(K) a where K is a column: a product is read from right to left"
         case _:
             return
 
 
+def _vectors(factors: Sequence[Node]) -> list[Node]:
+    return [node for node in factors if not tree.is_scalar(node)]
+
+
 def _scales(node: Node) -> bool:
-    return isinstance(node, Diagonal) or (tree.is_column(node) and not tree.is_scalar(node))
+    return isinstance(node, Diagonal) or tree.is_column(node)
 
 
 def _nodes(node: Any) -> Iterator[Node]:
