@@ -150,7 +150,8 @@ def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
     shown = [*law.lines, *(line for lines in options.values() for line in lines)]
     given = f", with {label}" * bool(label) + _EXAMPLE * sizes_show(shown)
     stated = {line.name for line in law.truths}
-    yield f"law{given}\n{_equations([line for line in law.lines if line not in law.truths], wide)}"
+    own = [line for line in law.lines if line not in law.truths]
+    yield f"{textwrap.fill(f'law{given}', wide)}\n{_equations(own, wide)}"
     for option, lines in options.items():
         yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
     said = [("", list(law.truths))]
