@@ -70,7 +70,7 @@ class AdaptiveKinematics(AbstractBlock):
         sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
     forgetting : scalar, 1/s, > 0
         Absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
-        bound of the gain P.
+        bound of the gain.
 
     Notes
     -----

@@ -13,7 +13,7 @@ from dmframe.formula.law import Line
 from dmframe.formula.names import unicode_name
 from dmframe.formula.reading import GIVEN, START
 from dmframe.formula.robot import MEANINGS
-from dmframe.formula.tree import Applied, Derivative, Diagonal, Name, Node, Norm, Piece, Product
+from dmframe.formula.tree import Applied, Derivative, Diagonal, Name, Node, Norm, Piece, Product, Stack
 
 _SUMMED: Final = "the sum of the elements of a"
 
@@ -33,8 +33,9 @@ def sizes_show(lines: Iterable[Line]) -> bool:
     return any(isinstance(node, Piece) for line in lines for node in _nodes(line.right.node))
 
 
-_ELEMENT, _ROW, _PIECE, _WEIGHTED, _DIAGONAL = "a_i", "a_(i,:)", "a_(i…j)", "|a|²_W", "K a"
-_CONVENTIONS: Final = (_ELEMENT, _ROW, _PIECE, _WEIGHTED, _DIAGONAL)
+_ELEMENT, _ROW, _PIECE = "a_i", "a_(i,:)", "a_(i…j)"
+_BLOCKS, _COLUMNS, _WEIGHTED, _DIAGONAL = "[a, b; …]", "(a, b)", "|a|²_W", "K a"
+_CONVENTIONS: Final = (_ELEMENT, _ROW, _PIECE, _BLOCKS, _COLUMNS, _WEIGHTED, _DIAGONAL)
 """Stand last."""
 
 
@@ -63,6 +64,10 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
                 yield _ROW, "row i of a, counted from 1"
             else:
                 yield _PIECE, "elements i to j of a, of a matrix rows or columns, counted from 1, both ends included"
+        case Stack(rows) if len(rows[0]) > 1:
+            yield _BLOCKS, "blocks of a matrix side by side; a semicolon begins the next row"
+        case Stack():
+            yield _COLUMNS, "columns above one another"
         case Norm(_, True, weight) if weight is not None:
             yield _WEIGHTED, "aᵀ W a; a column W stands for diag(W)"
         case Product(_, factors) if any(map(_scales, _vectors(factors)[:-1])):
