@@ -87,6 +87,7 @@ from dmframe.certificate import (
     norm,
 )
 from dmframe.linalg import metric, solve_spd, square, times
+from dmframe.naming import named
 from dmframe.parameter import Positive
 
 
@@ -261,7 +262,7 @@ class Fit:
     def _memory(self) -> SX:
         """G: symmetric, whatever the state's symbols are."""
         assert self.state is not None
-        return (self.state + self.state.T) / 2
+        return named("G", (self.state + self.state.T) / 2)
 
     def _gathered(self, estimate: Estimate, weight: SX) -> Gathered:
         return Gathered(estimate.error, weight, self._memory, self.regressor, self.by, self.forgetting)

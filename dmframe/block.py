@@ -225,8 +225,8 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 
 def type_name(block: type[AbstractBlock]) -> str:
-    """The name in graph files: snake_case of the class, ``PidInverse`` -> ``pid_inverse``."""
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", block.__name__).lower()
+    """The name in graph files: snake_case of the class, ``PidInverse`` and ``PIDInverse`` -> ``pid_inverse``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", block.__name__).lower()
 
 
 def parameter_faults(block: type[AbstractBlock], error: ValidationError, where: str) -> list[DmframeError]:

@@ -7,6 +7,7 @@ parameter and truth. `named` and `operation` say what this second reading shows;
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -117,13 +118,25 @@ def named(name: str, expression: Expression) -> Expression:
 @final
 @dataclass(frozen=True)
 class Operation:
-    """A function that prints as one sign: `sign` says how (see `dmframe.formula.read`), or is the function's name."""
+    """A function that prints as one sign: `sign` says how (see `dmframe.formula.read`), or is the function's name.
+
+    `given` are the names of a robot's arguments; `said` is what it is, in words, after the names of its arguments.
+    """
 
     sign: str
     given: tuple[str, ...] = ()
+    said: tuple[tuple[str, ...], str] | None = None
 
 
 _operations: Final[dict[str, Operation]] = {}
+
+
+@functools.cache
+def said_of(function: Callable[..., Any]) -> tuple[tuple[str, ...], str]:
+    """The arguments of a function that it needs, and the first line of its docstring."""
+    parameters = [item for item in inspect.signature(function).parameters.values() if item.default is item.empty]
+    text = (inspect.getdoc(function) or "").partition("\n")[0]
+    return tuple(item.name for item in parameters if item.name != "self"), text
 
 
 def operation_of(function: Any) -> Operation | None:
@@ -144,7 +157,8 @@ def call(function: Any, arguments: Collection[Expression]) -> Expression:
 def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
     """Make a function of expressions one that prints as one sign: ``norm(a)``, not the root of a sum of squares.
 
-    All its arguments are expressions or numbers, given by position. In a run it is just called.
+    All its arguments are expressions or numbers, given by position. In a run it is just called. The first line of its
+    docstring stands beside the law.
     """
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 
@@ -154,7 +168,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
         sizes = "_".join(f"{rows}x{columns}" for rows, columns in shapes)
         # CasADi's names hold letters, digits and single underscores only
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
-        register(label, Operation(function.__name__))
+        register(label, Operation(function.__name__, said=said_of(function)))
         return ca.Function(label, symbols, [ca.densify(function(*symbols))])
 
     @functools.wraps(function)
@@ -165,6 +179,22 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
         return call(node(*(argument.shape for argument in given)), [as_mx(argument) for argument in given])
 
     return wrapped
+
+
+def derivative(expression: Expression, by: Expression) -> Expression:
+    """The Jacobian of a column by symbols; it prints as a sign of its own, named parts as their names."""
+    naming = _reading.get()
+    meant = expression
+    for symbol, meaning in reversed(naming.definitions.values()) if naming is not None else ():
+        meant = ca.substitute([meant], [symbol], [as_mx(meaning) if isinstance(meant, ca.MX) else ca.SX(meaning)])[0]
+    jacobian = ca.densify(ca.jacobian(meant, by))
+    if not isinstance(jacobian, ca.MX):
+        return jacobian
+    arguments = [expression, by, jacobian]
+    symbols = [ca.MX.sym(f"a{place}", *item.shape) for place, item in enumerate(arguments)]
+    label = "derivative_" + "_".join(f"{rows}x{columns}" for rows, columns in (item.shape for item in arguments))
+    register(label, Operation("derivative"))
+    return call(ca.Function(label, symbols, [symbols[2]], {"never_inline": True}), arguments)
 
 
 def as_mx(value: Expression) -> Expression:

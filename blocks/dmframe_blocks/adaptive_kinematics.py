@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from typing import Any, ClassVar, Final, Literal, final
 
 import casadi as ca
 
@@ -12,6 +12,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate
 from dmframe.errors import MissingError, ValueFault
 from dmframe.linalg import metric, times
+from dmframe.naming import operation
 from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, State
 
@@ -69,7 +70,7 @@ class AdaptiveKinematics(AbstractBlock):
         sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
     forgetting : scalar, 1/s, > 0
         Absent unless given, and then with R: how fast what the position said is forgotten. Gamma_k is then the
-        bound of the gain P.
+        bound of the gain.
 
     Notes
     -----
@@ -165,17 +166,30 @@ class AdaptiveKinematics(AbstractBlock):
 
     def _columns(self, regressor: SX) -> SX:
         """Those of the parameters that are adapted."""
-        links = regressor.shape[1] - 3
-        return {"all": regressor, "links": regressor[:, :links], "tool": regressor[:, links:]}[self.adapt]
+        return regressor if self.adapt == "all" else _PARTS[self.adapt](regressor)
 
     def _adapted(self, a_k: SX) -> SX:
         """The part of all kinematic parameters that is adapted."""
-        links = a_k.numel() - 3
-        return {"all": a_k, "links": a_k[:links], "tool": a_k[links:]}[self.adapt]
+        return a_k if self.adapt == "all" else _PARTS[self.adapt](a_k)
 
     def _with(self, robot: Any, estimate: SX) -> SX:
         """All kinematic parameters, the adapted ones replaced by their estimates."""
-        links = robot.k - 3
         known = robot.a_k
-        parts = {"all": [estimate], "links": [estimate, known[links:]], "tool": [known[:links], estimate]}
-        return ca.vertcat(*parts[self.adapt])
+        if self.adapt == "all":
+            return estimate
+        return ca.vertcat(*([estimate, tool(known)] if self.adapt == "links" else [links(known), estimate]))
+
+
+@operation
+def links(a: SX) -> SX:
+    """Of the translations, or of their columns, all but the last three: those between joints."""
+    return a[:-3] if a.is_column() else a[:, :-3]
+
+
+@operation
+def tool(a: SX) -> SX:
+    """Of the translations, or of their columns, the last three: that to the tool."""
+    return a[-3:] if a.is_column() else a[:, -3:]
+
+
+_PARTS: Final = {"links": links, "tool": tool}

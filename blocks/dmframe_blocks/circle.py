@@ -25,13 +25,13 @@ class Circle(AbstractBlock):
     Parameters
     ----------
     center : (m,), m
-        c, the middle of the circle.
+        The middle of the circle.
     radius : scalar, m
-        r. At 0 the path is a point.
+        At 0 the path is a point.
     rate : scalar, rad/s
-        omega. The speed along the path is r times as much.
+        Angular frequency. The speed along the path is radius times as much.
     phase : scalar, rad
-        phi, where on the circle the path begins.
+        Where on the circle the path begins.
     plane : xy, xz or yz
         The plane in which the circle lies.
 

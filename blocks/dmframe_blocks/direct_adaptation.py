@@ -47,6 +47,8 @@ class DirectAdaptation(AbstractBlock):
     -----
     Not for: a robot without a nominal model, at which the estimates start: M-hat is singular at zero.
 
+    `direct` says that the tracking error drives the adaptation: 1.
+
     References
     ----------
     [WangTAC2020]_ eqs. (59), (60).

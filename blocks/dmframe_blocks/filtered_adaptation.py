@@ -43,6 +43,10 @@ class FilteredAdaptation(AbstractBlock):
     leak : 1/s, > 0
         A pull back to the start, absent unless given. See `dmframe.adaptation`.
 
+    Notes
+    -----
+    `direct` says that the error of a prediction drives the adaptation, not that of the tracking: 0.
+
     References
     ----------
     [WangTAC2020]_ eqs. (54)-(58); [SlotineLi1991]_ section 9.2.

@@ -10,7 +10,7 @@ import casadi as ca
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Driven, Square
 from dmframe.errors import ValueFault
-from dmframe.naming import named
+from dmframe.naming import derivative, named
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import Port, State
 
@@ -20,11 +20,11 @@ class FilteredRegressor(AbstractBlock):
     r"""Compares the command that a PI servo got with the one that the estimates would have needed for this motion.
 
     Both sides of the dynamics, divided by the servo's stiffness, pass a filter of first order, of the rate
-    :math:`\mathrm{bandwidth}`. The acceleration goes by parts: with :math:`P a_d = M \dot q`, and
+    :math:`\mathrm{bandwidth}`. The acceleration goes by parts: with :math:`Y_m a_d = M \dot q`, and
     :math:`C^\top \dot q = \partial(\tfrac12 \dot q^\top M \dot q)/\partial q`, the motion asks for the torque
-    :math:`\tfrac{d}{dt}(P a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(P a_d) + R a_d`.
-    Filtered, its regressor is :math:`Y_f = \mathrm{bandwidth}\, P + Y_z` with
-    :math:`\dot Y_z = \mathrm{bandwidth} (R - Y_f)`, and with :math:`W = \mathrm{weight}`:
+    :math:`\tfrac{d}{dt}(Y_m a_d) - C^\top \dot q + B \dot q + D \phi(\dot q) + g = \tfrac{d}{dt}(Y_m a_d) + Y_r a_d`.
+    Filtered, its regressor is :math:`Y_f = \mathrm{bandwidth}\, Y_m + Y_z` with
+    :math:`\dot Y_z = \mathrm{bandwidth} (Y_r - Y_f)`, and with :math:`W = \mathrm{weight}`:
 
     .. math::
 
@@ -58,7 +58,7 @@ class FilteredRegressor(AbstractBlock):
     bandwidth : scalar, 1/s, > 0
         Larger forgets faster and passes more noise.
     weight : diagonal (n,), > 0
-        W: how much the prediction error counts beside the other errors of a composite adaptation.
+        How much the prediction error counts beside the other errors of a composite adaptation.
     friction : list of viscous, coulomb
         As of the `regressor` with which it shares a_d.
     bias : true or false
@@ -95,7 +95,7 @@ class FilteredRegressor(AbstractBlock):
         State("Y_z", "n p", "N m"),
         State("v_f", "n", "rad/s"),
         State("q_f", "n", "rad"),
-        State("b_hat", "n", "rad/s"),
+        State("b_hat", "n", "rad/s", optional=True),
     )
     truth: ClassVar[tuple[Port, ...]] = (
         Port("a_d", "p", ""),
@@ -130,7 +130,7 @@ class FilteredRegressor(AbstractBlock):
                 "Y_z": p.bandwidth * (self._rest(u, p) - Y_f),
                 "v_f": p.bandwidth * (u.dq_c - u.dq - x.v_f),
                 "q_f": p.bandwidth * (u.q - u.q_c - x.q_f),
-                "b_hat": ca.DM.zeros(p.robot.n) if self.bias else -p.Gamma_b * e_f,
+                **({} if self.bias else {"b_hat": -p.Gamma_b * e_f}),
             },
         )
 
@@ -162,27 +162,33 @@ class FilteredRegressor(AbstractBlock):
 
     def _filtered(self, u: Signals, x: Signals, p: Signals) -> SX:
         """Y_f."""
-        return self._momentum(u, p) * p.bandwidth + x.Y_z
+        return p.bandwidth * self._momentum(u, p) + x.Y_z
 
     def _error(self, Y_f: SX, u: Signals, x: Signals) -> SX:
         error = u.w * (Y_f @ u.a_d_hat) + u.w_I * x.q_f - x.v_f
         return error if self.bias else error + x.b_hat
 
     def _momentum(self, u: Signals, p: Signals) -> SX:
-        """P of P a_d = M dq."""
-        robot, zero = p.robot, ca.DM.zeros(p.robot.n)
-        inertial = robot.regressor(u.q, zero, zero, u.dq) - robot.regressor(u.q, zero, zero, zero)
-        return ca.densify(ca.horzcat(inertial, ca.DM(robot.n, self.sizes(robot)["p"] - 10 * robot.n)))
+        """Y_m of Y_m a_d = M dq."""
+        n = p.robot.n
+        others = ca.DM.zeros(n, self.sizes(p.robot)["p"] - 10 * n)
+        return named("Y_m", ca.horzcat(self._inertial(u, p), others) if others.numel() else self._inertial(u, p))
+
+    def _inertial(self, u: Signals, p: Signals) -> SX:
+        """Its columns for the inertial parameters."""
+        zero = ca.DM.zeros(p.robot.n)
+        moving, still = p.robot.regressor(u.q, zero, zero, u.dq), p.robot.regressor(u.q, zero, zero, zero)
+        return named("Y_p", ca.densify(moving - still))
 
     def _rest(self, u: Signals, p: Signals) -> SX:
-        """R of R a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
+        """Y_r of Y_r a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
         robot, zero = p.robot, ca.DM.zeros(p.robot.n)
-        energy = self._momentum(u, p)[:, : 10 * robot.n].T @ u.dq / 2
-        columns = [robot.regressor(u.q, zero, zero, zero) - ca.jacobian(energy, u.q).T]
+        energy = self._inertial(u, p).T @ u.dq / 2
+        columns = [robot.regressor(u.q, zero, zero, zero) - derivative(energy, u.q).T]
         if "viscous" in self.friction:
             columns.append(ca.diag(u.dq))
         if "coulomb" in self.friction:
             columns.append(ca.diag(robot.coulomb(u.dq)))
         if self.bias:
             columns.append(ca.DM.eye(robot.n))
-        return ca.densify(ca.horzcat(*columns))
+        return named("Y_r", ca.densify(ca.horzcat(*columns)))

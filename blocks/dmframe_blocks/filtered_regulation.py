@@ -42,6 +42,8 @@ class FilteredRegulation(AbstractBlock):
     Not for: a goal that moves; see `observed_tracking`. A `pid_inverse` behind it ties the position, not the velocity:
     its energy balance needs :math:`\dot q_{ref} = -K_2 y`.
 
+    `task_weight` is the weight of the task level in V.
+
     References
     ----------
     [WangTAC2020]_ eqs. (9), (12), (13), Theorem 1.

@@ -50,6 +50,8 @@ class IndirectAdaptation(AbstractBlock):
     Not for: a robot whose accelerations are not measured; estimates that start at zero under `certainty_equivalence`,
     where the torque, and so the error, would stay at zero.
 
+    `direct` says that the error of the torque drives the adaptation, not that of the tracking: 0.
+
     References
     ----------
     [WangTAC2020]_ eqs. (54)-(58).

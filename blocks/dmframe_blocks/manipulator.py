@@ -19,16 +19,16 @@ class Manipulator(AbstractBlock):
 
     .. math::
 
-        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + (1 - c)\, g(q) = K u, \quad x = f(q) \tag{1}
+        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q) \tag{1}
 
-    A maker's servo may already compensate a share :math:`c = \mathrm{maker\_gravity}` of gravity, and viscous friction
-    :math:`B_m` of the joints' own :math:`B_0`; the outer loop is not told. What is left for it is :math:`(1 - c)\, g`
-    and :math:`B = B_0 - B_m`.
+    A maker's servo may already compensate a share `maker_gravity` of gravity :math:`g_{full}(q)`, and `maker_viscous`
+    of the joints' own viscous friction; the outer loop is not told. What is left for it is :math:`g = (1 -
+    \mathrm{maker\_gravity})\, g_{full}(q)` and :math:`B = \mathrm{viscous} - \mathrm{maker\_viscous}`.
 
     :math:`\phi(v) = \tanh(v / v_0)` smooths the sign of Coulomb friction; :math:`v_0`, the robot's `friction_velocity`,
     is the same in plant and regressor. With :math:`\sigma = \dot q - \dot q_{ref}`, and the torque along the reference
-    :math:`\tau_r = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref} + D\, \phi(\dot q_{ref})
-    + (1 - c)\, g(q)`, which is :math:`Y_d a_d`:
+    :math:`\tau_r = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref} + D\, \phi(\dot q_{ref}) + g`,
+    which is :math:`Y_d a_d`:
 
     .. math::
 
@@ -41,15 +41,20 @@ class Manipulator(AbstractBlock):
     Parameters
     ----------
     viscous : diagonal (n,), N m s/rad, >= 0
-        B_0.
+        Viscous friction of the joints' own.
     coulomb : diagonal (n,), N m, >= 0
-        D.
+        Coulomb friction, D.
     K : diagonal (n,), N m/V, > 0
         Torque a volt.
     maker_gravity : scalar, >= 0
-        c, the share of gravity that the servo compensates; 1 is all of it.
+        Share of gravity that the maker's servo compensates; 1 is all of it.
     maker_viscous : diagonal (n,), N m s/rad, >= 0
-        B_m; more than the joints have, and the arm is left with negative friction.
+        Viscous friction that the maker's servo compensates; more than the joints have, and the arm is left with
+        negative friction.
+
+    Notes
+    -----
+    `momentum` is that of the joints, by which the inverses bound their commands.
 
     References
     ----------

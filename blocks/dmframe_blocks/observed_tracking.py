@@ -43,6 +43,10 @@ class ObservedTracking(AbstractBlock):
     gamma : scalar, rad^2/(m^2 s), > 0
         Task gain; the proof asks for less than 9/4 of the observer's beta.
 
+    Notes
+    -----
+    `task_weight` is the weight of the task level in V.
+
     References
     ----------
     [WangTAC2020]_ eqs. (20), (22), (30), (31), Theorems 2 and 3.

@@ -42,10 +42,14 @@ class PiTorqueInverse(AbstractBlock):
     w, w_I : (n,), rad/(N m s), 1/s
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps (1) stable.
+        Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps the command stable.
     leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
         Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
         while epsilon is below this width. See `dmframe.adaptation`.
+
+    Notes
+    -----
+    :math:`\tau_{bias}` is the constant torque of the offset of the servo's integrator.
 
     References
     ----------

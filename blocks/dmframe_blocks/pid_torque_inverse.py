@@ -50,6 +50,10 @@ class PidTorqueInverse(AbstractBlock):
         Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
         while epsilon is below this width. See `dmframe.adaptation`.
 
+    Notes
+    -----
+    :math:`\tau_{bias}` is the constant torque of the offset of the servo's integrator.
+
     References
     ----------
     [WangTAC2020]_ eqs. (49)-(53).

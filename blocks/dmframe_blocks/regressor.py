@@ -11,6 +11,7 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Condition, Inequality
+from dmframe.naming import operation
 from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Port
 from dmframe.robot.pseudo_inertia import natural_gain
@@ -109,7 +110,7 @@ class Regressor(AbstractBlock):
         if self.gravity == "apart":
             still = ca.DM.zeros(p.robot.n)
             weight = p.robot.regressor(u.q, still, still, still)
-            columns = [columns[0] - weight, weight[:, _heavy(p.robot.n)]]
+            columns = [columns[0] - weight, heavy(weight)]
         if "viscous" in self.friction:
             columns.append(ca.diag(u.dq_ref))
         if "coulomb" in self.friction:
@@ -120,8 +121,8 @@ class Regressor(AbstractBlock):
         if "nominal" in p:
             n, frictions = p.robot.n, len(set(self.friction))
             held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
-            heavy = [p.robot.inertia[_heavy(n)]] if self.gravity == "apart" else []
-            inertia = p.nominal * ca.vertcat(p.robot.inertia, *heavy)
+            weighing = [heavy(p.robot.inertia)] if self.gravity == "apart" else []
+            inertia = p.nominal * ca.vertcat(p.robot.inertia, *weighing)
             outputs["a_d_nominal"] = ca.vertcat(inertia, ca.DM.zeros(frictions * n), *held)
         return Equations(outputs=outputs)
 
@@ -129,7 +130,7 @@ class Regressor(AbstractBlock):
         """Nothing is stored; the true a_d."""
         parts = [p.robot.inertia]
         if self.gravity == "apart":
-            parts.append(truth.g_share * p.robot.inertia[_heavy(p.robot.n)])
+            parts.append(truth.g_share * heavy(p.robot.inertia))
         if "viscous" in self.friction:
             parts.append(truth.B)
         if "coulomb" in self.friction:
@@ -158,6 +159,9 @@ def _column_for(key: str, name: str, true: SX) -> Inequality:
     )
 
 
-def _heavy(n: int) -> list[int]:
-    """Where those stand among all inertial parameters."""
-    return [10 * link + k for link in range(n) for k in range(_HEAVY)]
+@operation
+def heavy(a: SX) -> SX:
+    """Of a link's ten inertial parameters, or of their columns, the four that weigh: mass and first moments."""
+    size = a.shape[0] if a.is_column() else a.shape[1]
+    places = [place for place in range(size) if place % 10 < _HEAVY]
+    return a[places] if a.is_column() else a[:, places]

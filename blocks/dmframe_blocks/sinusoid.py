@@ -25,13 +25,13 @@ class Sinusoid(AbstractBlock):
     Parameters
     ----------
     center : (n,), rad
-        c, the middle of the swing.
+        The middle of the swing.
     amplitude : (n,), rad
-        a.
+        How far it swings to either side.
     rate : (n,), rad/s
-        omega. Rates without a common measure excite more dynamic parameters.
+        Angular frequency. Rates without a common measure excite more dynamic parameters.
     phase : (n,), rad
-        phi.
+        Where in the swing the joint begins.
     """
 
     side: ClassVar[Side] = Side.SOURCE

@@ -9,6 +9,7 @@ import casadi as ca
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.naming import operation
 from dmframe.parameter import Real, Rows, Table, Vector
 from dmframe.port import TIME, Port, Side
 
@@ -61,10 +62,12 @@ class Waypoints(AbstractBlock):
         points, times = ca.vertsplit(getattr(p, name)), ca.vertsplit(p.times)
         desired = points[0].T
         for (start, end), (begins, ends) in zip(pairwise(points), pairwise(times), strict=True):
-            desired += (end - start).T * _least_jerk(ca.fmin(ca.fmax((u.t - begins) / (ends - begins), 0), 1))
+            desired += (end - start).T * behind(u.t, begins, ends)
         return Equations(outputs={name: desired})
 
 
-def _least_jerk(tau: Any) -> Any:
-    """The share s."""
+@operation
+def behind(t: Any, begins: Any, ends: Any) -> Any:
+    """The share of a leg that is behind: 10 s^3 - 15 s^4 + 6 s^5, s being the share of its time that has passed."""
+    tau = ca.fmin(ca.fmax((t - begins) / (ends - begins), 0), 1)
     return tau * tau * tau * (10 + tau * (6 * tau - 15))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 import textwrap
-import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,12 +15,15 @@ from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Source, Time, Wire
 from dmframe.formula import Line
-from dmframe.formula.alone import options_of, plainest
+from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.docstring import check_docstring
+from dmframe.formula.latex import in_unicode
 from dmframe.formula.names import unicode_name
+from dmframe.formula.where import sizes_show, where
+from dmframe.formula.wrap import width, wrapped
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
-from dmframe.report.laws import law_of
+from dmframe.report.laws import law_of, prose
 from dmframe.units import plain
 
 
@@ -29,16 +32,11 @@ def columns(rows: Iterable[Sequence[str]], indent: str = "  ") -> str:
     table = [list(row) for row in rows]
     if not table:
         return f"{indent}none"
-    widths = [max(_width(row[k]) for row in table) for k in range(len(table[0]))]
+    widths = [max(width(row[k]) for row in table) for k in range(len(table[0]))]
     lines = (
-        "  ".join(cell + " " * (width - _width(cell)) for cell, width in zip(row, widths, strict=True)) for row in table
+        "  ".join(cell + " " * (wide - width(cell)) for cell, wide in zip(row, widths, strict=True)) for row in table
     )
     return "\n".join(f"{indent}{line}".rstrip() for line in lines)
-
-
-def _width(text: str) -> int:
-    """How many places a text takes: accents stand above their letters."""
-    return sum(not unicodedata.combining(letter) for letter in text)
 
 
 def graph_list(graphs: Mapping[str, Path]) -> str:
@@ -109,59 +107,94 @@ def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
 
 
 def _first_line(kind: type[AbstractBlock]) -> str:
-    return (inspect.getdoc(kind) or "").split("\n")[0]
+    return _plain(prose((inspect.getdoc(kind) or "").split("\n")[0]))
 
 
 def block_page(kind: type[AbstractBlock]) -> str:
     """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
-    about = law_of(kind)
-    parts = [f"{type_name(kind)} ({kind.side.value})", _plain(about.summary), *_laws(kind)]
+    about, wide = law_of(kind), _wide()
+    parts = [f"{type_name(kind)} ({kind.side.value})", textwrap.fill(_plain(about.summary), wide), *_laws(kind, wide)]
     parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
     states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
     parts.append(f"states\n{columns(states)}")
+    if kind.truth:
+        parts.append(f"true values, which its certificate alone reads\n{columns(_port(port) for port in kind.truth)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
     names = dict[str, list[str]]()
     for name, text in about.parameters.items():
         names.setdefault(text, []).append(name)
     said = [f"{', '.join(several)}: {_plain(text)}" for text, several in names.items()]
-    parts += ["\n".join(textwrap.fill(text, WIDE, **_INDENT) for text in said)] * bool(said)
-    parts += [textwrap.fill(_plain(text), WIDE) for text in (about.notes, about.source) if text]
+    parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in said)] * bool(said)
+    parts += [textwrap.fill(_plain(text), wide) for text in (about.notes, about.source) if text]
     return "\n\n".join(parts)
 
 
-WIDE: Final = 112
-"""Columns of a page."""
+def _wide() -> int:
+    """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
+    return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
+
+
 _INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}
 
 
-def _laws(kind: type[AbstractBlock]) -> Iterable[str]:
-    """The equations at the options' defaults, and what each option changes."""
+def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
+    """The equations at the options' defaults, what each option changes, and what their signs mean."""
     found = plainest(kind)
     if found is None:
         yield "law\n  none without numbers of its own: see it in a graph's report"
         return
     label, law = found
-    yield f"law{f', with {label}' * bool(label)}\n{_equations(law.lines)}"
-    for option, lines in options_of(kind):
-        yield f"with {option}\n{_equations(lines)}"
+    options = dict(options_of(kind))
+    shown = [*law.lines, *(line for lines in options.values() for line in lines)]
+    given = f", with {label}" * bool(label) + _EXAMPLE * sizes_show(shown)
+    stated = {line.name for line in law.truths}
+    own = [line for line in law.lines if line not in law.truths]
+    yield f"{textwrap.fill(f'law{given}', wide)}\n{_equations(own, wide)}"
+    for option, lines in options.items():
+        yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
+    said = [("", list(law.truths))]
+    said += [(f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()]
+    told = [
+        f"  {option}\n{textwrap.indent(_equations(lines, wide - 2), '  ')}" if option else _equations(lines, wide)
+        for option, lines in said
+        if lines
+    ]
+    if told:
+        yield "\n".join(["true values that it states, for the certificates of other blocks", *told])
+    signs = where(shown)
+    if signs:
+        room = max(width(sign) for sign, _ in signs)
+        yield "\n".join(["where", *(_hanging(sign, text, room, wide) for sign, text in signs)])
 
 
-def _equations(lines: Sequence[Line]) -> str:
-    """Equations under one another, equals signs too; a long one goes on in the next line."""
-    wide = max((_width(line.left.unicode) for line in lines), default=0)
+_EXAMPLE: Final = "; the sizes that show are those of an example, a robot of three joints with a task in a plane"
+
+
+def _hanging(sign: str, text: str, room: int, wide: int) -> str:
+    """A sign, and beside it what it is."""
+    lines = textwrap.wrap(text, max(20, wide - room - 4))
+    head = f"  {sign}{' ' * (room - width(sign))}  "
+    return "\n".join([head + lines[0], *(" " * (room + 4) + line for line in lines[1:])])
+
+
+def _equations(lines: Sequence[Line], wide: int) -> str:
+    """Equations under one another, equals signs too; a long one goes on in the next line, before a + or -."""
+    room = max((width(line.left.unicode) for line in lines), default=0)
     rows = []
     for line in lines:
-        left = line.left.unicode + " " * (wide - _width(line.left.unicode))
-        text = textwrap.wrap(line.right.unicode, WIDE - wide, break_long_words=False, break_on_hyphens=False)
-        rows += [f"  {left} = {text[0]}", *(f"  {' ' * wide}   {more}" for more in text[1:])]
-    return "\n".join(rows) or "  none"
+        left = line.left.unicode + " " * (room - width(line.left.unicode))
+        first, *more = wrapped(line.right.unicode, wide - room - 5)
+        rows += [f"  {left} = {first}", *(f"  {' ' * room}   {text}" for text in more)]
+    return "\n".join(rows) or "  none: each output is a state or a parameter as it stands"
 
 
 def _plain(text: str) -> str:
-    """Marked text without its marks."""
-    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("$", "").replace("`", ""))
+    """Marked text without its marks, formulas in Unicode."""
+    pieces = re.split(r"\$([^$]*)\$", text)
+    text = "".join(in_unicode(piece) if place % 2 else piece for place, piece in enumerate(pieces))
+    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("`", ""))
 
 
 def _said(state: State) -> str:
@@ -183,7 +216,7 @@ def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]
             if field.is_required()
             else _absent(known.get(name))
             if field.default is None
-            else f"{field.default}"
+            else in_yaml(field.default)
         )
         if name in known:
             spec = known[name]

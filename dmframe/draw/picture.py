@@ -73,7 +73,7 @@ def _ground(layout: Layout, width: float, height: float) -> Iterator[str]:
     yield f'<line class="wall" x1="{x:g}" y1="{top:g}" x2="{x:g}" y2="{bottom:g}"/>'
     yield _text(x - 12, 48, _CONTROLLER, "region", "end")
     yield _text(x + 12, 48, _PLANT, "region")
-    yield _text(x - 12, bottom - 3, "closed architecture", "region", "end")
+    yield _text(x + 12, bottom - 3, "closed architecture", "region")
 
 
 def _wires(layout: Layout, diagram: Diagram) -> Iterator[str]:

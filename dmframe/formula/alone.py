@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from fractions import Fraction
 from typing import Any, Final, Literal, get_args, get_origin
 
@@ -65,10 +65,9 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
 
     Each with the answer to: are these the defaults?
     """
-    plain = read_type(block)
-    if plain is not None:
-        yield plain, True
-    choices = list[dict[str, Any]]()
+    base, choices = base_of(block), list[dict[str, Any]]()
+    if base is not None and (read := read_type(block, **base[1])) is not None:
+        yield read, _known(block) >= base[1].keys()
     for _, values in switched(block):
         read = read_type(block, **values)
         if read is not None:
@@ -85,22 +84,17 @@ def variants(block: type[AbstractBlock]) -> Iterator[tuple[ReadBlock, bool]]:
 
 def plainest(block: type[AbstractBlock]) -> tuple[str, PrintedLaw] | None:
     """The law with the options at their defaults or, where the block does not stand so, with the first that helps."""
-    plain = law_of_type(block)
-    if plain is not None:
-        return "", plain
-    for label, values in switched(block):
-        law = law_of_type(block, **values)
-        if law is not None:
-            return label, law
-    return None
+    base = base_of(block)
+    law = law_of_type(block, **base[1]) if base is not None else None
+    return (base[0], law) if base is not None and law is not None else None
 
 
 def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ...]]]:
     """What each option of a block changes: ``leak``, with the lines that it replaces or adds."""
-    plain = law_of_type(block)
-    if plain is None:
-        return  # the options that it needs are told by `plainest`
-    before = {item.whole.text for item in plain.lines}
+    found = plainest(block)
+    if found is None:
+        return
+    before = {item.whole.text for item in found[1].lines}
     for label, values in switched(block):
         law = law_of_type(block, **values)
         if law is not None:
@@ -109,23 +103,49 @@ def options_of(block: type[AbstractBlock]) -> Iterator[tuple[str, tuple[Line, ..
                 yield label, changed
 
 
+@functools.lru_cache(maxsize=512)
+def base_of(block: type[AbstractBlock]) -> tuple[str, dict[str, Any]] | None:
+    """The least that a block stands with beside what it needs: nothing, a parameter that has no default, an option."""
+    given = [(name, {name: value}) for name, value in _free(block).items()]
+    for label, values in [("", {}), *given, *_switches(block)]:
+        if read_type(block, **values) is not None:
+            return label, values
+    return None
+
+
 def switched(block: type[AbstractBlock]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each option at another value than its default; one that needs a second comes with it."""
-    known = specs(block)
-    for name, field in block.model_fields.items():
-        if name not in known:
-            choices = _choices(field.annotation, field.default)
-            yield from ((f"{name}: {_word(choice)}", {name: choice}) for choice in choices)
-    free = {name: _some(spec) for name, spec in known.items() if _is_off(block, name) and spec.form not in PAIRS}
-    for name, value in free.items():
-        if read_type(block, **{name: value}) is not None:
-            yield name, {name: value}
+    """Each option at another value than its default; one that needs a second comes with it, or without the base's."""
+    found = base_of(block)
+    if found is None:
+        return
+    label, base = found
+    free = _free(block)
+    for name, values in [*_switches(block), *((name, {name: value}) for name, value in free.items())]:
+        if values.items() <= base.items():
             continue
-        others = ((other, second) for other, second in free.items() if other != name)
-        for other, second in others:
-            if read_type(block, **{name: value, other: second}) is not None:
-                yield f"{name} with {other}", {name: value, other: second}
-                break
+        ways = [(name, {**base, **values})]
+        ways += [(f"{name}, without {label}", values)] * bool(base)
+        ways += [(f"{name} with {other}", {**base, **values, other: second}) for other, second in free.items()]
+        yield from [way for way in ways if read_type(block, **way[1]) is not None][:1]
+
+
+def _switches(block: type[AbstractBlock]) -> list[tuple[str, dict[str, Any]]]:
+    fields = [(name, field) for name, field in block.model_fields.items() if name not in _known(block)]
+    return [
+        (f"{name}: {in_yaml(choice)}", {name: choice})
+        for name, field in fields
+        for choice in _choices(field.annotation, field.default)
+    ]
+
+
+def _free(block: type[AbstractBlock]) -> dict[str, Any]:
+    """Parameters that are absent unless given."""
+    known = specs(block).items()
+    return {name: _some(spec) for name, spec in known if _is_off(block, name) and spec.form not in PAIRS}
+
+
+def _known(block: type[AbstractBlock]) -> Set[str]:
+    return specs(block).keys()
 
 
 def _is_off(block: type[AbstractBlock], name: str) -> bool:
@@ -133,8 +153,13 @@ def _is_off(block: type[AbstractBlock], name: str) -> bool:
     return not field.is_required() and field.default is None
 
 
-def _word(choice: Any) -> str:
-    return ", ".join(choice) if isinstance(choice, tuple) else str(choice).lower()
+def in_yaml(value: Any) -> str:
+    """A value as a graph file writes it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(in_yaml, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _choices(kind: Any, default: Any) -> Iterator[Any]:
@@ -149,7 +174,11 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
 
 
 def _some(spec: Spec) -> Any:
-    """A number, or numbers, that fit."""
+    """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase."""
+    if spec.form == "table":
+        return tuple((float(row),) * _SIZES[spec.shape.split()[-1]] for row in range(3))
+    if spec.shape == "*":
+        return (0.0, 1.0, 2.0)
     if spec.form == "vector" and spec.shape != "*":
         return (1.0,) * _SIZES.get(spec.shape, 3)
     return 1.0

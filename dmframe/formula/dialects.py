@@ -8,7 +8,6 @@ from fractions import Fraction
 from typing import ClassVar, Final, final
 
 from dmframe.formula.names import latex_name, unicode_name
-from dmframe.formula.tree import Piece
 from dmframe.formula.write import Dialect
 
 
@@ -17,6 +16,7 @@ class _Plain(Dialect):
 
     prime: str
     square: str
+    partial: str
 
     def over(self, above: str, below: str, *, simple: bool) -> str:
         return f"{above}/{below if simple else self.bracketed(below)}"
@@ -42,13 +42,19 @@ class _Plain(Dialect):
     def unprinted(self, names: Sequence[str]) -> str:
         return f"an expression of {', '.join(names)}" if names else "a matrix of numbers"
 
+    def part(self, text: str, places: str) -> str:
+        return f"{text}_{places}" if places.isdigit() else f"{text}_({places})"
+
+    def derivative(self, of: str, by: str) -> str:
+        return f"({self.partial}{of}/{self.partial}{by})"
+
     def between(self, left: str, right: str) -> str:
         return "" if left.endswith(self.prime) and right.startswith("(") else " "
 
 
 @final
 class _Text(_Plain):
-    minus, gap, prime, square = "-", " ", "'", "^2"
+    minus, gap, prime, square, dots, partial = "-", " ", "'", "^2", "..", "d"
     relations: ClassVar[Mapping[str, str]] = {
         "<": "<",
         "<=": "<=",
@@ -75,19 +81,6 @@ class _Text(_Plain):
             f"{base}'" if exponent == "T" else f"{base}^{exponent}" if "/" not in exponent else f"{base}^({exponent})"
         )
 
-    def part(self, text: str, piece: Piece) -> str:
-        ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
-        sizes = piece.of.shape
-        return f"{text}[{', '.join(_span(end, size) for end, size in zip(ends, sizes, strict=False))}]"
-
-
-def _span(ends: tuple[int, int], size: int) -> str:
-    """As Python writes it."""
-    start, stop = ends
-    if stop - start == 1:
-        return str(start)
-    return f"{start or ''}:{stop if stop < size else ''}"
-
 
 def _decimal(value: Fraction) -> str:
     if value.denominator == 1:
@@ -98,7 +91,7 @@ def _decimal(value: Fraction) -> str:
 
 @final
 class _Latex(Dialect):
-    minus, gap = "-", " "
+    minus, gap, dots = "-", " ", r" \ldots "
     relations: ClassVar[Mapping[str, str]] = {
         "<": "<",
         "<=": r"\le",
@@ -162,8 +155,11 @@ class _Latex(Dialect):
         body = r" \\ ".join(" & ".join(row) for row in rows)
         return rf"\left[\begin{{matrix}} {body} \end{{matrix}}\right]"
 
-    def part(self, text: str, piece: Piece) -> str:
-        return f"({text})_{{{_counted(piece)}}}"
+    def part(self, text: str, places: str) -> str:
+        return f"{text}_{{{places}}}"
+
+    def derivative(self, of: str, by: str) -> str:
+        return rf"\left(\partial {of}/\partial {by}\right)"
 
     def between(self, left: str, right: str) -> str:
         word = re.search(r"\\(?:mathrm|operatorname)\{[^{}]*\}$", left)
@@ -176,24 +172,13 @@ class _Latex(Dialect):
         return rf"\text{{an expression of }} {', '.join(names)}" if names else r"\text{a matrix of numbers}"
 
 
-def _counted(piece: Piece) -> str:
-    """Rows and columns counted from one, both ends included."""
-    ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
-    sizes = piece.of.shape
-    spans = []
-    for (start, stop), size in zip(ends, sizes, strict=False):
-        whole = (start, stop) == (0, size)
-        spans.append(":" if whole else str(stop) if stop - start == 1 else f"{start + 1}:{stop}")
-    return ",".join(spans)
-
-
 _VULGAR: Final = {Fraction(1, 2): "½", Fraction(1, 4): "¼", Fraction(3, 4): "¾"}
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @final
 class _Unicode(_Plain):
-    minus, gap, prime, square = "−", " ", "ᵀ", "²"
+    minus, gap, prime, square, dots, partial = "−", " ", "ᵀ", "²", "…", "∂"
     relations: ClassVar[Mapping[str, str]] = {
         "<": "<",
         "<=": "≤",
@@ -224,9 +209,6 @@ class _Unicode(_Plain):
         if exponent == "T":
             return f"{base}ᵀ"
         return f"{base}{exponent.translate(_RAISED)}" if "/" not in exponent else f"{base}^({exponent})"
-
-    def part(self, text: str, piece: Piece) -> str:
-        return f"{text}[{_counted(piece)}]"
 
 
 TEXT: Final[Dialect] = _Text()

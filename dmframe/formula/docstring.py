@@ -12,7 +12,7 @@ import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import Any, final
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
@@ -27,7 +27,7 @@ from dmframe.formula.laws import POINTS, ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.reading import differs
-from dmframe.formula.robot import SIGNS
+from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
 
 
@@ -100,7 +100,7 @@ class _Point:
     def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
         """A function of the robot, J(q)."""
         robot, functions = self.read.signs.robot, self.read.reading.functions
-        methods = [method for method, sign in SIGNS.items() if symbol(sign) == name]
+        methods = [method for method, sign in (*SIGNS.items(), *_PAPER) if symbol(sign) == name]
         if robot is None or functions is None or not methods:
             return None
         parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
@@ -111,6 +111,9 @@ class _Point:
             return np.array(function(*given, functions.values).full())
         except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
             return None
+
+
+_PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
 def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:

@@ -19,6 +19,8 @@ def folded(node: Node, names: Mapping[Node, Name], own: str = "") -> Node:
         return node
     if node in names and names[node].name != own:
         return names[node]
+    if isinstance(node, Product | Sum):  # as it is, and once more when its parts have their names
+        node = _product(node, names, own) if isinstance(node, Product) else _sum(node, names, own)
     inside: Any = {field.name: _within(getattr(node, field.name), names) for field in fields(node)}
     match replace(node, **inside):
         case Product() as product:

@@ -1,6 +1,7 @@
 r"""LaTeX formulas as numbers: what a docstring says, evaluated like the code that it describes.
 
-The grammar: sums, products by juxtaposition, quotients, brackets, ``\frac``, ``|a|^2_W``, ``\top``, ``^{-1}``, powers,
+The grammar: sums, products by juxtaposition or ``\cdot``, quotients, brackets, ``\frac``, ``|a|^2_W`` (bars of any
+kind), ``\top``, ``^{-1}``, powers,
 ``bmatrix``, common functions, and names as `dmframe.formula.names` writes them. A product is read from right to left;
 a column that is not its last factor stands for a diagonal matrix.
 """
@@ -25,7 +26,7 @@ from dmframe.formula.matrices import (
     scaled,
     stacked,
 )
-from dmframe.formula.names import LETTERS, Symbol
+from dmframe.formula.names import LETTERS, Symbol, unicode_symbol
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (
@@ -38,11 +39,19 @@ _BLANK: Final = (
     "\\qquad",
     "\\left",
     "\\right",
+    "\\middle",
+    "\\big",
+    "\\Big",
     "\\bigl",
     "\\bigr",
+    "\\Bigl",
+    "\\Bigr",
+    "\\cdot",
     "~",
     "&",
 )
+_BARS: Final = dict.fromkeys(("\\lVert", "\\rVert", "\\lvert", "\\rvert", "\\Vert", "\\vert", "\\|"), "|")
+"""What else opens or closes a norm."""
 _ACCENTS: Final = ("hat", "bar", "tilde", "dot", "ddot")
 _ALIAS: Final = {"varepsilon": "epsilon", "varphi": "phi", "vartheta": "theta"}
 _FUNCTIONS: Final[Mapping[str, Callable[..., Numbers]]] = {
@@ -58,7 +67,7 @@ def tokens(text: str) -> list[str]:
     inside = re.sub(
         r"\\begin\{[bp]matrix\}.*?\\end\{", lambda found: found[0].replace("&", "\\cell "), text, flags=re.DOTALL
     )
-    return [token for token in _TOKEN.findall(inside) if token not in _BLANK]
+    return [_BARS.get(token, token) for token in _TOKEN.findall(inside) if token not in _BLANK]
 
 
 Look = Callable[[Symbol], Numbers | None]
@@ -72,8 +81,27 @@ def evaluate(words: Sequence[str], look: Look, call: Call) -> Any:
     reader = LatexReader(words, look, call)
     value = reader.sum()
     if reader.rest():
-        raise UnreadableLatexError(f"{reader.rest()} is not understood here")
+        word, _, more = reader.rest().partition(" ")
+        raise UnreadableLatexError(f"{word} is not understood here, before {more or 'the end'}")
     return value if isinstance(value, Eye) else as_matrix(value)
+
+
+_IN_WORDS: Final = {"\\top": "ᵀ", "\\ge": "≥", "\\le": "≤", "\\cdot": "·", "\\to": "→", "-": "−"}
+
+
+_RELATIONS: Final = ("=", "+", "\\ge", "\\le", "\\to", "<", ">")
+
+
+def in_unicode(text: str) -> str:
+    """A short formula of a docstring's text for a terminal: its names as symbols, the rest as it stands."""
+    reader, out = LatexReader(tokens(text), lambda symbol: None, lambda symbol, arguments: None), ""
+    while reader.rest():
+        found, word = reader.named_or_word()
+        spaced = found is not None and bool(re.search(r"[^\W_]$|[\u0300-\u036f)]$", out))
+        binary = found is None and (word in _RELATIONS or (word == "-" and re.search(r"[\w\u0300-\u036f)]$", out)))
+        text = unicode_symbol(found) if found is not None else _IN_WORDS.get(word, word)
+        out += f" {text} " if binary else " " * spaced + text
+    return re.sub(r" +", " ", out).replace("^ᵀ", "ᵀ").strip()
 
 
 def name_in(words: Sequence[str]) -> tuple[Symbol, bool] | None:
@@ -93,6 +121,15 @@ class LatexReader:
     def rest(self) -> str:
         """What has not been read."""
         return " ".join(self._words[self._place :])
+
+    def named_or_word(self) -> tuple[Symbol | None, str]:
+        """The name that comes next, or else the one word."""
+        start = self._place
+        found = self.symbol()
+        if found is None:
+            self._place = start
+            return None, self._take()
+        return found, ""
 
     def _next(self) -> str:
         return self._words[self._place] if self._place < len(self._words) else ""
@@ -240,9 +277,10 @@ class LatexReader:
         return found
 
     def _named(self) -> Any:
+        first = self._place
         symbol = self.symbol()
         if symbol is None:
-            raise UnreadableLatexError(f"{self._next() or 'the end'} is not understood")
+            raise UnreadableLatexError(f"{''.join(self._words[first : self._place]) or 'the end'} is not understood")
         value = self._look(symbol)
         if self._next() == "(":
             start = self._place

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, final
 
-from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square
+from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square, beyond, clip
 from dmframe.formula import tree
 from dmframe.formula.formula import Formula
-from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Rate
+from dmframe.formula.robot import CONSTANTS, quantity
+from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Product, Rate
+from dmframe.naming import said_of
 
 
 @final
@@ -216,6 +218,8 @@ def _square(term: Any, nodes: Sequence[Node]) -> Said:
 
 def squared(vector: Node, weight: Node) -> Node:
     """|a|^2_W; a weight that is one number stands in front."""
+    if isinstance(vector, Product) and vector.coefficient == -1:
+        vector = tree.scale(tree.MINUS, vector)
     if isinstance(weight, Number):
         return tree.scale(weight.value, Norm(vector, squared=True))
     if tree.is_scalar(weight) and not tree.is_scalar(vector):
@@ -234,11 +238,18 @@ def _lemma(term: Any, nodes: Sequence[Node]) -> Said:
     difference = tree.subtract(first, second, shape)
 
     def phi(x: Node) -> Node:
-        over = x if x == Number(Fraction(0), x.shape) else tree.divide(x, scale, shape)
-        return Number(Fraction(0), shape) if over == x != first else Applied(term.phi, (over,), shape)
+        if x == Number(Fraction(0), x.shape) != first:
+            return Number(Fraction(0), shape)
+        if term.phi == "beyond" and weight == scale:
+            return Applied("beyond", (x, scale), shape, said=said_of(beyond))
+        if term.phi == "tanh" and scale == Name(CONSTANTS["friction_velocity"]):
+            return quantity("coulomb", (x,), shape)
+        width = (Number(Fraction(1)),) if term.phi == "beyond" else ()
+        return Applied(term.phi, (tree.divide(x, scale, shape), *width), shape)
 
     slip = tree.subtract(phi(first), phi(second), shape)
-    whole = tree.dot(difference, tree.multiply(weight, slip, shape))
+    inside = term.phi == "beyond" and weight == scale  # width * beyond(x / width, 1) is beyond(x, width)
+    whole = tree.dot(difference, slip if inside else tree.multiply(weight, slip, shape))
     return "lemma", difference, weight, None, whole
 
 
@@ -250,7 +261,7 @@ def _gathered(term: Any, nodes: Sequence[Node]) -> Said:
 
 def _clipped(term: Any, nodes: Sequence[Node]) -> Said:
     first, width, other = nodes
-    clipped = Applied("clip", (first, width), first.shape)
+    clipped = Applied("clip", (first, width), first.shape, said=said_of(clip))
     return "clipped", other, width, first, tree.dot(clipped, other)
 
 

@@ -103,7 +103,11 @@ def _accented(symbol: Symbol, accent: str) -> Symbol:
 
 def unicode_name(name: str, accent: str = "") -> str:
     """A name for a terminal or a drawing, with another accent on top: ``q̇_ref``, ``τ_dc``, ``â_d``."""
-    taken = _accented(symbol(name), accent)
+    return unicode_symbol(_accented(symbol(name), accent))
+
+
+def unicode_symbol(taken: Symbol) -> str:
+    """A name that is taken apart, for a terminal or a drawing."""
     text = LETTERS.get(taken.letter, taken.letter) + "".join(_COMBINING[accent] for accent in taken.accents)
     if taken.index:
         text += "_" + ",".join(LETTERS.get(word, "⋆" if word == "star" else word) for word in taken.index)

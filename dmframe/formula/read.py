@@ -14,6 +14,7 @@ from dmframe.formula.tree import (
     SCALAR,
     Applied,
     Choice,
+    Derivative,
     Identity,
     Inverse,
     Name,
@@ -25,6 +26,7 @@ from dmframe.formula.tree import (
     Relation,
     Shape,
     Stack,
+    Transposed,
 )
 from dmframe.naming import operation_of
 
@@ -118,17 +120,25 @@ class _Reader:
             start, stop = of.info()["offset"][x.which_output() : x.which_output() + 2]
             inner = self.node(of.dep(0))
             return Piece(inner, (start, stop), None if of.dep(0).is_column() else (0, x.shape[1]), x.shape)
+        if of.op() == ca.OP_HORZSPLIT:
+            rows, inner = x.shape[0], self.node(of.dep(0))
+            start, stop = (end // rows for end in of.info()["offset"][x.which_output() : x.which_output() + 2])
+            if isinstance(inner, Transposed):  # rows of a matrix, as vertsplit gives them
+                return tree.transpose(Piece(inner.of, (start, stop), (0, rows), (stop - start, rows)))
+            return Piece(inner, (0, rows), (start, stop), x.shape)
         if not of.is_call():
             raise UnreadableError(f"it holds an operation that has no sign here: {of}")
         called = operation_of(of.which_function())
         if called is None:
             raise UnreadableError(f"it calls {of.which_function().name()}, which is no operation")
+        if called.sign == "derivative":  # what it is of and by; its third argument is its value
+            return Derivative(self.node(of.dep(0)), self.node(of.dep(1)), x.shape)
         arguments = [self.node(of.dep(k)) for k in range(of.n_dep())]
         if called.given:
             return robot_call(called, arguments, x.shape)
         if called.sign in _SIGNS:
             return _SIGNS[called.sign](arguments, x.shape)
-        return Applied(called.sign, tuple(arguments), x.shape)
+        return Applied(called.sign, tuple(arguments), x.shape, said=called.said)
 
     def add(self, x: Any, shape: Shape) -> Node:
         """A + b, and the two halves of if_else."""

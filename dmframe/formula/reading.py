@@ -104,7 +104,8 @@ class Reading:
             for key, symbol in model.inputs.items()
         }
         states = {key: sign(key, symbol.shape) for key, symbol in model.states.items()}
-        parameters = {key: sign(key, s.shape) for key, s in model.parameters.items() if key not in model.starts}
+        given = {key: s for key, s in model.parameters.items() if key not in model.starts}
+        parameters = {key: sign(self.called(key), symbol.shape) for key, symbol in given.items()}
         for key, symbol in model.starts.items():
             parameters[key] = sign(key.removesuffix("_0") + START, symbol.shape)
         truths = {
@@ -142,7 +143,7 @@ class Reading:
         rng, positive = np.random.default_rng(seed), {*self.model.parameters, *self.model.starts}
         found = dict[str, Any]()
         for name, symbol in signs.names.items():
-            bare = name.replace(START, "_0")
+            bare = name.replace(START, "_0").removesuffix(GIVEN)
             found[name] = rng.uniform(0.5 if bare in positive else -1.0, 1.5 if bare in positive else 1.0, symbol.shape)
         for name in full_gains(self.model.block, self.model.parameters):
             there = ca.DM(self.model.parameters[name].sparsity(), 1).full()
@@ -168,11 +169,17 @@ class Reading:
         gains = full_gains(self.model.block, self.model.parameters)
         return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero, gains)
 
+    def called(self, parameter: str) -> str:
+        """How a parameter prints: by another name where an output of its name is something else, of another shape."""
+        output = self.model.equations.outputs.get(parameter)
+        other = output is not None and output.shape != self.model.parameters[parameter].shape
+        return parameter + GIVEN if other else parameter
+
     def running_names(self) -> dict[str, Any]:
         """The symbols of the equations that run, by how they print."""
         model = self.model
         starts = {key.removesuffix("_0") + START: symbol for key, symbol in model.starts.items()}
-        parameters = {key: symbol for key, symbol in model.parameters.items() if key not in model.starts}
+        parameters = {self.called(key): s for key, s in model.parameters.items() if key not in model.starts}
         return {**model.inputs, **model.states, **parameters, **starts}
 
 
@@ -209,6 +216,8 @@ class Evaluated:
 
 START: Final = "(0)"
 """What a name ends with that is the start of a state."""
+GIVEN: Final = "_given"
+"""What a parameter's name ends with where its output is another thing: the points of a path, and the path."""
 _CONSTANTS: Final = "constants of the robot"
 _KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
 

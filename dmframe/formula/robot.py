@@ -10,7 +10,7 @@ import casadi as ca
 
 from dmframe.formula import tree
 from dmframe.formula.tree import Applied, Node, Number, Shape
-from dmframe.naming import Expression, Operation, as_mx, call, register
+from dmframe.naming import Expression, Operation, as_mx, call, register, said_of
 from dmframe.robot.symbolic import SymbolicRobot
 
 SIGNS: Final[Mapping[str, str]] = {
@@ -18,13 +18,17 @@ SIGNS: Final[Mapping[str, str]] = {
     "jacobian": "J",
     "kinematic_regressor": "Y_k",
     "position_regressor": "W_k",
-    "regressor": "Y_d",
+    "regressor": "Y_inertia",
     "mass_matrix": "M",
     "coriolis": "C",
-    "gravity_torque": "g",
+    "gravity_torque": "g_full",
     "coulomb": "phi",
 }
-"""What the paper calls each quantity; the inverse dynamics print as a sum of three."""
+"""How each quantity prints; the inverse dynamics print as a sum of three. Y_d and g are signals of the blocks: with
+columns for friction, and without what the maker's servo compensates."""
+
+PAPER: Final[Mapping[str, str]] = {"Y_d": "regressor", "g": "gravity_torque"}
+"""What the paper calls those two, as functions; a docstring may call them so."""
 
 CONSTANTS: Final[Mapping[str, str]] = {
     "inertia": "a_inertia",
@@ -33,6 +37,14 @@ CONSTANTS: Final[Mapping[str, str]] = {
     "friction_velocity": "v_0",
 }
 """The robot's numbers that blocks read, by how they print."""
+
+MEANINGS: Final[Mapping[str, str]] = {
+    "a_inertia": "ten inertial parameters a link: mass, first moments, inertia about the joint frame",
+    "a_k": "the true translations between joints, and to the tool",
+    "g_0": "the acceleration of gravity",
+    "v_0": "the velocity over which Coulomb friction turns its sign, the robot's friction_velocity",
+}
+"""What those are, beside a law that holds them."""
 
 _MOTION: Final = ("q", "dq", "dq_ref", "ddq_ref")
 
@@ -152,19 +164,19 @@ class ReadRobot:
         return call(function, [*values, self.constants])
 
     def position(self, q: Any, a_k: Any = None) -> Any:
-        """f(q)."""
+        """The position of the tool."""
         return self._call("position", q=q, a_k=a_k)
 
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
-        """J(q)."""
+        """The Jacobian of the tool's position; of other translations where a second argument gives them."""
         return self._call("jacobian", q=q, a_k=a_k)
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
-        """Y_k(q, psi)."""
+        """The kinematic regressor: J(`q`) `psi` is Y_k(`q`, `psi`) `a_k`, but for sliding joints."""
         return self._call("kinematic_regressor", q=q, psi=psi)
 
     def position_regressor(self, q: Any) -> Any:
-        """W_k(q)."""
+        """The regressor of the position: it is W_k(`q`) `a_k`, but for sliding joints."""
         return self._call("position_regressor", q=q)
 
     def inverse_dynamics(
@@ -175,23 +187,23 @@ class ReadRobot:
         return self._call("inverse_dynamics", **motion, inertia=inertia, gravity_share=gravity_share)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
-        """Y_d(q, dq, dq_ref, ddq_ref)."""
+        """The regressor of the torque of this motion, without friction, in ten inertial parameters a link."""
         return self._call("regressor", q=q, dq=dq, dq_ref=dq_ref, ddq_ref=ddq_ref)
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
-        """M(q)."""
+        """The mass matrix; of other inertial parameters where a second argument gives them."""
         return self._call("mass_matrix", q=q, inertia=inertia)
 
     def coriolis(self, q: Any, dq: Any, inertia: Any = None) -> Any:
-        """C(q, dq)."""
+        """The Coriolis and centrifugal matrix, of Christoffel's symbols."""
         return self._call("coriolis", q=q, dq=dq, inertia=inertia)
 
     def gravity_torque(self, q: Any, inertia: Any = None) -> Any:
-        """g(q)."""
+        """The torque of all of gravity."""
         return self._call("gravity_torque", q=q, inertia=inertia)
 
     def coulomb(self, dq: Any) -> Any:
-        """phi(dq)."""
+        """The smooth sign tanh(`dq`/`v_0`) of Coulomb friction, `v_0` being the robot's friction_velocity."""
         return self._call("coulomb", dq=dq)
 
 
@@ -200,22 +212,27 @@ def written(called: Operation, arguments: Sequence[Node], shape: Shape) -> Node:
     given = dict(zip(called.given, arguments, strict=False))
     if called.sign == "inverse_dynamics":
         return _inverse_dynamics(given, shape)
-    return Applied(SIGNS[called.sign], tuple(given.values()), shape, symbol=True)
+    return quantity(called.sign, tuple(given.values()), shape)
+
+
+def quantity(method: str, arguments: tuple[Node, ...], shape: Shape) -> Applied:
+    """A method of the robot as its sign."""
+    return Applied(SIGNS[method], arguments, shape, symbol=True, said=said_of(getattr(ReadRobot, method)))
 
 
 def _inverse_dynamics(given: Mapping[str, Node], shape: Shape) -> Node:
     """M ddq_ref + C dq_ref + g, without what is zero."""
     square, more = (shape[0], shape[0]), (given["inertia"],) if "inertia" in given else ()
 
-    def sign(name: str, *arguments: Node, of: Shape = square) -> Node:
-        return Applied(name, (*arguments, *more), of, symbol=True)
+    def sign(method: str, *arguments: Node, of: Shape = square) -> Node:
+        return quantity(method, (*arguments, *more), of)
 
     q, dq, dq_ref, ddq_ref = (given[name] for name in _MOTION)
-    gravity = sign("g", q, of=shape)
+    gravity = sign("gravity_torque", q, of=shape)
     if "gravity_share" in given:
         gravity = tree.multiply(given["gravity_share"], gravity, shape)
-    inertial = tree.matrix_multiply(sign("M", q), ddq_ref, shape)
-    turning = tree.matrix_multiply(sign("C", q, dq), dq_ref, shape)
+    inertial = tree.matrix_multiply(sign("mass_matrix", q), ddq_ref, shape)
+    turning = tree.matrix_multiply(sign("coriolis", q, dq), dq_ref, shape)
     if Number(Fraction(0), dq.shape) == dq:
         turning = dq
     return tree.add(tree.add(inertial, turning, shape), gravity, shape)

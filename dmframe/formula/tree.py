@@ -6,11 +6,13 @@ elementwise product of two columns, and a diagonal gain, are written like produc
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import final
 
 Shape = tuple[int, int]
+Said = tuple[tuple[str, ...], str]
+"""What a function is, in words, and the names of its arguments there."""
 SCALAR: Shape = (1, 1)
 MINUS = Fraction(-1)
 
@@ -112,12 +114,23 @@ class Norm:
 @final
 @dataclass(frozen=True)
 class Applied:
-    """function(arguments); a `symbol` is a name such as J, else a word such as tanh."""
+    """function(arguments); a `symbol` is a name such as J, else a word such as tanh; `said` is what it is."""
 
     function: str
     arguments: tuple[Node, ...]
     shape: Shape
     symbol: bool = False
+    said: Said | None = field(default=None, compare=False)
+
+
+@final
+@dataclass(frozen=True)
+class Derivative:
+    """The Jacobian of a column by names."""
+
+    of: Node
+    by: Node
+    shape: Shape
 
 
 @final
@@ -202,6 +215,7 @@ Node = (
     | Power
     | Norm
     | Applied
+    | Derivative
     | Piece
     | Stack
     | Choice
@@ -233,7 +247,11 @@ def add(left: Node, right: Node, shape: Shape) -> Node:
 
 
 def subtract(left: Node, right: Node, shape: Shape) -> Node:
-    """Left - right; what is subtracted keeps its brackets."""
+    """Left - right; what is subtracted keeps its brackets, unless it holds the left: a - (a + b) is -b."""
+    if isinstance(right, Sum) and left in right.terms and left.shape == right.shape:
+        place = right.terms.index(left)
+        rest = (*right.terms[:place], *right.terms[place + 1 :])
+        return scale(MINUS, rest[0] if len(rest) == 1 and rest[0].shape == shape else Sum(rest, shape))
     return add(left, scale(MINUS, right), shape)
 
 

@@ -11,6 +11,7 @@ from dmframe.formula import tree
 from dmframe.formula.tree import (
     Applied,
     Choice,
+    Derivative,
     Diagonal,
     Equation,
     Identity,
@@ -39,6 +40,7 @@ class Dialect(ABC):
 
     minus: str
     gap: str
+    dots: str
     comma = ", "
     relations: ClassVar[Mapping[str, str]]
 
@@ -83,8 +85,12 @@ class Dialect(ABC):
         """Blocks of a matrix."""
 
     @abstractmethod
-    def part(self, text: str, piece: Piece) -> str:
-        """Rows and columns of something."""
+    def part(self, text: str, places: str) -> str:
+        """Something with its rows and columns below."""
+
+    @abstractmethod
+    def derivative(self, of: str, by: str) -> str:
+        """The Jacobian of something, as one factor."""
 
     @abstractmethod
     def choice(self, relation: str, yes: str, no: str) -> str:
@@ -128,8 +134,10 @@ class Dialect(ABC):
                 return self.norm(self.write(of), squared=squared, weight=below), _ATOM
             case Applied():
                 return self._applied(node), _ATOM
+            case Derivative(of, by):
+                return self.derivative(self._held(of), self.write(by)), _ATOM
             case Piece(of):
-                return self.part(self._held(of), node), _ATOM
+                return self._piece(node, of), _ATOM
             case Stack(rows):
                 return self.matrix([[self.write(item) for item in row] for row in rows]), _ATOM
             case Choice(relation, yes, no):
@@ -144,6 +152,17 @@ class Dialect(ABC):
                 return self.rate(of.name), _ATOM
             case Unprinted(names):
                 return self.unprinted([self.name(name) for name in names]), _SUM
+
+    def _piece(self, piece: Piece, of: Node) -> str:
+        """Below, the places counted from one, both ends included; a name with an index of its own is in brackets."""
+        text = self.write(of)
+        bare = len(of.name) == 1 or of.name.isalpha() if isinstance(of, Name) else isinstance(of, Applied)
+        ends = [piece.rows] if piece.columns is None else [piece.rows, piece.columns]
+        places = []
+        for (start, stop), size in zip(ends, of.shape, strict=False):
+            whole = (start, stop) == (0, size) and len(ends) > 1
+            places.append(":" if whole else str(stop) if stop - start == 1 else f"{start + 1}{self.dots}{stop}")
+        return self.part(text if bare else self.bracketed(text), ",".join(places))
 
     def _sum(self, terms: Sequence[Node]) -> str:
         text = self.write(terms[0])

@@ -146,7 +146,7 @@ def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch:
     monkeypatch.setattr(AdaptiveKinematics, "_fit", unlearning)
     verdict = proof(TOOL)
     assert verdict.outcome == "not_applicable"
-    assert "weight of what G gathers for |a_k_hat - a_k[9:]|_G^2 in V >= 0" in verdict.reason
+    assert "weight of what G gathers for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason
 
 
 def test_v_falls_along_a_run_in_continuous_time() -> None:
@@ -226,6 +226,6 @@ def test_a_report_calls_the_metric_by_its_name() -> None:
     verdict = proof(TOOL)
     assert verdict.claim is not None
     terms = terms_of(verdict.claim)
-    assert r"\tfrac12 |\hat{a}_{k} - (a_{k})_{10:12}|^2_{W_{2}\, G}" in terms.V[0].right
+    assert r"\tfrac12 |\hat{a}_{k} - \operatorname{tool}(a_{k})|^2_{W_{2}\, G}" in terms.V[0].right
     (row,) = (row for row in terms.dissipation if row.kind == "gathered")
     assert (row.weight, row.value) == (r"\tfrac{1}{2} \, \mathrm{forgetting}", "0.1")

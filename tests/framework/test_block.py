@@ -103,3 +103,16 @@ def test_a_block_with_no_more_than_equations_keeps_the_contract() -> None:
     assert LeakyThing.contract("mine") == []
     assert block.certificate(nothing, nothing, nothing, nothing) is None
     assert block.sizes(None) == {}
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("PIReference", "pi_reference"),
+        ("PidInverse", "pid_inverse"),
+        ("MyPID", "my_pid"),
+        ("Arm2DModel", "arm2_d_model"),
+    ],
+)
+def test_an_acronym_stays_together_in_the_name_of_a_type(written: str, name: str) -> None:
+    assert type_name(type(written, (AbstractBlock,), {})) == name

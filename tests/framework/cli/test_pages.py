@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import json
+import re
 import shutil
 import subprocess
+import unicodedata
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -118,6 +120,60 @@ def test_a_blocks_page_has_its_ports_states_and_parameters(kind: str, dmframe: A
     assert all(f"\n  {name} " in said.out for name in block.model_fields)
     assert ":math:" not in said.out
     assert "]_" not in said.out
+
+
+@pytest.mark.parametrize("kind", block_types())
+@pytest.mark.parametrize("columns", [80, 120])
+def test_a_page_keeps_to_the_terminal_and_breaks_no_norm(
+    kind: str, columns: int, dmframe: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = dmframe("blocks", kind).out.splitlines()
+    shown = ["".join(letter for letter in line if not unicodedata.combining(letter)) for line in lines]
+    law = shown[: shown.index("inputs")]
+    assert all(len(line) <= columns for line in law)
+    if columns == 120:  # in 80 some norms are too long for one line
+        assert all(line.count("|") % 2 == 0 for line in law)
+
+
+def test_a_page_is_of_120_columns_where_nothing_says_how_wide_it_may_be(
+    dmframe: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    widths = [len(line) for line in dmframe("blocks", "pid_inverse").out.splitlines()]
+    assert 112 < max(widths) <= 130  # with its accents
+
+
+def test_a_page_has_no_pythonisms_and_no_marks(dmframe: Any) -> None:
+    for kind in block_types():
+        page = dmframe("blocks", kind).out
+        assert re.search(r"\\[a-z]+|\$|``|\b(True|False)\b|\('", page) is None
+        assert re.search(r"[\w)]\[\d*:?\d*\]", page) is None
+    assert "\n  friction      option  [viscous]\n" in dmframe("blocks", "regressor").out
+    listed = dmframe("blocks").out
+    assert "so that the inverse's q_r is the path itself" in listed
+    assert ":math:" not in listed
+
+
+def test_a_page_says_where_sizes_are_those_of_an_example_and_what_its_operations_are(
+    dmframe: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    page = dmframe("blocks", "mass_estimate").out
+    assert "law; the sizes that show are those of an example, a robot of three joints" in page
+    assert "M(q, (â_d)_(1…30))" in page
+    assert "counted from 1, both ends included" in page
+    page = dmframe("blocks", "dynamic_compensator").out
+    assert "three joints" not in page
+    assert "\n  clip(vector, width)    each element held between -width and width\n" in page
+    assert "\ntrue values, which its certificate alone reads\n  a_d  a_d  (p)  -\n" in page
+
+
+def test_what_a_block_states_for_others_stands_apart_from_its_law(dmframe: Any) -> None:
+    law, stated = dmframe("blocks", "filtered_regulation").out.split("true values that it states")
+    assert "task_weight" not in law
+    assert "\n  task_weight = α\n" in stated
+    assert "task_weight is the weight of the task level in V" in stated
 
 
 def test_a_users_own_block_has_a_page(dmframe: Any, tmp_path: Path) -> None:

@@ -56,8 +56,10 @@ def test_each_wire_is_labelled_and_says_from_where_to_where(diagram):
 def test_derived_inputs_are_marked_and_the_wall_is_named(diagram):
     root = ET.fromstring(svg(diagram))
     assert texts(root, "small").count("d/dt") == len(texts(root, "small")) > 0
-    assert "closed architecture" in texts(root, "region")
-    assert any(item.get("class") == "wall" for item in root.iter(f"{SVG}line"))
+    (wall,) = [item for item in root.iter(f"{SVG}line") if item.get("class") == "wall"]
+    (closed,) = [item for item in root.iter(f"{SVG}text") if item.text == "closed architecture"]
+    assert closed.get("text-anchor") is None  # it begins right of the wall, on the robot's side
+    assert float(closed.get("x")) > float(wall.get("x1"))
 
 
 def test_letters_of_a_title_that_xml_reserves_are_escaped(diagram):

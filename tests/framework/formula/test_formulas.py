@@ -8,7 +8,9 @@ import pytest
 from dmframe.formula.formula import Formula
 from dmframe.formula.names import distinct, latex_name, unicode_name
 from dmframe.formula.read import UnreadableError, read
+from dmframe.formula.wrap import wrapped
 from dmframe.linalg import solve_spd
+from dmframe.naming import Naming, derivative, named, reading
 
 N, M, P = 3, 2, 5
 
@@ -45,9 +47,16 @@ WRITTEN = {
         ca.blockcat([[gamma * ca.DM.eye(N), A], [A.T, 2 * gamma * ca.DM.eye(N)]]),
         "[γ I, A; Aᵀ, 2 γ I]",
     ),
-    "e[:2]": (e[:2], "e[1:2]"),
-    "A[:, 1]": (A[:, 1], "A[:,2]"),
-    "A[1, 2]": (A[1, 2], "A[2,3]"),
+    "e_(1..2)": (e[:2], "e_(1…2)"),
+    "e_3": (e[2], "e_3"),
+    "(a_d_hat)_(4..5)": (a_d[3:], "(â_d)_(4…5)"),
+    "A_(:,2)": (A[:, 1], "A_(:,2)"),
+    "A_(2,3)": (A[1, 2], "A_(2,3)"),
+    "A_(2,:)": (ca.vertsplit(A)[1], "A_(2,:)"),
+    "A_(:,2..3)": (ca.horzsplit(A, [0, 1, 3])[1], "A_(:,2…3)"),
+    "-b_hat": (e - (e + b), "−b̂"),
+    "e + b_hat - (sigma + x)": (e + b - (s + column("x")), "e + b̂ − (σ + x)"),
+    "(d(A' e/2)/de)": (derivative(A.T @ e / 2, e), "(∂(½ Aᵀ e)/∂e)"),
     "tanh(e/gamma)": (ca.tanh(e / gamma), "tanh(e/γ)"),
     "K_c/(2 gamma)": (K / (2 * gamma), "½ K_c/γ"),
     "e K_c/(b_hat sigma)": ((e * K) / (b * s), "e K_c/(b̂ σ)"),
@@ -82,6 +91,41 @@ def test_latex_of_a_law_reads_as_in_the_paper():
     assert Formula(read(J.T @ (x - x_d) / 2 + s / beta)).latex == (
         r"\tfrac{1}{2} \hat{J}^\top (x - x_{d}) + \sigma/\beta"
     )
+
+
+def test_pieces_in_latex_stand_below_and_count_from_one():
+    assert Formula(read(a_d[3:])).latex == r"(\hat{a}_{d})_{4 \ldots 5}"
+    assert Formula(read(A[:, :2])).latex == r"A_{:,1 \ldots 2}"
+    assert Formula(read(e[1])).latex == "e_{2}"
+
+
+def test_a_derivative_is_that_of_what_its_named_parts_stand_for():
+    """Of a = q^2, a' q / 2 has the gradient 3 q^2 / 2, and prints by the name."""
+    q, made = column("q", 1), Naming(lambda name, shape: ca.MX.sym(name, *shape), {})
+    with reading(made):
+        slope = derivative(named("a", q * q).T @ q / 2, q)
+    symbol, meaning = made.definitions["a"]
+    assert Formula(read(slope)).text == "(d(a q/2)/dq)"
+    value = ca.Function("slope", [q], [ca.substitute([slope], [symbol], [meaning])[0]])
+    assert float(value(3)) == pytest.approx(27 / 2)
+
+
+LONG = "−|σ|²_(K_⋆ + B) − |q − q_r|²_(K M̄ K_c) + clip(σ, v)ᵀ K_⋆ ((w − 1/K_⋆) τ_dc − (w_I − K_I/K_D) z) − σᵀ(K u − B σ)"
+
+
+@pytest.mark.parametrize("wide", [20, 30, 45, 60, 80, 100])
+def test_a_long_formula_is_broken_before_a_sign_outside_of_all_brackets(wide):
+    lines = wrapped(LONG, wide)
+    assert " ".join(lines) == LONG
+    assert max(map(len, lines)) <= wide
+    assert all(line.count("|") % 2 == 0 for line in lines)  # never within a norm
+    if wide >= 60:
+        assert all(line[0] in "+−" and line.count("(") == line.count(")") for line in lines)
+
+
+def test_accents_take_no_place_of_a_line():
+    assert wrapped("ẏ + q̈ + b̂̇", 9) == ["ẏ + q̈ + b̂̇"]
+    assert wrapped("½ |w − 1/K_⋆|²", 9) == ["½", "|w", "− 1/K_⋆|²"]  # nothing else is left
 
 
 def test_what_has_no_sign_is_refused():

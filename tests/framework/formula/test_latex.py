@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.formula.latex import evaluate, name_in, tokens
+from dmframe.formula.latex import evaluate, in_unicode, name_in, tokens
 from dmframe.formula.matrices import UnreadableLatexError
 from dmframe.formula.names import Symbol, symbol
 
@@ -45,6 +45,8 @@ def value(text):
         (r"\tanh(e/\gamma)", np.tanh(e / 2)),
         (r"f(e, K)", e + K),
         (r"-e^2", -(e**2)),
+        (r"-\frac34 \cdot \gamma \cdot \lVert e - K \rVert^2", -1.5 * (e - K).T @ (e - K)),
+        (r"\left| e \right|^2_{K} + \bigl\|e\bigr\|", np.sum(K * e * e).reshape(1, 1) + np.linalg.norm(e)),
     ],
 )
 def test_a_formula_is_its_numbers(text, expected):
@@ -62,6 +64,10 @@ def test_a_formula_is_its_numbers(text, expected):
         (r"(e + K", "missing"),
         (r"|e", "not closed"),
         (r"e'", "prime"),
+        (r"-\frac34 \times \gamma e", r"^\\times is not understood"),
+        (r"\gamma \odot e", r"^\\odot is not understood"),
+        (r"(\gamma e ; x)", r"^; is not understood"),
+        (r"e ) + K", r"^\) is not understood here, before \+ K"),
         (r"q", "nothing bears the name q"),
     ],
 )
@@ -85,3 +91,17 @@ def test_a_name_is_that_of_the_code(text, name):
     found = name_in(tokens(text))
     assert found is not None
     assert found[0] == symbol(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "unicode"),
+    [
+        (r"\dot q_{ref} = -K_2 y", "q̇_ref = −K_2 y"),
+        (r"q_r", "q_r"),
+        (r"\hat a_d \ge 0", "â_d ≥ 0"),
+        (r"\tau_{bias}", "τ_bias"),
+        (r"\hat J^\top (x - x_d)", "Ĵᵀ(x − x_d)"),
+    ],
+)
+def test_a_short_formula_of_the_text_prints_in_a_terminal(text, unicode):
+    assert in_unicode(text) == unicode

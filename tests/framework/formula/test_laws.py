@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from itertools import chain, repeat
 from typing import ClassVar, final
 
@@ -16,10 +17,15 @@ from dmframe.config import load_graph
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
-from dmframe.formula.alone import law_of_type, options_of, plainest
+from dmframe.formula.alone import law_of_type, options_of, plainest, variants
+from dmframe.formula.names import unicode_name
+from dmframe.formula.tree import Applied, Name, Node, Unprinted
+from dmframe.formula.where import where
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive
 from dmframe.port import Port, Side, State
+from dmframe_blocks.adaptive_kinematics import links, tool
+from dmframe_blocks.regressor import heavy
 
 
 @pytest.mark.parametrize("name", list(graphs()))
@@ -29,6 +35,7 @@ def test_every_block_of_every_packaged_graph_prints_what_runs(name):
             for text in (line.whole.text, line.whole.latex, line.whole.unicode):
                 assert text
             assert "robot." not in line.whole.text
+            assert "an expression of" not in line.whole.text
 
 
 @pytest.mark.parametrize("name", list(block_types()))
@@ -37,6 +44,82 @@ def test_every_block_type_prints_or_says_that_it_needs_a_graph(name):
     assert found is not None or name == "waypoints"
     if found is not None:
         assert found[1].matrices
+
+
+ALL = [(name, read.law()) for name, kind in block_types().items() for read, _ in variants(kind)]
+
+
+def names(node, kind):
+    """All nodes of a kind in a tree."""
+    if isinstance(node, tuple):
+        return [found for item in node for found in names(item, kind)]
+    if not isinstance(node, Node):
+        return []
+    inside = [found for item in fields(node) for found in names(getattr(node, item.name), kind)]
+    return [node] * isinstance(node, kind) + inside
+
+
+@pytest.mark.parametrize(("name", "law"), ALL, ids=[f"{name}-{place}" for place, (name, _) in enumerate(ALL)])
+def test_every_symbol_of_a_law_is_defined_and_none_by_itself(name, law):
+    """Read off the trees: no packaged block leaves an expression out, and no two things of a law share a name."""
+    kind = block_types()[name]
+    ports = {port.name for port in (*kind.inputs, *kind.outputs, *kind.states, *kind.truth)}
+    known = ports | set(kind.model_fields) | {line.name for line in law.lines}
+    told = {sign for sign, _ in where(law.lines)}
+    for line in law.lines:
+        right, left = line.right.node, line.left.node
+        assert names(right, Unprinted) == []
+        functions = names(right, Applied)
+        own = isinstance(left, Name) and left.name in {item.name for item in names(right, Name)}
+        assert not own, line.whole.text
+        assert known.isdisjoint(item.function for item in functions), line.whole.text
+        for item in names(right, Name):
+            assert item.name in known or unicode_name(item.name) in told, (line.whole.text, item.name)
+        for item in functions:
+            standard = item.function in ("sin", "cos", "tanh", "abs")
+            assert standard or any(sign.startswith(f"{unicode_name(item.function)}(") for sign in told)
+
+
+def test_the_block_that_does_not_stand_with_its_defaults_prints_every_way_in_which_it_does():
+    kind = block_types()["filtered_regressor"]
+    label, law = plainest(kind)
+    assert label == "Gamma_b"
+    lines = {line.name: line.right.text for line in (*law.outputs, *law.rates, *law.definitions)}
+    assert lines["b_hat"] == "-Gamma_b e_f"
+    assert lines["Y_z"] == "bandwidth (Y_r - Y_f)"
+    assert lines["Y_r"] == "[Y_inertia(q, 0, 0, 0) - (d(Y_p' dq/2)/dq)', diag(dq)]"
+    options = dict(options_of(kind))
+    assert list(options) == ["friction: [viscous, coulomb]", "friction: [coulomb]", "bias: true, without Gamma_b"]
+    alone = law_of_type(kind, bias=True)
+    assert "b_hat" not in {line.name for line in alone.rates}
+    assert "b_hat" not in " ".join(line.whole.text for line in alone.lines)
+
+
+def test_an_option_that_needs_another_one_is_shown_with_it():
+    assert "forgetting with R" in dict(options_of(block_types()["adaptive_kinematics"]))
+
+
+def test_what_prints_as_a_word_takes_the_parameters_that_it_says():
+    """Known places: mass and first moments of each link; the tool's translation comes last."""
+    a = ca.DM(range(20))
+    assert [float(x) for x in heavy(a).nonzeros()] == [0, 1, 2, 3, 10, 11, 12, 13]
+    assert [float(x) for x in heavy(a.T).nonzeros()] == [0, 1, 2, 3, 10, 11, 12, 13]
+    assert [float(x) for x in links(a[:9]).nonzeros()] == [0, 1, 2, 3, 4, 5]
+    assert [float(x) for x in tool(ca.horzcat(a[:9], a[:9]).T).nonzeros()] == [6, 6, 7, 7, 8, 8]
+
+
+def test_a_start_that_is_the_truth_and_an_error_leaves_the_error():
+    law = law_of_type(block_types()["adaptive_kinematics"], leak=0.1)
+    assert [term.whole.text for term in law.excess] == ["|start_error|^2_(task_weight leak/(2 Gamma_k))"]
+
+
+def test_one_function_has_one_sign():
+    """tanh(v / v_0) of a lemma is phi; a dead zone in a lemma is beyond, with its width."""
+    law = law_of_type(block_types()["manipulator"])
+    assert [term.whole.text for term in law.dissipation] == ["(dq - dq_ref)' coulomb (phi(dq) - phi(dq_ref))"]
+    assert "tanh(q̇/v_0)" in dict(where(law.lines))["φ(q̇)"]
+    law = law_of_type(block_types()["indirect_adaptation"], dead_zone=0.1)
+    assert law.dissipation[0].whole.text == "(Y_d a_d_hat - tau_d)' beyond(Y_d a_d_hat - tau_d, dead_zone)"
 
 
 PAPER = {
@@ -160,7 +243,7 @@ def test_a_certificate_that_is_another_one_for_the_proof_is_no_claim(vector):
 def test_a_block_that_insists_on_scalars_prints_element_by_element():
     law = printed(spring(lambda x, p: -p.k * (x.q + ca.SX([0, 1]) * x.v[0])), "spring")
     assert not law.matrices
-    assert law.outputs[0].right.text == "(-k[0] q[0], -k[1] (q[1] + v[0]))"
+    assert law.outputs[0].right.text == "(-k_1 q_1, -k_2 (q_2 + v_1))"
     lifted = printed(spring(lambda x, p: -p.k * (x.q + ca.SX(2) * x.v)), "spring")
     assert lifted.outputs[0].right.text == "-k (q + 2 v)"
 
