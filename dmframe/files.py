@@ -31,6 +31,11 @@ def hidden_name() -> str:
     return f".dmframe-{uuid.uuid4().hex[:8]}.part"
 
 
+def is_hidden(name: str) -> bool:
+    """Is it one of `hidden_name`?"""
+    return name.startswith(".dmframe-") and name.endswith(".part")
+
+
 def reason(error: OSError) -> str:
     """What the operating system says, without the name."""
     return (error.strerror or str(error)).lower()

@@ -63,9 +63,9 @@ def told_by(name: str, what: str) -> Iterator[None]:
     """Tell what a block's own Python raises with its file and line, in one line, as its fault."""
     try:
         yield
-    except DmframeError:
+    except (DmframeError, KeyboardInterrupt):
         raise
-    except Exception as error:  # a user's block may raise anything
+    except BaseException as error:  # a user's block may raise anything, SystemExit too
         frame = traceback.extract_tb(error.__traceback__)[-1]
         frames = [
             f for f in traceback.extract_tb(error.__traceback__) if not set(FOREIGN) & set(Path(f.filename).parts)
