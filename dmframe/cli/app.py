@@ -273,5 +273,5 @@ def _angles(pairs: list[str]) -> dict[str, float]:
             raise ValueFault(f"--hold {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
         if joint in angles:
             raise ValueFault(f"--hold {pair}: {joint} is held twice; keep one of them")
-        angles[joint] = quantity(f"--hold {joint}=", angle, "rad")
+        angles[joint] = quantity("--hold", angle, "rad", told=pair)
     return angles

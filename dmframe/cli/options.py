@@ -12,12 +12,15 @@ from dmframe.units import shorten, to_unit
 _WHOLE: Final = re.compile(r"\s*[-+]?[0-9]+\s*")
 
 
-def quantity(option: str, text: str, unit: str) -> float:
-    """A number, with a unit or in `unit`, as a graph would have it. Raises `ValueFault`, which names the option."""
+def quantity(option: str, text: str, unit: str, told: str = "") -> float:
+    """A number, with a unit or in `unit`, as a graph would have it. Raises `ValueFault`, which names the option.
+
+    `told` is what was typed, where that is more than `text`.
+    """
     try:
         return to_unit(text, unit)
     except DmframeError as error:
-        raise ValueFault(f"{option} {shorten(text)}: {error.text}") from None
+        raise ValueFault(f"{option} {shorten(told or text)}: {error.text}") from None
 
 
 def whole(option: str, text: str) -> int:

@@ -50,7 +50,8 @@ def cache_folder() -> Path:
     except RuntimeError:
         if not named:
             raise OSError("this user has no home") from None
-        raise ValueFault(f"{VARIABLE}={named}: expected a folder, found the home of an unknown user") from None
+        text = "expected a folder, found the home of an unknown user"
+        raise ValueFault(text, location=f"{VARIABLE}={named}") from None
 
 
 def _usual_folder() -> Path:

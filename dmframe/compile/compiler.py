@@ -81,8 +81,8 @@ def wanted_compiler() -> list[str]:
     try:
         return shlex.split(text)
     except ValueError as error:
-        problem = str(error).lower()
-        raise ValueFault(f"CC={text}: expected a command, found one that cannot be read: {problem}") from None
+        problem = f"expected a command, found one that cannot be read: {str(error).lower()}"
+        raise ValueFault(problem, location=f"CC={text}") from None
 
 
 def find_compiler() -> Compiler | None:

@@ -26,7 +26,7 @@ FAULTS = {
     ),
     "folder of a drawing": (
         ("draw", "pendulum", "-o", "no/a.svg"),
-        "dmframe: no/a.svg: cannot be written: No such file or directory\n",
+        "dmframe: no/a.svg: the folder no does not exist; make it first, or name another\n",
     ),
     "unknown block": (
         ("blocks", "pid_invers"),
@@ -65,7 +65,7 @@ FAULTS = {
     ),
     "until for ever": (
         (*RUN, "--until", "inf"),
-        "dmframe: --until inf: expected a quantity in s, found inf: the number must be finite\n",
+        "dmframe: --until inf: expected a quantity in s, found 'inf': the number must be finite\n",
     ),
     "set without a value": ((*RUN, "--set", "foo"), "dmframe: --set foo: expected block.parameter=value"),
     "set of an unknown block": (
