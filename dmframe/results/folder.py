@@ -54,10 +54,11 @@ class Result:
 @final
 @dataclass(frozen=True)
 class Place:
-    """A folder that is held for results: as the user names it, and where it really lies."""
+    """A folder that is held for results: as the user names it, where it really lies, and was it made for them?"""
 
     path: Path
     folder: Path
+    new: bool
 
 
 def reserve(path: str | Path) -> Path:
@@ -87,7 +88,7 @@ def reserved(path: str | Path) -> Iterator[Place]:
         try:
             with writing(path, "folder"):
                 _check_usable(folder, path, ours=lock is not None)
-            yield Place(path, folder)
+            yield Place(path, folder, folder in made)
         finally:
             if lock is not None:
                 os.close(lock)
@@ -271,16 +272,19 @@ def _version(package: str) -> str | None:
 
 @contextmanager
 def _built(place: Place) -> Iterator[Path]:
-    """A hidden folder whose files move to their place when all went well, and vanish when not.
+    """A hidden folder that takes its place when all went well, and vanishes when not.
 
-    It lies within: a place may be the working folder, or a drive of its own, that nothing can be renamed over.
+    In the place itself where that was there before: nothing can be renamed over the working folder or a whole drive.
     """
-    building, moved = place.folder / hidden_name(), list[Path]()
+    building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
     with writing(place.path, "folder"):
         try:
             building.mkdir()
             yield building
-            for item in sorted(building.iterdir(), key=lambda item: item.name == "summary.json"):  # who waits for it
+            with contextlib.suppress(OSError):
+                os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+                return
+            for item in list(building.iterdir()):
                 moved.append(item.rename(place.folder / item.name))
             building.rmdir()
         except BaseException:
