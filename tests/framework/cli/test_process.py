@@ -92,6 +92,14 @@ def test_a_reader_that_has_gone_loses_no_results(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_loses_no_report(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        status, _, err = ended(started(("verify", "pendulum", "--report", "r.md"), tmp_path, stdout=full))
+    assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
+    assert held(tmp_path) == {"r.md"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_output_that_cannot_be_written_loses_no_results(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         status, _, err = ended(started(SHORT, tmp_path, stdout=full, stderr=subprocess.PIPE))
