@@ -21,6 +21,7 @@ from typing import TypeGuard
 
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, MissingError, UnknownNameError
+from dmframe.files import is_file, reason
 
 GROUP = "dmframe.blocks"
 
@@ -40,7 +41,9 @@ def packages() -> Iterator[ModuleType]:
 def _imported(module: str, what: str) -> ModuleType:
     try:
         return importlib.import_module(module)
-    except Exception as error:  # whatever it raises, one line says whose fault it is
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever it raises, SystemExit too, one line says whose fault it is
         raise BlockError(f"{what} cannot be imported: {type(error).__name__}: {error}") from error
 
 
@@ -90,8 +93,6 @@ def _is_block(found: object) -> TypeGuard[type[AbstractBlock]]:
 
 
 def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
-    if not path.is_file():
-        raise MissingError(f"{where}: the file {path} does not exist; it is looked for beside the graph")
     module = _load(path, where)
     found = getattr(module, class_name, None)
     if _is_block(found):
@@ -104,7 +105,12 @@ def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
 
 def _load(path: Path, where: str) -> ModuleType:
     """A user's file as a module of its own name, so that it can shadow nothing; loaded once."""
-    source = path.read_bytes()
+    try:
+        source = path.read_bytes()
+    except FileNotFoundError:
+        raise MissingError(f"{where}: the file {path} does not exist; it is looked for beside the graph") from None
+    except OSError as error:
+        raise BlockError(f"{where}: {path} cannot be read: {reason(error)}") from None
     digest = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"dmframe_file_{path.stem}_{digest}"
     if name in sys.modules:
@@ -117,13 +123,15 @@ def _load(path: Path, where: str) -> ModuleType:
     try:
         # not by the loader: it trusts a cached compilation of a file that has the same size and second
         exec(compile(source, path, "exec"), vars(module))
-    except Exception as error:  # whatever a user's file raises is told with its line, and nothing else is lost
+    except BaseException as error:  # whatever a user's file raises, SystemExit too, is told with its line
         del sys.modules[name]
+        if isinstance(error, KeyboardInterrupt):
+            raise
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
         line = error.lineno if isinstance(error, SyntaxError) else (lines or [0])[-1]
-        reason = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
-        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {reason}") from error
+        said = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
+        raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {said}") from error
     return module
 
 
@@ -139,7 +147,7 @@ def graphs() -> dict[str, Path]:
 def find_graph(name: str) -> Path:
     """The file of a graph: a path, or the name of a packaged one."""
     path = Path(name)
-    if path.suffix in (".yaml", ".yml") or path.is_file():
+    if path.suffix in (".yaml", ".yml") or is_file(path):
         return path
     known = graphs()
     if name not in known:

@@ -53,7 +53,7 @@ percent = 0.01 = %
 """
 _SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
 
-_NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)(.*)", re.DOTALL)
+_NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(.*)", re.DOTALL)
 _NOT_FINITE = re.compile(r"\s*[+-]?\.?(nan|inf|infinity)\b", re.IGNORECASE)
 _TOKEN = re.compile(r"[^\W\d_]+|[%°]|\^[+-]?\d(?!\d)|[()/]|1(?![\d.])|[\s*·]+")
 _LONGEST = 80  # characters of a unit

@@ -6,24 +6,29 @@ import os
 import sys
 import traceback
 
+from dmframe.cli.signals import stoppable
+from dmframe.cli.streams import OutputGone, drop_output, prepare
+
 FAULT = 2
 STOPPED = 130
 
 
 def main() -> None:
     """Run `dmframe`; a fault is one line a fault on standard error, never a traceback."""
+    prepare()
+    status = FAULT
     try:
-        status = _told()
-        sys.stdout.flush()
+        with stoppable():
+            status = _told()
+            sys.stdout.flush()
     except KeyboardInterrupt:
         status = STOPPED
-    except BrokenPipeError:
-        _drop_output()  # the reader has gone, as `head` does when it has seen enough
-        status = 0
-    except OSError as error:
-        _drop_output()
-        _say(f"cannot write the output: {(error.strerror or str(error)).lower()}")
-        status = FAULT
+    except OutputGone as gone:
+        drop_output()
+        status = 0  # the reader has gone, as `head` does when it has seen enough
+        if not isinstance(gone.why, BrokenPipeError):
+            _say(f"cannot write the output: {(gone.why.strerror or str(gone)).lower()}")
+            status = FAULT
     if status == STOPPED:
         _say("stopped")
     sys.exit(status)
@@ -50,13 +55,9 @@ def _told() -> int:
         return FAULT
     except typer.Abort:
         return STOPPED
-    except SystemExit as error:
-        if isinstance(error.__context__, OSError):
-            raise error.__context__ from None  # typer's own end of a broken pipe
+    except (KeyboardInterrupt, OutputGone):
         raise
-    except OSError:
-        raise
-    except Exception as error:  # a defect: one line with its place, and no traceback
+    except BaseException as error:  # a user's block may raise anything, SystemExit(0) too, the status of what is proved
         _say(_unexpected(error))
         return FAULT
     return status if isinstance(status, int) else 0
@@ -66,14 +67,11 @@ def _say(text: str) -> None:
     print(f"dmframe: {text}", file=sys.stderr)  # noqa: T201 - typer may be what failed
 
 
-def _unexpected(error: Exception) -> str:
-    """What no class of `dmframe.errors` tells: a defect, with the line where it came up."""
+def _unexpected(error: BaseException) -> str:
+    """What no class of `dmframe.errors` tells: a file that cannot be read, or a defect, with its line."""
+    if isinstance(error, OSError) and isinstance(error.filename, str | bytes):  # what is written is told by `writing`
+        return f"{os.fsdecode(error.filename)}: cannot be read: {(error.strerror or str(error)).lower()}"
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"  # noqa: PTH119 - pathlib may be what failed
     text = " ".join(str(error).split())
     return f"{place}: {type(error).__name__}: {text}; a defect of dmframe or of a block, please report it"
-
-
-def _drop_output() -> None:
-    """Let nothing more be written: Python would complain once more when it flushes at its exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -7,8 +7,6 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import typer
-
 from dmframe.analyse.linear import Linear
 from dmframe.analyse.period import Bracket
 from dmframe.analyse.servo import JointLoop
@@ -16,6 +14,7 @@ from dmframe.analyse.summary import NOTE, Analysis, analyse, summary
 from dmframe.analyse.tie import TieGain
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
+from dmframe.cli.streams import tell
 from dmframe.config import Graph, load_graph
 from dmframe.units import plain
 
@@ -32,7 +31,7 @@ def analyse_graph(name: str, overrides: Sequence[str], *, horizon: float, as_jso
         horizon=horizon,
         uncertain=intervals(diagram, graph.file.uncertain),
     )
-    typer.echo(json.dumps(summary(graph.name, found), indent=2) if as_json else page(graph, found))
+    tell(json.dumps(summary(graph.name, found), indent=2) if as_json else page(graph, found))
 
 
 def page(graph: Graph, found: Analysis) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from dmframe.cli.streams import tell
 from dmframe.errors import OutputError, UnknownNameError
+from dmframe.files import check_place, write_text
 
 app = typer.Typer(
     name="dmframe",
@@ -25,6 +27,7 @@ OneGraph = Annotated[str, typer.Argument(metavar="GRAPH", help="A graph file, or
 Overrides = Annotated[
     list[str], typer.Option("--set", metavar="BLOCK.PARAM=VALUE", help="Change a value of the graph; may be repeated.")
 ]
+HORIZON, TUBE = "20", "0.05 rad"
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 
 
@@ -32,7 +35,7 @@ def _version(wanted: bool) -> None:
     if wanted:
         from importlib.metadata import version
 
-        typer.echo(f"dmframe {version('dmframe')}")
+        tell(f"dmframe {version('dmframe')}")
         raise typer.Exit
 
 
@@ -51,7 +54,7 @@ def graphs() -> None:
     from dmframe.catalogue import graphs as packaged
     from dmframe.cli.show import graph_list
 
-    typer.echo(graph_list(packaged()))
+    tell(graph_list(packaged()))
 
 
 @app.command()
@@ -66,14 +69,8 @@ def new(
     if name not in known:
         raise UnknownNameError(name, "graph", name, known)
     target = file or Path(f"{name}.yaml")
-    try:
-        with target.open("x", encoding="utf-8") as copy:
-            copy.write(known[name].read_text(encoding="utf-8"))
-    except FileExistsError:
-        raise OutputError(f"{target}: expected a new file, found one; name another") from None
-    except OSError as error:
-        raise OutputError(f"{target}: cannot be written: {error.strerror}") from None
-    typer.echo(f"wrote {target}; try: dmframe run {target}")
+    write_text(target, known[name].read_text(encoding="utf-8"), new=True)
+    tell(f"wrote {target}; try: dmframe run {target}")
 
 
 @app.command()
@@ -83,7 +80,7 @@ def check(graph: OneGraph, overrides: Overrides = []) -> None:  # noqa: B006 - t
     from dmframe.config import load_graph
 
     loaded = load_graph(graph, overrides)
-    typer.echo(check_page(loaded, loaded.diagram()))
+    tell(check_page(loaded, loaded.diagram()))
 
 
 @app.command()
@@ -119,48 +116,73 @@ def verify(
     graph: Graphs,
     overrides: Overrides = [],  # noqa: B006 - as above
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report: .html, .md or .json.")] = None,
-    seed: Annotated[int, typer.Option(help="Of the random points and primes.")] = 0,
+    seed: Annotated[str, typer.Option(metavar="N", help="Of the random points and primes.")] = "0",
     as_json: AsJson = False,
 ) -> int:
     """Prove dV/dt of graphs exactly, for all gains and parameters, and check the conditions."""
+    from dmframe.cli.options import whole
     from dmframe.cli.verify import verify_graphs
 
-    return verify_graphs(graph, overrides, report=report, seed=seed, as_json=as_json)
+    return verify_graphs(graph, overrides, report=report, seed=whole("--seed", seed), as_json=as_json)
 
 
 @app.command()
 def analyse(
     graph: OneGraph,
     overrides: Overrides = [],  # noqa: B006 - as above
-    horizon: Annotated[float, typer.Option(metavar="S", help="Length of the runs that look for the period.")] = 20,
+    horizon: Annotated[
+        str | None,
+        typer.Option(metavar="S", help="Length of the runs that look for the period.", show_default=HORIZON),
+    ] = None,
     rank: Annotated[
         bool, typer.Option("--rank", help="Instead: the kinematic parameters with which J_hat keeps its rank.")
     ] = False,
     tube: Annotated[
-        str, typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.")
-    ] = "0.05 rad",
-    least: Annotated[
-        float | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
+        str | None,
+        typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.", show_default=TUBE),
     ] = None,
-    shape: Annotated[str, typer.Option(metavar="SHAPE", help="With --rank: box or ball.")] = "box",
-    centre: Annotated[str, typer.Option(metavar="AT", help="With --rank: about the truth or the start.")] = "truth",
-    scale: Annotated[str, typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.")] = (
-        "uniform"
-    ),
+    least: Annotated[
+        str | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
+    ] = None,
+    shape: Annotated[
+        str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball.", show_default="box")
+    ] = None,
+    centre: Annotated[
+        str | None, typer.Option(metavar="AT", help="With --rank: about the truth or the start.", show_default="truth")
+    ] = None,
+    scale: Annotated[
+        str | None,
+        typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.", show_default="uniform"),
+    ] = None,
     boxes: Annotated[
-        int, typer.Option(metavar="N", help="With --rank: the most boxes; more take longer and find a larger region.")
-    ] = 40_000,
+        str | None,
+        typer.Option(
+            metavar="N",
+            help="With --rank: the most boxes; more take longer and find a larger region.",
+            show_default="40000",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
+    from dmframe.cli.options import quantity, refuse, whole
+
+    words = {"shape": shape, "centre": centre, "scale": scale}
     if rank:
         from dmframe.cli.rank import rank_of
 
-        options = {"least": least, "shape": shape, "centre": centre, "scale": scale, "boxes": boxes}
-        return rank_of(graph, overrides, tube=tube, as_json=as_json, **options)
+        refuse({"--horizon": horizon}, "it does nothing with --rank; leave one out")
+        options: dict[str, Any] = {key: word for key, word in words.items() if word is not None}
+        if least is not None:
+            options["least"] = quantity("--least", least, "")
+        if boxes is not None:
+            options["boxes"] = whole("--boxes", boxes)
+        return rank_of(graph, overrides, tube=quantity("--tube", tube or TUBE, "rad"), as_json=as_json, **options)
     from dmframe.cli.analyse import analyse_graph
 
-    analyse_graph(graph, overrides, horizon=horizon, as_json=as_json)
+    given = {"tube": tube, "least": least, **words, "boxes": boxes}
+    refuse({f"--{key}": value for key, value in given.items()}, "it does nothing without --rank; add that")
+    analyse_graph(graph, overrides, horizon=quantity("--horizon", horizon or HORIZON, "s"), as_json=as_json)
     return 0
 
 
@@ -179,15 +201,14 @@ def draw(
     makers = {".svg": svg, ".mmd": mermaid}
     if out is not None and out.suffix not in makers:
         raise OutputError(f"{out}: expected a name that ends in .svg or .mmd, found {out.suffix or 'no ending'}")
+    if out is not None:
+        check_place(out)
     text = makers[out.suffix if out else ".mmd"](loaded.diagram(), loaded.file.title)
     if out is None:
-        typer.echo(text.rstrip())
+        tell(text.rstrip())
         return
-    try:
-        out.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be written: {error.strerror}") from None
-    typer.echo(f"wrote {out}")
+    write_text(out, text)
+    tell(f"wrote {out}")
 
 
 @app.command()
@@ -196,7 +217,7 @@ def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Prin
     from dmframe.catalogue import block_types, find_block
     from dmframe.cli.show import block_list, block_page
 
-    typer.echo(block_list(block_types()) if kind is None else block_page(find_block(kind, Path(), "blocks")))
+    tell(block_list(block_types()) if kind is None else block_page(find_block(kind, Path(), "blocks")))
 
 
 @app.command()
@@ -207,7 +228,7 @@ def schema(
     from dmframe.certify.schema import verdict_schema
     from dmframe.config.schema import json_schema
 
-    typer.echo(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
+    tell(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
 
 
 @app.command()
@@ -226,12 +247,15 @@ def regressor(
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:
     """A robot's regressor: parameters, entries, code, proofs, and how far it is from Pinocchio's."""
+    from dmframe.cli.options import refuse
     from dmframe.cli.regressor import Wanted, regressor_of
     from dmframe.robot.library import load
 
+    kinds = _words(friction) or ()
+    if kinematic and latex is None:  # which holds both regressors
+        refuse({"--base": base, "--friction": friction or None}, "it does nothing with --kinematic; leave one out")
     chain = load(robot, base=Path(), free=_words(free), hold=_angles(hold), tool=tool)
-    wanted = Wanted(base, kinematic, symbolic, prove, c, python, latex)
-    return regressor_of(chain, _words(friction) or (), wanted)
+    return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))
 
 
 def _words(text: str | None) -> tuple[str, ...] | None:
@@ -239,23 +263,15 @@ def _words(text: str | None) -> tuple[str, ...] | None:
 
 
 def _angles(pairs: list[str]) -> dict[str, float]:
-    from dmframe.errors import DmframeError, ValueFault
-    from dmframe.units import to_unit
+    from dmframe.cli.options import quantity
+    from dmframe.errors import ValueFault
 
     angles = dict[str, float]()
     for pair in pairs:
-        joint, equals, angle = pair.partition("=")
+        joint, equals, angle = (word.strip() for word in pair.partition("="))
         if not equals:
             raise ValueFault(f"--hold {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
-        try:
-            angles[joint.strip()] = to_unit(_number(angle), "rad")
-        except DmframeError as error:
-            raise ValueFault(f"--hold {pair}: {error.text}") from None
+        if joint in angles:
+            raise ValueFault(f"--hold {pair}: {joint} is held twice; keep one of them")
+        angles[joint] = quantity("--hold", angle, "rad", told=pair)
     return angles
-
-
-def _number(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text.strip()

@@ -8,33 +8,34 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-import typer
-from rich.console import Console
+from rich.text import Text
 
 from dmframe.analyse.rank_region import RankRegion, rank_region
 from dmframe.analyse.rank_report import KEPT, MODEL, PROVED, option_value, rank_summary
 from dmframe.cli.show import columns
+from dmframe.cli.streams import tell
+from dmframe.cli.terminal import console
 from dmframe.config import Graph, load_graph
-from dmframe.units import plain, to_unit
+from dmframe.units import plain
 
 NO_REGION = 1
 
 
-def rank_of(name: str, overrides: Sequence[str], *, tube: str, as_json: bool, **options: Any) -> int:
+def rank_of(name: str, overrides: Sequence[str], *, tube: float, as_json: bool, **options: Any) -> int:
     """Find the region of one graph and print it; returns the exit status."""
     graph = load_graph(name, overrides)
-    diagram, console = graph.diagram(), Console(stderr=True)
-    with console.status(f"{graph.name}: rank") as status:
+    diagram = graph.diagram()
+    with console(aside=True).status(Text(f"{graph.name}: rank")) as status:
         quiet = as_json or not sys.stderr.isatty()
         region = rank_region(
             diagram,
             graph.start,
             duration=graph.file.duration,
-            tube=to_unit(_number(tube), "rad"),
-            progress=None if quiet else lambda text: status.update(f"{graph.name}: {text}"),
+            tube=tube,
+            progress=None if quiet else lambda text: status.update(Text(f"{graph.name}: {text}")),
             **options,
         )
-    typer.echo(json.dumps(rank_summary(graph.name, region), indent=2) if as_json else page(graph, region))
+    tell(json.dumps(rank_summary(graph.name, region), indent=2) if as_json else page(graph, region))
     return 0 if region.holds else NO_REGION
 
 
@@ -95,10 +96,3 @@ def _use(region: RankRegion) -> Iterator[str]:
             "--centre start, and then see that the true value lies inside.",
             110,
         )
-
-
-def _number(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text

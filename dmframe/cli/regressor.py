@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import final
 
-import typer
-
+from dmframe.cli.streams import tell
+from dmframe.errors import OutputError
+from dmframe.files import check_place, write_text
 from dmframe.robot.chain import SerialChain
 
 NOT_PROVED = 1
@@ -30,15 +32,24 @@ class Wanted:
 
 def regressor_of(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> int:
     """Print and write what is wanted; returns the exit status."""
+    _check_places([path for path in (wanted.c, wanted.python, wanted.latex) if path is not None])
     parts, proved = page(chain, friction, wanted)
-    typer.echo("\n\n".join(parts))
+    tell("\n\n".join(parts))
     return 0 if proved else NOT_PROVED
+
+
+def _check_places(paths: Sequence[Path]) -> None:
+    taken = dict[str, Path]()
+    for path in paths:
+        check_place(path)
+        first = taken.setdefault(os.path.realpath(path), path)
+        if first is not path and (path.is_file() or not path.exists()):  # a device takes several
+            raise OutputError(f"{path}: two files would be written there; name another for one of them")
 
 
 def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[list[str], bool]:
     """The parts of the text, the files written on the way; and whether all that was to be proved is."""
     from dmframe.regressor import base_parameters, export_c, self_test, write_out, write_python
-    from dmframe.regressor.export import write_text
     from dmframe.regressor.typeset import largest_difference, latex, plain_text
 
     parts, proved = [_parameters(chain, friction, wanted)], True
@@ -62,7 +73,7 @@ def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[l
         difference = write_python(chain, wanted.python, friction, wanted.base, wanted.kinematic)
         parts.append(f"wrote {wanted.python}; largest relative difference from Pinocchio {difference:.1e}")
     if wanted.latex is not None:
-        write_text(wanted.latex, latex(written), "LaTeX")
+        write_text(wanted.latex, latex(written))
         difference = largest_difference(written)
         parts.append(f"wrote {wanted.latex}; largest relative difference from Pinocchio {difference:.1e}")
     return parts, proved

@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, cast, get_args
 
-import typer
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from dmframe.cli import STOPPED
+from dmframe.cli.options import quantity
+from dmframe.cli.signals import held_off
+from dmframe.cli.streams import tell
+from dmframe.cli.terminal import console
 from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
 from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
-from dmframe.results import Result, reserve, write_run
+from dmframe.results import Result, reserved, write_run
+from dmframe.results.folder import safe_name
 from dmframe.results.summary import summary
 from dmframe.simulate import Run, simulate
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain, to_unit
+from dmframe.units import plain
 
 DIVERGED = 1
 
@@ -52,20 +53,24 @@ def run_graphs(
         duration = _seconds(until)
         graphs = [graph.with_duration(duration) for graph in graphs]
     diagrams = [graph.diagram() for graph in graphs]  # faults of every graph are told before the first runs
-    folder = reserve(out or _default_folder(graphs))
-    results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
-    if not results:
-        return STOPPED
-    if not as_json:
-        _table(results)  # the numbers at once; figures take longer than the run
-    _say(f"writing {folder}", as_json)
-    with _unbroken():
-        summaries = write_run(folder, results, plots=plots)
+    with reserved(out or _default_folder(graphs)) as place:
+        results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
+        if not results:
+            return STOPPED
+        _say(f"writing {place.path}", as_json)
+        try:
+            with held_off() as signals:  # all on the disk before anything is printed: printing may fail
+                summaries = write_run(place, results, plots=plots)
+        except DmframeError:
+            if not as_json:
+                _table(results)  # all that is left of them
+            raise
     if as_json:
-        typer.echo(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
+        tell(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
     else:
-        typer.echo(f"results: {folder}")
-    if interrupted:
+        _table(results)
+        tell(f"results: {place.path}")
+    if interrupted or signals:
         return STOPPED
     return DIVERGED if any(result.run.divergence for result in results) else 0
 
@@ -95,21 +100,8 @@ def _simulate_all(
     return results, False
 
 
-@contextmanager
-def _unbroken() -> Iterator[None]:
-    """Hold Ctrl-C off: an impatient second one must not lose what was computed."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _seconds(until: str) -> float:
-    try:
-        duration = to_unit(_number(until), "s")
-    except DmframeError as error:
-        raise ValueFault(f"--until {until}: {error.text}") from None
+    duration = quantity("--until", until, "s")
     if duration <= 0:
         raise ValueFault(f"--until {until}: expected a time above zero")
     return duration
@@ -122,26 +114,21 @@ def _engine(name: str) -> Choice:
     raise UnknownNameError(f"--engine {name}", "engine", name, get_args(Choice))
 
 
-def _number(text: str) -> str | float:
-    try:
-        return float(text)
-    except ValueError:
-        return text
-
-
 def _default_folder(graphs: Sequence[Graph]) -> Path:
     stamp = datetime.now().strftime("%Y-%m-%d_%H-%M-%S_%f")[:-3]
-    return Path("runs", f"{stamp}_{graphs[0].name}" + (f"_and_{len(graphs) - 1}_more" if len(graphs) > 1 else ""))
+    return Path(
+        "runs", f"{stamp}_{safe_name(graphs[0].name)}" + (f"_and_{len(graphs) - 1}_more" if len(graphs) > 1 else "")
+    )
 
 
 def _progress(as_json: bool) -> Progress:
     return Progress(
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),
         TextColumn("{task.completed:.0f} / {task.total:.0f} s"),
         TextColumn("{task.fields[speed]}"),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=console(aside=True),
         disable=as_json or not sys.stderr.isatty(),
     )
 
@@ -171,7 +158,7 @@ def _run(graph: Graph, diagram: Any, engine: Choice, bar: Progress) -> Run:
 
 def _say(text: str, as_json: bool) -> None:
     if not as_json and sys.stderr.isatty():
-        typer.echo(text, err=True)
+        tell(text, aside=True)
 
 
 def _table(results: Sequence[Result]) -> None:
@@ -184,16 +171,17 @@ def _table(results: Sequence[Result]) -> None:
         first, last = (_rms(error, index) for index in (0, -1))
         speed = f"{told['real_time_factor']:.0f} x"
         table.add_row(told["graph"], clock, error["signal"] if error else "-", first, last, speed, told["engine"])
-    console = Console(width=None if sys.stdout.isatty() else 120, highlight=False)
-    console.print(table)
-    console.print("error: root mean square of its Euclidean norm; speed: times real time", style="dim")
+    screen = console(width=None if sys.stdout.isatty() else 120)
+    screen.print(table)
+    screen.print("error: root mean square of its Euclidean norm; speed: times real time", style="dim")
     for result in results:
+        name = result.graph.name
         for notice in result.run.notices:
-            console.print(f"{result.graph.name}: notice: {notice}", soft_wrap=True)
+            screen.print(f"{name}: notice: {notice}", soft_wrap=True)
         if result.run.divergence:
-            console.print(f"{result.graph.name}: diverged: {result.run.divergence}", soft_wrap=True)
+            screen.print(f"{name}: diverged: {result.run.divergence}", soft_wrap=True)
         if result.run.interrupted:
-            console.print(f"{result.graph.name}: stopped at {plain(result.run.time[-1], 's')}; what was done is kept")
+            screen.print(f"{name}: stopped at {plain(result.run.time[-1], 's')}; what was done is kept")
     sys.stdout.flush()
 
 

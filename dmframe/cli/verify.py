@@ -9,13 +9,12 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, Final
 
-import typer
-
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.summary import summary
 from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
+from dmframe.cli.streams import tell
 from dmframe.config import Graph, load_graph
 from dmframe.config.graph import placed
 from dmframe.diagram import Diagram
@@ -38,16 +37,19 @@ def verify_graphs(
     graphs = [load_graph(name, overrides) for name in names]
     diagrams = [graph.diagram() for graph in graphs]
     verdicts = [_verify(graph, diagram, seed) for graph, diagram in zip(graphs, diagrams, strict=True)]
-    if as_json:
-        told = [summary(graph.name, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)]
-        typer.echo(json.dumps(told[0] if len(told) == 1 else told, indent=2))
-    else:
-        typer.echo("\n\n".join(page(graph, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)))
-    if report is not None:
-        from dmframe.report import write_report
+    try:
+        if report is not None:  # on the disk before anything is printed: printing may fail
+            from dmframe.report import write_report
 
-        write_report(report, list(zip(graphs, diagrams, verdicts, strict=True)), overrides=overrides, seed=seed)
-        typer.echo(f"wrote {report}", err=as_json)
+            write_report(report, list(zip(graphs, diagrams, verdicts, strict=True)), overrides=overrides, seed=seed)
+    finally:
+        if as_json:
+            told = [summary(graph.name, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)]
+            tell(json.dumps(told[0] if len(told) == 1 else told, indent=2))
+        else:
+            tell("\n\n".join(page(graph, verdict) for graph, verdict in zip(graphs, verdicts, strict=True)))
+    if report is not None:
+        tell(f"wrote {report}", aside=as_json)
     return 0 if all(verdict.outcome == "proved" for verdict in verdicts) else NOT_PROVED
 
 

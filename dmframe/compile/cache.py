@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import Final
 
 from dmframe.compile.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
+from dmframe.errors import ValueFault
+from dmframe.files import encoded
 
 VARIABLE: Final = "DMFRAME_CACHE"
 MOST_BYTES: Final = 512 * 2**20
@@ -33,10 +35,26 @@ _PART: Final = ".part-"
 
 
 def cache_folder() -> Path:
-    """``$DMFRAME_CACHE``, else ``dmframe`` in the folder where the platform keeps caches."""
+    """``$DMFRAME_CACHE``, else ``dmframe`` in the folder where the platform keeps caches.
+
+    Raises
+    ------
+    ValueFault
+        The variable names the home of a user whom nobody knows.
+    OSError
+        It names none, and this user has no home.
+    """
     named = os.environ.get(VARIABLE)
-    if named:
-        return Path(named).expanduser().absolute()
+    try:
+        return Path(named).expanduser().absolute() if named else _usual_folder()
+    except RuntimeError:
+        if not named:
+            raise OSError("this user has no home") from None
+        text = "expected a folder, found the home of an unknown user"
+        raise ValueFault(text, location=f"{VARIABLE}={named}") from None
+
+
+def _usual_folder() -> Path:
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dmframe" / "cache"
     if sys.platform == "darwin":
@@ -47,7 +65,7 @@ def cache_folder() -> Path:
 def key_of(source: str, compiler: Compiler) -> str:
     """What the machine code is made from, as one number."""
     told = "\0".join((source, repr((SHARED, FLAGS)), compiler.identity, processor()))
-    return hashlib.sha256(told.encode()).hexdigest()[:40]
+    return hashlib.sha256(encoded(told)).hexdigest()[:40]
 
 
 def find(folder: Path, key: str) -> Path | None:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
+from dmframe.errors import ValueFault
+
 NAMES: Final = ("cc", "gcc", "clang")
 
 TUNED: Final = (
@@ -73,9 +75,19 @@ class Compiler:
         raise CompileFailed(complaint)
 
 
+def wanted_compiler() -> list[str]:
+    """The words of ``$CC``. Raises `ValueFault` where they are no command."""
+    text = os.environ.get("CC", "")
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        problem = f"expected a command, found one that cannot be read: {str(error).lower()}"
+        raise ValueFault(problem, location=f"CC={text}") from None
+
+
 def find_compiler() -> Compiler | None:
     """$CC, cc, gcc or clang, else the `ziglang` package; None where there is none."""
-    named = shlex.split(os.environ.get("CC", ""))
+    named = wanted_compiler()
     for words in ([named] if named else []) + [[name] for name in NAMES]:
         path = shutil.which(words[0])
         if path is not None:

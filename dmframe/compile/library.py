@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import shutil
 import tempfile
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, final
 
 from dmframe.compile.cache import CompileFailed, built, cache_folder, find, key_of, make
-from dmframe.compile.compiler import Compiler, find_compiler
+from dmframe.compile.compiler import Compiler, find_compiler, wanted_compiler
 
 NONE = (
     "no C compiler was found ($CC, cc, gcc, clang, or the package ziglang): the run is interpreted, with the same "
@@ -28,9 +29,22 @@ class Loaded:
 
 
 def load(source: str) -> Loaded:
-    """The library of a C source: from the cache, or compiled now."""
+    """The library of a C source: from the cache, or compiled now.
+
+    Raises `ValueFault` where an environment variable, ``$CC`` or ``$DMFRAME_CACHE``, cannot be meant.
+    """
     compiler = find_compiler()
-    return Loaded(None, NONE) if compiler is None else _loaded(source, compiler, cache_folder())
+    if compiler is None:
+        return Loaded(None, NONE)
+    try:
+        loaded = _loaded(source, compiler, cache_folder())
+    except OSError as error:
+        loaded = _without_cache(source, compiler, "", error)
+    wanted = wanted_compiler()
+    if wanted and shutil.which(wanted[0]) is None:
+        told = f"$CC, {wanted[0]}, was not found: compiled by {compiler.command[0]}"
+        return Loaded(loaded.library, "; ".join(filter(None, (told, loaded.notice))))
+    return loaded
 
 
 def first_time(notice: str) -> bool:
@@ -55,7 +69,7 @@ def _loaded(source: str, compiler: Compiler, folder: Path) -> Loaded:
     try:
         return Loaded(_opened(make(folder, key, source, compiler)))
     except (OSError, CompileFailed) as error:
-        return _without_cache(source, compiler, folder, error)
+        return _without_cache(source, compiler, f" {folder}", error)
 
 
 def _opened(entry: Path) -> ctypes.CDLL | None:
@@ -67,7 +81,7 @@ def _opened(entry: Path) -> ctypes.CDLL | None:
         return None
 
 
-def _without_cache(source: str, compiler: Compiler, folder: Path, why: Exception) -> Loaded:
+def _without_cache(source: str, compiler: Compiler, folder: str, why: Exception) -> Loaded:
     """Compile for this process alone: the system keeps what is loaded, even when its file is gone."""
     try:
         with tempfile.TemporaryDirectory(prefix="dmframe-") as place:
@@ -77,9 +91,7 @@ def _without_cache(source: str, compiler: Compiler, folder: Path, why: Exception
             None, f"the compiled engine is not available: {error}; the run is interpreted, some thirty times slower"
         )
     reason = getattr(why, "strerror", None) or str(why)
-    return Loaded(
-        library, f"the cache {folder} cannot be used ({str(reason).lower()}): compiled for this process alone"
-    )
+    return Loaded(library, f"the cache{folder} cannot be used ({str(reason).lower()}): compiled for this process alone")
 
 
 def address(array: Any) -> ctypes.c_void_p:

@@ -63,9 +63,9 @@ def told_by(name: str, what: str) -> Iterator[None]:
     """Tell what a block's own Python raises with its file and line, in one line, as its fault."""
     try:
         yield
-    except DmframeError:
+    except (DmframeError, KeyboardInterrupt):
         raise
-    except Exception as error:  # a user's block may raise anything
+    except BaseException as error:  # a user's block may raise anything, SystemExit too
         frames = traceback.extract_tb(error.__traceback__)
         frame = [frames[-1], *(frame for frame in frames if not _foreign(Path(frame.filename)))][-1]
         reason = str(error).strip().splitlines()[-1] if str(error).strip() else "no reason given"

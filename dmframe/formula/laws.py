@@ -119,9 +119,9 @@ class ReadBlock:
         self.elements, self.names = Elements({}), dict[Node, Name]()
         try:
             self._read(ca.MX)
-        except DmframeError:
+        except (DmframeError, KeyboardInterrupt):
             raise
-        except Exception:  # a block that mixes its own SX into MX may fail in any way; as scalars it has run before
+        except BaseException:  # a block that mixes its own SX into MX may fail in any way; as scalars it has run before
             self._read(ca.SX)
 
     def _read(self, kind: Any) -> None:
@@ -139,7 +139,9 @@ class ReadBlock:
             if error.location:
                 raise
             return None
-        except Exception:  # as above
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # as above
             if self.signs.kind is ca.SX:
                 return None
             self._read(ca.SX)

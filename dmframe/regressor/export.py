@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +11,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.errors import OutputError, ShapeError
+from dmframe.errors import ShapeError
+from dmframe.files import write_text
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.full import KINEMATIC_SIGNALS, SIGNALS, full_regressor
 from dmframe.robot.chain import SerialChain, pin_configuration
@@ -126,7 +125,7 @@ def write_c(function: ca.Function, path: str | Path, *, robot: str = "", paramet
     if parameters and len(parameters) != p:
         raise ShapeError(f"C source of {function.name()}: expected {p} parameter names, found {len(parameters)}")
     about = _dynamic_about(robot, n, p) if found == SIGNALS else _kinematic_about(robot, function.numel_in(0), n, p)
-    write_text(Path(path), _header(about, parameters) + _source(function, n, p), "C source")
+    write_text(path, _header(about, parameters) + _source(function, n, p))
 
 
 def _source(function: ca.Function, n: int, p: int) -> str:
@@ -186,22 +185,6 @@ def _header(about: Sequence[str], parameters: Sequence[str]) -> str:
 def _plain(name: str) -> str:
     """A name that cannot end the comment it stands in."""
     return name.replace("*/", "* /").replace("\n", " ")
-
-
-def write_text(path: Path, text: str, kind: str) -> None:
-    """Write a file in one step, so that there is never half a one; `kind` names it in the `OutputError`."""
-    try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as fault:
-        raise OutputError(f"{kind}: cannot write {path}: {fault.strerror}; choose a folder that exists") from fault
 
 
 @final

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.errors import ValueFault
+from dmframe.files import write_text
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import (
     kinematic_function,
@@ -20,7 +21,6 @@ from dmframe.regressor.export import (
     regressor_function,
     tool_velocity,
     travel_of_prismatic_joints,
-    write_text,
 )
 from dmframe.regressor.full import parameter_names, parameter_values
 from dmframe.robot.chain import SerialChain
@@ -124,7 +124,7 @@ def write_python(
     Raises `OutputError` where it cannot be written.
     """
     source = python_source(chain, friction, base, kinematic)
-    write_text(path, source, "Python source")
+    write_text(path, source)
     return python_difference(chain, source, friction, base)
 
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import uuid
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +12,8 @@ from dmframe.certify import Verdict
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.errors import OutputError
+from dmframe.files import check_place as check_file
+from dmframe.files import write_text
 from dmframe.report.content import Content, gather
 from dmframe.report.data import as_data
 from dmframe.report.page import as_html, as_markdown
@@ -36,8 +35,7 @@ WRITERS: Final[dict[str, Callable[[Sequence[Content]], str]]] = {
 def write_report(path: str | Path, items: Sequence[Item], *, overrides: Sequence[str] = (), seed: int = 0) -> None:
     """Write one report on one or several graphs: a web page, Markdown or JSON, by the ending of `path`.
 
-    Each graph is simulated as its file says, to show V along the run. The file is written beside its place and then
-    renamed, so that it is there in full or not at all.
+    Each graph is simulated as its file says, to show V along the run. The file is there in full or not at all.
 
     Parameters
     ----------
@@ -57,7 +55,7 @@ def write_report(path: str | Path, items: Sequence[Item], *, overrides: Sequence
     check_place(path)
     command = _command([graph for graph, _, _ in items], overrides, seed, path)
     contents = [gather(graph, diagram, verdict, command=command, seed=seed) for graph, diagram, verdict in items]
-    _write(path, WRITERS[path.suffix.lower()](contents))
+    write_text(path, WRITERS[path.suffix.lower()](contents))
 
 
 def check_place(path: Path) -> None:
@@ -71,10 +69,7 @@ def check_place(path: Path) -> None:
     if path.suffix.lower() not in WRITERS:
         endings = ", ".join(WRITERS)
         raise OutputError(f"{path}: expected a name that ends in {endings}, found {path.suffix or 'no ending'}")
-    if path.is_dir():
-        raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
-    if not path.absolute().parent.is_dir():
-        raise OutputError(f"{path}: the folder {path.parent} does not exist; make it first, or name another")
+    check_file(path)
 
 
 def _command(graphs: Sequence[Graph], overrides: Sequence[str], seed: int, path: Path) -> list[str]:
@@ -85,14 +80,3 @@ def _command(graphs: Sequence[Graph], overrides: Sequence[str], seed: int, path:
     ]
     changes = [word for text in overrides for word in ("--set", text)]
     return ["dmframe", "verify", *names, *changes, "--seed", str(seed), "--report", path.name]
-
-
-def _write(path: Path, text: str) -> None:
-    beside = path.absolute().with_name(f".{path.name}.{uuid.uuid4().hex[:8]}.part")
-    try:
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)  # noqa: PTH105 - Path.replace does the same; this one takes the old file's place at once
-    except OSError as error:
-        with suppress(OSError):
-            beside.unlink()
-        raise OutputError(f"{path}: cannot be written: {(error.strerror or str(error)).lower()}") from None

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.config.graph import Graph
 from dmframe.diagram import Diagram
+from dmframe.files import encoded, printable
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import Run, Solver
 
@@ -51,15 +52,15 @@ def dataset(run: Run, graph: Graph | None = None, seed: int | None = None) -> xa
         units = [_parameter_unit(str(name)) for name in coordinates["parameter"]]
         made = made.assign_coords(parameter_unit=("parameter", units, {"long_name": "unit", "units": "1"}))
     made.attrs = {
-        "title": (graph.file.title if graph else "") or (graph.name if graph else "dmframe run"),
-        "graph": graph.name if graph else "",
+        "title": printable((graph.file.title if graph else "") or (graph.name if graph else "dmframe run")),
+        "graph": printable(graph.name) if graph else "",
         "clock": "continuous" if run.clock is None else f"{run.clock!r} s",
         "duration": f"{run.duration!r} s",
         "solver": _solver(run.solver, run.clock),
         "source": f"dmframe {dmframe.__version__}",
     }
     if graph is not None:
-        made.attrs["graph_sha256"] = hashlib.sha256(resolved_text(graph).encode()).hexdigest()
+        made.attrs["graph_sha256"] = hashlib.sha256(encoded(resolved_text(graph))).hexdigest()
     if seed is not None:
         made.attrs["seed"] = seed
     if run.divergence is not None:

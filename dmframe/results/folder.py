@@ -7,19 +7,20 @@ import hashlib
 import json
 import os
 import platform
+import re
 import shutil
 import sys
-import uuid
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 from dmframe.config.graph import Graph
 from dmframe.errors import OutputError
+from dmframe.files import encoded, hidden_name, is_hidden, writing
 from dmframe.results.resolved import companions, resolved_text, robot_source
 from dmframe.results.summary import summary
 from dmframe.simulate import Run
@@ -37,6 +38,8 @@ _PACKAGES = (
     "scipy",
     "xarray",
 )
+_LONGEST: Final = 150
+"""Bytes of a graph's name in that of a folder or figure; a file system takes 255."""
 
 
 @final
@@ -48,31 +51,97 @@ class Result:
     run: Run
 
 
+@final
+@dataclass(frozen=True)
+class Place:
+    """A folder that is held for results: as the user names it, where it really lies, and was it made for them?"""
+
+    path: Path
+    folder: Path
+    new: bool
+
+
 def reserve(path: str | Path) -> Path:
-    """Check, before a long simulation, that results can be written to the folder `path`.
+    """Check that results can be written to the folder `path`, and leave nothing behind.
 
     Raises
     ------
     OutputError
-        It exists and is not empty, or is no folder, or cannot be written.
+        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there.
     """
-    path = Path(path)
-    with _told(path):
-        if path.is_dir():
-            if any(path.iterdir()):
-                raise OutputError(
-                    f"{path}: expected an empty or a new folder, found one with files; name another folder"
-                )
-        elif path.exists() or path.is_symlink():
-            raise OutputError(f"{path}: expected a folder, found a file; name another folder")
-        trial = next(parent for parent in path.absolute().parents if parent.exists()) / f".{uuid.uuid4().hex}"
-        trial.mkdir()
-        trial.rmdir()
-    return path
+    with reserved(path) as place:
+        return place.path
+
+
+@contextmanager
+def reserved(path: str | Path) -> Iterator[Place]:
+    """Make and hold a folder for results; where nothing was written to it, what was made goes again.
+
+    Within a long simulation, so that it does not end in a place that cannot be used. Raises what `reserve` raises.
+    """
+    path, made = Path(path), list[Path]()
+    try:
+        with writing(path, "folder"):
+            folder = Path(os.path.realpath(path))
+            _make(folder, path, made)
+            lock = _locked(folder, path)
+        try:
+            with writing(path, "folder"):
+                _check_usable(folder, path, ours=lock is not None)
+            yield Place(path, folder, folder in made)
+        finally:
+            if lock is not None:
+                os.close(lock)
+    finally:
+        for each in reversed(made):
+            with contextlib.suppress(OSError):  # results lie there
+                each.rmdir()
+
+
+def _make(folder: Path, path: Path, made: list[Path]) -> None:
+    """Make a folder and those above it."""
+    for each in (*reversed(folder.parents), folder):
+        try:
+            each.mkdir()
+            made.append(each)
+        except OSError:
+            if not each.is_dir():
+                if each == folder and each.exists():
+                    raise OutputError(f"{path}: expected a folder, found a file; name another folder") from None
+                raise
+
+
+def _check_usable(folder: Path, path: Path, *, ours: bool) -> None:
+    """The folder is empty, and what is done at the end can be done."""
+    for item in list(folder.iterdir()):
+        if not (ours and is_hidden(item.name)):
+            raise OutputError(f"{path}: expected an empty or a new folder, found one with files; name another folder")
+        shutil.rmtree(item)  # of a run that was killed, for nobody else holds this folder
+    trial = folder / hidden_name()
+    trial.mkdir()
+    trial.rmdir()
+
+
+def _locked(folder: Path, path: Path) -> int | None:
+    """Hold a folder as long as this process lives; None where the system cannot."""
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise OutputError(f"{path}: another run writes there; name another folder") from None
+    except OSError:  # some network drives have no locks
+        os.close(lock)
+        return None
+    return lock
 
 
 def write_run(
-    path: str | Path,
+    path: str | Path | Place,
     results: Sequence[Result],
     *,
     plots: bool = True,
@@ -83,11 +152,13 @@ def write_run(
     """Write runs to a new folder, and return their summaries.
 
     One graph's files lie in the folder itself, several graphs' in a folder for each; figures, in which they are
-    overlaid, lie in the folder itself. Everything is built beside it and then renamed, so that it is there in
-    full or not at all.
+    overlaid, lie in the folder itself. Everything is built in a hidden folder and moved when it is whole, so that it
+    is there in full or not at all.
 
     Parameters
     ----------
+    path
+        A new or an empty folder, or one held by `reserved`.
     plots
         Draw the figures.
     seed
@@ -100,34 +171,40 @@ def write_run(
     OutputError
         The folder has files in it, or cannot be written.
     """
-    path = reserve(path)
-    folders = _folders(path, results)
-    summaries = [summary(r.graph.name, r.run, str(folder)) for r, folder in zip(results, folders, strict=True)]
-    with _built(path) as building:
-        for result, folder, told in zip(results, folders, summaries, strict=True):
-            place = building / folder.relative_to(path)
-            place.mkdir(exist_ok=True)
-            _write_one(place, result, told, seed, command, now)
-        if plots:
-            from dmframe.results.figures import save_figures
+    names = _names(results)
+    with nullcontext(path) if isinstance(path, Place) else reserved(path) as place:
+        folders = [place.path / name if len(results) > 1 else place.path for name in names]
+        summaries = [summary(r.graph.name, r.run, str(folder)) for r, folder in zip(results, folders, strict=True)]
+        with _built(place) as building:
+            for result, folder, told in zip(results, folders, summaries, strict=True):
+                own = building / folder.relative_to(place.path)
+                own.mkdir(exist_ok=True)
+                _write_one(own, result, told, seed, command, now)
+            if plots:
+                from dmframe.results.figures import save_figures
 
-            save_figures(dict(zip(_names(results), (r.run for r in results), strict=True)), building)
+                save_figures(dict(zip(names, (r.run for r in results), strict=True)), building)
     return summaries
 
 
+def safe_name(name: str) -> str:
+    """A graph's name as that of a folder on any system: letters, digits, - and _.
+
+    Without a dot, it is no figure's file.
+    """
+    return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
+
+
 def _names(results: Sequence[Result]) -> list[str]:
-    """The graphs' names, made distinct."""
-    names = list[str]()
+    """Names for the graphs' folders and curves, distinct where capitals are not told apart, too."""
+    names = dict[str, str]()
     for result in results:
-        name, count = result.graph.name, 2
-        while name in names:
-            name, count = f"{result.graph.name}_{count}", count + 1
-        names.append(name)
-    return names
-
-
-def _folders(path: Path, results: Sequence[Result]) -> list[Path]:
-    return [path] if len(results) == 1 else [path / name for name in _names(results)]
+        first = name = safe_name(result.graph.name)
+        count = 2
+        while name.casefold() in names:
+            name, count = f"{first}_{count}", count + 1
+        names[name.casefold()] = name
+    return list(names.values())
 
 
 def _write_one(
@@ -139,7 +216,7 @@ def _write_one(
     now: datetime | None,
 ) -> None:
     text = resolved_text(result.graph)
-    (place / "graph.yaml").write_text(text, encoding="utf-8")
+    (place / "graph.yaml").write_bytes(encoded(text))
     for name, source in companions(result.graph).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
@@ -159,7 +236,7 @@ def _write_signals(file: Path, result: Result, seed: int | None) -> None:
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
-    file.write_text(json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    file.write_bytes(encoded(json.dumps(data, indent=2, allow_nan=False, ensure_ascii=False) + "\n"))
 
 
 def provenance(
@@ -178,7 +255,7 @@ def provenance(
         "python": platform.python_version(),
         "platform": platform.platform(),
         "versions": {name: _version(name) for name in _PACKAGES},
-        "graph_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
         "robot": graph.robot.name if graph.robot is not None else None,
         "urdf": source.urdf.name if source else None,
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,
@@ -194,33 +271,25 @@ def _version(package: str) -> str | None:
 
 
 @contextmanager
-def _built(path: Path) -> Iterator[Path]:
-    """A folder beside `path` that takes its place when all went well, and vanishes when not."""
-    made = list[Path]()
-    building = path.absolute().parent / f".{path.name}.{uuid.uuid4().hex[:8]}.part"
-    with _told(path):
+def _built(place: Place) -> Iterator[Path]:
+    """A hidden folder that takes its place when all went well, and vanishes when not.
+
+    In the place itself where that was there before: nothing can be renamed over the working folder or a whole drive.
+    """
+    building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
+    with writing(place.path, "folder"):
         try:
-            missing = [parent for parent in path.absolute().parents if not parent.exists()]
-            for parent in reversed(missing):
-                parent.mkdir()
-                made.append(parent)
             building.mkdir()
             yield building
-            os.rename(building, path)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+            with contextlib.suppress(OSError):
+                os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+                return
+            for item in list(building.iterdir()):
+                moved.append(item.rename(place.folder / item.name))
+            building.rmdir()
         except BaseException:
-            shutil.rmtree(building, ignore_errors=True)
-            for parent in reversed(made):
+            for item in (building, *moved):
+                shutil.rmtree(item, ignore_errors=True)
                 with contextlib.suppress(OSError):
-                    parent.rmdir()
+                    item.unlink()
             raise
-
-
-@contextmanager
-def _told(path: Path) -> Iterator[None]:
-    """A fault of the operating system as one that names the folder."""
-    try:
-        yield
-    except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        hint = "free some space, or name a folder on another disk" if "space" in reason else "name another folder"
-        raise OutputError(f"{path}: the results cannot be written: {reason}; {hint}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ FAULTS = {
     ),
     "folder of a drawing": (
         ("draw", "pendulum", "-o", "no/a.svg"),
-        "dmframe: no/a.svg: cannot be written: No such file or directory\n",
+        "dmframe: no/a.svg: the folder no does not exist; make it first, or name another\n",
     ),
     "unknown block": (
         ("blocks", "pid_invers"),
@@ -65,8 +66,61 @@ FAULTS = {
     ),
     "until for ever": (
         (*RUN, "--until", "inf"),
-        "dmframe: --until inf: expected a quantity in s, found inf: the number must be finite\n",
+        "dmframe: --until inf: expected a quantity in s, found 'inf': the number must be finite\n",
     ),
+    "until with a line between digits": (
+        (*RUN, "--until", "1_0"),
+        "dmframe: --until 1_0: expected a quantity in s, found '1_0': cannot read '_0' as a unit",
+    ),
+    "until in other digits": (
+        (*RUN, "--until", "\N{ARABIC-INDIC DIGIT THREE}"),
+        "found '\N{ARABIC-INDIC DIGIT THREE}': begin with a number\n",
+    ),
+    "a seed that is no number": (
+        ("verify", "pendulum", "--seed", "1_0"),
+        "dmframe: --seed 1_0: expected a whole number\n",
+    ),
+    "a tube without rank": (
+        ("analyse", "pendulum", "--tube", "3"),
+        "dmframe: --tube: it does nothing without --rank; add that\n",
+    ),
+    "the least without rank": (
+        ("analyse", "pendulum", "--least", "1"),
+        "dmframe: --least: it does nothing without --rank; add that\n",
+    ),
+    "a horizon with rank": (
+        ("analyse", "theorem_3", "--rank", "--horizon", "nan"),
+        "dmframe: --horizon: it does nothing with --rank; leave one out\n",
+    ),
+    "a horizon that is no number": (
+        ("analyse", "pendulum", "--horizon", "nan"),
+        "dmframe: --horizon nan: expected a quantity in s, found 'nan': the number must be finite\n",
+    ),
+    "a tube that is no number": (
+        ("analyse", "theorem_3", "--rank", "--tube", "nan"),
+        "dmframe: --tube nan: expected a quantity in rad, found 'nan': the number must be finite\n",
+    ),
+    "boxes that are no number": (
+        ("analyse", "theorem_3", "--rank", "--boxes", "1e3"),
+        "dmframe: --boxes 1e3: expected a whole number\n",
+    ),
+    "base parameters of kinematics": (
+        ("regressor", "arm2", "--kinematic", "--base"),
+        "dmframe: --base: it does nothing with --kinematic; leave one out\n",
+    ),
+    "a joint held twice": (
+        ("regressor", "arm2", "--hold", "joint2=1", "--hold", "joint2=2"),
+        "dmframe: --hold joint2=2: joint2 is held twice; keep one of them\n",
+    ),
+    "two texts in one file": (
+        ("regressor", "arm2", "--c", "x.c", "--python", "./x.c"),
+        "dmframe: x.c: two files would be written there; name another for one of them\n",
+    ),
+    "code in a folder that is not there": (
+        ("regressor", "arm2", "--c", "no/x.c"),
+        "dmframe: no/x.c: the folder no does not exist; make it first, or name another\n",
+    ),
+    "a name too long": (("run", "a" * 300), f"dmframe: {'a' * 300}: unknown graph; choose from "),
     "set without a value": ((*RUN, "--set", "foo"), "dmframe: --set foo: expected block.parameter=value"),
     "set of an unknown block": (
         (*RUN, "--set", "taks.alpha=1"),
@@ -138,3 +192,57 @@ def test_a_defect_of_a_users_block_is_told_in_one_line(dmframe: Any, tmp_path: P
     assert said.out == ""
     assert len(said.err.splitlines()) == 1
     assert "ZeroDivisionError: division by zero" in said.err
+
+
+MOMENTS = {"import": "{}", "making": "def __init__(self): {}", "equations": "def equations(self, u, x, p): {}"}
+
+
+@pytest.mark.parametrize("moment", ["import", "making", "equations"])
+@pytest.mark.parametrize("fault", ["SystemExit(0)", "GeneratorExit", "BrokenPipeError"])
+def test_a_users_block_cannot_end_the_program_as_if_all_were_well(
+    moment: str, fault: str, dmframe: Any, tmp_path: Path
+) -> None:
+    body = "\n    ".join(MOMENTS[each].format("pass" if each != moment else f"raise {fault}") for each in MOMENTS)
+    tmp_path.joinpath("odd.py").write_text(
+        f"from dmframe.block import AbstractBlock\nclass Odd(AbstractBlock):\n    {body}\n", encoding="utf-8"
+    )
+    tmp_path.joinpath("odd.yaml").write_text(
+        'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
+    )
+    for words in (("check", "odd.yaml"), ("verify", "odd.yaml", "--report", "r.md")):
+        said = dmframe(*words)
+        assert (said.status, said.out) == (2, "")
+        assert len(said.err.splitlines()) == 1
+        assert fault.removesuffix("(0)") in said.err
+        assert "odd.py:" in said.err
+
+
+def test_a_certificate_that_ends_the_program_proves_nothing(dmframe: Any, tmp_path: Path) -> None:
+    tmp_path.joinpath("odd.py").write_text(
+        "from dmframe.block import AbstractBlock, Equations\n"
+        "class Odd(AbstractBlock):\n"
+        '    """Ends."""\n'
+        "    def equations(self, u, x, p):\n"
+        "        return Equations()\n"
+        "    def certificate(self, u, x, p, truth):\n"
+        "        raise SystemExit(0)\n",
+        encoding="utf-8",
+    )
+    tmp_path.joinpath("odd.yaml").write_text(
+        'dmframe: 1\nclock: 4 ms\nduration: 1 s\nblocks:\n  odd: {type: "odd.py:Odd"}\n', encoding="utf-8"
+    )
+    said = dmframe("verify", "odd.yaml")
+    assert said.status == 1
+    assert "odd: certificate(), odd.py:7: SystemExit: 0" in said.out
+
+
+def test_a_file_that_cannot_be_read_is_named(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root may read everything, so that the system is told to refuse."""
+
+    def refuse(path: object, *_: Any, **__: Any) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    assert dmframe("blocks", "my.py:Mine").err == "dmframe: blocks: my.py cannot be read: permission denied\n"
+    monkeypatch.setattr("dmframe.robot.library.load", refuse)
+    assert dmframe("regressor", "arm.urdf").err == "dmframe: arm.urdf: cannot be read: permission denied\n"

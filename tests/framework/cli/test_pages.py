@@ -79,7 +79,8 @@ def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:
 
 def test_new_says_where_it_cannot_write(dmframe: Any) -> None:
     said = dmframe("new", "pendulum", "no/mine.yaml")
-    assert (said.status, said.err) == (2, "dmframe: no/mine.yaml: cannot be written: No such file or directory\n")
+    told = "dmframe: no/mine.yaml: the folder no does not exist; make it first, or name another\n"
+    assert (said.status, said.err) == (2, told)
 
 
 def test_check_names_each_block_wire_size_and_derived_signal(dmframe: Any) -> None:

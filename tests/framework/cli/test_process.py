@@ -89,7 +89,104 @@ def test_output_that_cannot_be_written_is_told_in_one_line(tmp_path: Path) -> No
     assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
 
 
-def interrupted_while_running(words: Sequence[str], cwd: Path) -> tuple[int, str, str]:
+SHORT = ("run", "arm2_joint", "--until", "0.1", "--no-plots", "--out", "mine")
+
+
+def held(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_a_reader_that_has_gone_loses_no_results(tmp_path: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    process = started(SHORT, tmp_path, stdout=writer)
+    os.close(writer)
+    assert ended(process)[::2] == (0, "")
+    assert held(tmp_path / "mine") == FILES
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_loses_no_report(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        status, _, err = ended(started(("verify", "pendulum", "--report", "r.md"), tmp_path, stdout=full))
+    assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
+    assert held(tmp_path) == {"r.md"}
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_output_that_cannot_be_written_loses_no_results(tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        status, _, err = ended(started(SHORT, tmp_path, stdout=full, stderr=subprocess.PIPE))
+    assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
+    assert held(tmp_path / "mine") == FILES
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+@pytest.mark.parametrize("words", [("run", "nosuch"), ("run", "--nosuch")])
+def test_a_fault_that_nobody_can_be_told_has_its_status(words: tuple[str, ...], tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        assert ended(started(words, tmp_path, stderr=full))[0] == 2
+        assert ended(started(words, tmp_path, stdout=full, stderr=full))[0] == 2
+
+
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_streams_may_be_closed(closed: tuple[int, ...], tmp_path: Path) -> None:
+    hook = f"import os\nfor number in {closed}: os.close(number)\n"
+    again = "os.execv(sys.executable, [sys.executable, '-c', sys.argv[1], *sys.argv[2:]])"
+    words = [sys.executable, "-c", f"import sys\n{hook}{again}", START[2]]
+    assert ended(subprocess.Popen([*words, *SHORT], cwd=tmp_path))[0] == 0
+    assert held(tmp_path / "mine") == FILES
+    assert ended(subprocess.Popen([*words, "run", "nosuch"], cwd=tmp_path))[0] == 2
+
+
+def test_letters_that_the_terminal_has_not_are_escaped(tmp_path: Path) -> None:
+    told = os.environ | {"PYTHONIOENCODING": "ascii"}
+    status, out, err = ended(started((SHORT[0], "pendulum", *SHORT[2:]), tmp_path, env=told))
+    assert (status, err) == (0, "")
+    assert "\\xb5rad" in out
+    assert held(tmp_path / "mine") == FILES
+
+
+def test_names_of_bytes_that_are_no_letters_are_escaped(tmp_path: Path) -> None:
+    graph = os.fsencode(tmp_path) + b"/bad\xff.yaml"
+    assert ended(started(("new", "pendulum", os.fsdecode(graph)), tmp_path))[0] == 0
+    words = ("run", os.fsdecode(graph), "--until", "0.1", "--no-plots", "--out", os.fsdecode(b"o\xff"))
+    status, out, err = ended(started(words, tmp_path))
+    assert (status, err) == (0, "")
+    assert out.splitlines()[-1] == "results: o\\udcff"
+    told = json.loads(tmp_path.joinpath(os.fsdecode(b"o\xff"), "summary.json").read_text(encoding="utf-8"))
+    assert (told["graph"], told["out"]) == ("bad\udcff", "o\udcff")
+    assert ended(started(("verify", os.fsdecode(graph), "--report", "r.html"), tmp_path))[::2] == (0, "")
+    assert held(tmp_path) == {"r.html", os.fsdecode(b"bad\xff.yaml"), os.fsdecode(b"o\xff")}
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_no_signal_breaks_the_writing_of_results(number: int, tmp_path: Path) -> None:
+    hook = (
+        "import signal, dmframe.results.folder as folder\n"
+        "write = folder._write_signals\n"
+        "def hooked(*words):\n"
+        f"    signal.raise_signal({int(number)})\n"
+        "    write(*words)\n"
+        "folder._write_signals = hooked\n"
+        "from dmframe.cli import main\n"
+        "main()\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", hook, *SHORT],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    status, out, err = ended(process)
+    assert (status, err) == (130, "dmframe: stopped\n")
+    assert out.splitlines()[-1] == "results: mine"
+    assert held(tmp_path) == {"mine"}
+    assert held(tmp_path / "mine") == FILES
+
+
+def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = signal.SIGINT) -> tuple[int, str, str]:
     """Ctrl-C as soon as the first progress is made: the process says so on a pipe, so that nobody waits for a clock."""
     told, tell = os.pipe()
     hook = (
@@ -118,13 +215,14 @@ def interrupted_while_running(words: Sequence[str], cwd: Path) -> tuple[int, str
     )
     os.close(tell)
     assert os.read(told, 1) == b"x"
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     os.close(told)
     return ended(process)
 
 
-def test_ctrl_c_leaves_a_complete_folder_with_what_was_computed(tmp_path: Path) -> None:
-    status, out, err = interrupted_while_running(LONG, tmp_path)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_ctrl_c_leaves_a_complete_folder_with_what_was_computed(number: int, tmp_path: Path) -> None:
+    status, out, err = interrupted_while_running(LONG, tmp_path, number)
     assert (status, err) == (130, "dmframe: stopped\n")
     assert "what was done is kept" in out
     assert out.splitlines()[-1] == "results: mine"

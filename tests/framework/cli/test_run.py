@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from pathlib import Path
@@ -198,3 +199,55 @@ def test_sundials_can_be_chosen(dmframe: Any) -> None:
     fixed = strict(dmframe("run", "arm2_joint", *SHORT, "--json").out)
     other = strict(dmframe("run", "arm2_joint", *SHORT, "--json", "--set", "solver.method=cvodes").out)
     assert other["error"]["rms_final"] == pytest.approx(fixed["error"]["rms_final"], rel=1e-4)
+
+
+def test_a_name_is_never_taken_for_markup(dmframe: Any, tmp_path: Path) -> None:
+    assert dmframe("new", "arm2_joint", "[red]x.yaml").status == 0
+    said = dmframe("run", "[red]x.yaml", *SHORT)
+    assert said.status == 0
+    assert said.out.splitlines()[1].startswith("[red]x ")
+    (folder,) = tmp_path.joinpath("runs").iterdir()
+    assert folder.name.endswith("_red_x")
+
+
+def test_a_message_is_never_taken_for_markup(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    notice = "ld: [/usr/lib/crt1.o]: [bold]undefined[/bold] :smile:"
+    monkeypatch.setattr("dmframe.simulate.engine._compiled", lambda step: (None, notice))
+    said = dmframe("run", "arm2_joint", *SHORT, "--engine", "compiled")
+    assert said.status == 0
+    assert f"arm2_joint: notice: {notice}\n" in said.out
+
+
+def test_a_full_disk_at_the_end_leaves_the_numbers(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("dmframe.results.folder._write_signals", full)
+    said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
+    assert said.status == 2
+    assert said.out.splitlines()[1].startswith("arm2_joint")
+    assert said.err.startswith("dmframe: mine: the results cannot be written: no space left on device; free some")
+
+
+def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_path: Path) -> None:
+    for name in ("here", "far"):
+        tmp_path.joinpath(name).mkdir()
+    tmp_path.joinpath("link").symlink_to("far")
+    long = "a" * 250
+    for out in ("link", long):
+        assert dmframe("run", "arm2_joint", *SHORT, "--out", out).status == 0
+        assert {path.name for path in tmp_path.joinpath(out).iterdir()} == FILES
+    assert tmp_path.joinpath("link").is_symlink()
+    os.chdir(tmp_path / "here")
+    assert dmframe("run", "arm2_joint", *SHORT, "--out", ".").status == 0
+    assert {path.name for path in tmp_path.joinpath("here").iterdir()} == FILES
+
+
+def test_graphs_of_any_name_lie_beside_their_figures(dmframe: Any, tmp_path: Path) -> None:
+    names = ("error.png.yaml", "..yaml", "new\nline.yaml", "Error_PNG.yaml")
+    for name in names:
+        assert dmframe("new", "arm2_joint", name).status == 0
+    assert dmframe("run", *names, "--until", "0.1", "--out", "mine").status == 0
+    held = {path.name: path.is_dir() for path in tmp_path.joinpath("mine").iterdir()}
+    assert {name for name, folder in held.items() if folder} == {"error_png", "graph", "new_line", "Error_PNG_2"}
+    assert {"error.png", "estimates_new_line.svg"} <= set(held)

@@ -17,6 +17,7 @@ from dmframe.compile import library
 from dmframe.compile.cache import find, make
 from dmframe.compile.compiler import CompileFailed, Compiler, find_compiler
 from dmframe.config.graph import load_graph
+from dmframe.errors import ValueFault
 from dmframe.simulate import Run, simulate
 
 Runner = Callable[..., Run]
@@ -235,3 +236,39 @@ def test_the_cache_lies_where_the_platform_keeps_caches(monkeypatch: pytest.Monk
     assert keeping.cache_folder() == tmp_path / ".cache" / "dmframe"
     monkeypatch.setattr(sys, "platform", "darwin")
     assert keeping.cache_folder() == tmp_path / "Library" / "Caches" / "dmframe"
+
+
+def test_variables_that_cannot_be_meant_are_told(
+    monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
+) -> None:
+    forget()
+    monkeypatch.setenv("CC", 'gcc "')
+    with pytest.raises(ValueFault, match=r'^CC=gcc ": expected a command, found one that cannot be read: no closing'):
+        pendulum()
+    monkeypatch.delenv("CC")
+    monkeypatch.setenv("DMFRAME_CACHE", "~nobody_of_that_name/x")
+    with pytest.raises(ValueFault, match=r"^DMFRAME_CACHE=~nobody_of_that_name/x: expected a folder, found the home"):
+        pendulum()
+
+
+def test_a_user_without_a_home_compiles_for_this_process(
+    monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
+) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("DMFRAME_CACHE")
+    monkeypatch.setattr(keeping, "_usual_folder", nowhere)
+    run = pendulum()
+    assert run.engine == "compiled"
+    assert "the cache cannot be used (this user has no home): compiled for this process alone" in run.notices
+
+
+def test_another_compiler_than_the_one_asked_for_is_told(
+    monkeypatch: pytest.MonkeyPatch, cache: Path, pendulum: Runner
+) -> None:
+    monkeypatch.setenv("CC", "no_such_compiler -O3")
+    run = pendulum()
+    assert run.engine == "compiled"
+    (notice,) = (text for text in run.notices if "$CC" in text)
+    assert notice.startswith("$CC, no_such_compiler, was not found: compiled by /")

@@ -100,10 +100,10 @@ def test_the_function_names_its_arguments() -> None:
 
 def test_a_file_that_cannot_be_written_leaves_what_was_there(tmp_path: Path) -> None:
     f = regressor_function(ur10())
-    with pytest.raises(OutputError, match=r"C source: cannot write .*No such file or directory; choose a folder"):
+    with pytest.raises(OutputError, match=r"nowhere/regressor\.c: the folder .*nowhere does not exist; make it first"):
         write_c(f, tmp_path / "nowhere" / "regressor.c")
     (tmp_path / "taken.c").mkdir()
-    with pytest.raises(OutputError, match="Is a directory"):
+    with pytest.raises(OutputError, match="expected a file, found a folder"):
         write_c(f, tmp_path / "taken.c")
     assert list(tmp_path.iterdir()) == [tmp_path / "taken.c"]
 

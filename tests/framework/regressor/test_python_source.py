@@ -96,5 +96,5 @@ def test_c_of_the_kinematic_regressor_says_what_it_is(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"Python source: cannot write .*; choose a folder that exists"):
+    with pytest.raises(OutputError, match=r"arm\.py: the folder .*nowhere does not exist; make it first"):
         write_python(load("arm2"), tmp_path / "nowhere" / "arm.py")

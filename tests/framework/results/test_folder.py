@@ -13,7 +13,9 @@ import xarray
 import dmframe.results.folder as folder_module
 from dmframe.config.graph import load_graph
 from dmframe.errors import OutputError
-from dmframe.results import Result, reserve, write_run
+from dmframe.files import hidden_name
+from dmframe.results import Result, reserve, reserved, write_run
+from dmframe.results.folder import safe_name
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import simulate
 
@@ -161,3 +163,27 @@ def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["diverged"]
     assert told["error"]["rms_by_eighth"][4:] == [None] * 4
+
+
+def test_a_folder_that_is_held_is_nobody_elses(tmp_path, kinematic):
+    with reserved(tmp_path / "out") as place:
+        with pytest.raises(OutputError, match="out: another run writes there; name another folder"):
+            reserve(tmp_path / "out")
+        write_run(place, [kinematic], plots=False)
+    with pytest.raises(OutputError, match="found one with files"):
+        reserve(tmp_path / "out")
+
+
+def test_what_a_killed_run_left_is_in_nobodys_way(tmp_path, kinematic):
+    left = tmp_path / "out" / hidden_name()
+    left.mkdir(parents=True)
+    (left / "signals.nc").write_text("", encoding="utf-8")
+    write_run(tmp_path / "out", [kinematic], plots=False)
+    assert len(list((tmp_path / "out").iterdir())) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "safe"), [("a.b", "a_b"), (".", "graph"), ("-x", "x"), ("größe", "größe"), ("é" * 200, "é" * 75)]
+)
+def test_names_of_folders_are_safe(name, safe):
+    assert safe_name(name) == safe

@@ -1,0 +1,44 @@
+"""Signals that end a program: all of them as Ctrl-C does, and none while results are written."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+_ENDING: Final = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let the signals of a shutdown and of a terminal that goes stop the program as Ctrl-C does."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with _handled(stop, [number for number in _ENDING if signal.getsignal(number) is signal.SIG_DFL]):
+        yield
+
+
+@contextmanager
+def held_off() -> Iterator[list[int]]:
+    """Note such signals instead of obeying: an impatient second one must not lose what was computed."""
+    came = list[int]()
+    heard = [number for number in (signal.SIGINT, *_ENDING) if signal.getsignal(number) is not signal.SIG_IGN]
+    with _handled(lambda number, _: came.append(number), heard):
+        yield came
+
+
+@contextmanager
+def _handled(handler: Callable[[int, Any], None], numbers: list[int]) -> Iterator[None]:
+    before = dict[int, Any]()
+    try:
+        if threading.current_thread() is threading.main_thread():  # no other may
+            for number in numbers:
+                before[number] = signal.signal(number, handler)
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, signal.SIG_DFL if old is None else old)

@@ -1,0 +1,142 @@
+"""Files that a user names: written in full or not at all, and every fault names its file."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import Final
+
+from dmframe.errors import OutputError
+
+_FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
+
+
+def encoded(text: str) -> bytes:
+    r"""A text as UTF-8; what is none, such as a byte of a file's name that nobody can decode, becomes ``\udcff``."""
+    return text.encode("utf-8", "backslashreplace")
+
+
+def printable(text: str) -> str:
+    """A text that every library can encode."""
+    return encoded(text).decode("utf-8")
+
+
+def hidden_name() -> str:
+    """A name for what is not whole yet: short, whatever the name that it will bear."""
+    return f".dmframe-{uuid.uuid4().hex[:8]}.part"
+
+
+def is_hidden(name: str) -> bool:
+    """Is it one of `hidden_name`?"""
+    return name.startswith(".dmframe-") and name.endswith(".part")
+
+
+def reason(error: OSError) -> str:
+    """What the operating system says, without the name."""
+    return (error.strerror or str(error)).lower()
+
+
+def check_place(path: str | Path) -> None:
+    """Raise `OutputError` where no file of that name can be: to be asked before anything is computed."""
+    path = Path(path)
+    with writing(path):
+        try:
+            there, mode = path, path.stat().st_mode
+        except (FileNotFoundError, NotADirectoryError):
+            # of a link, the folder to which it leads
+            there = path.parent if not path.parent.is_dir() else Path(os.path.realpath(path)).parent
+            mode = 0
+        if stat.S_ISDIR(mode):
+            raise OutputError(f"{path}: expected a file, found a folder; name a file in it")
+        if not mode and not there.is_dir():
+            raise OutputError(f"{path}: the folder {there} does not exist; make it first, or name another")
+        if not os.access(there, os.W_OK):  # of a file, too: its folder's rights alone would let it be replaced
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
+def is_file(path: str | Path) -> bool:
+    """Is there a file that can be told to be one? Never raises, as `Path.is_file` does for a name that is too long."""
+    try:
+        return Path(path).is_file()
+    except OSError:
+        return False
+
+
+def write_text(path: str | Path, text: str, *, new: bool = False) -> None:
+    """Write a file in one step, so that there is never half a one, and the old one stays where writing fails.
+
+    A link is followed, and a file that was there keeps its mode. What is no regular file, such as a device or a pipe,
+    is written to and not replaced.
+
+    Parameters
+    ----------
+    new
+        The file must not be there yet.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+    path = Path(path)
+    check_place(path)
+    with _claimed(path) if new else nullcontext(), writing(path):
+        if path.is_file() or not path.exists():
+            _replace(Path(os.path.realpath(path)), encoded(text))
+        else:
+            with path.open("wb") as device:
+                device.write(encoded(text))
+
+
+def _replace(target: Path, content: bytes) -> None:
+    """Put a regular file in the place of the one that is there, if any."""
+    old = target.stat() if target.exists() else None
+    beside = target.with_name(hidden_name())
+    try:
+        with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
+            file.write(content)
+        if old is not None:
+            with suppress(OSError, AttributeError):  # only root may, and not on every system
+                os.chown(beside, old.st_uid, old.st_gid)
+            beside.chmod(stat.S_IMODE(old.st_mode))
+        beside.replace(target)
+    except BaseException:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+
+
+@contextmanager
+def _claimed(path: Path) -> Iterator[None]:
+    """Hold the name of a new file with an empty one, which vanishes when it is not written."""
+    with writing(path):
+        try:
+            os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        except FileExistsError:
+            raise OutputError(f"{path}: expected a new file, found one; name another") from None
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            path.unlink()
+        raise
+
+
+@contextmanager
+def writing(path: str | Path, kind: str = "file") -> Iterator[None]:
+    """A fault of the operating system as an `OutputError` that names what was to be written, a file or a folder."""
+    try:
+        yield
+    except OSError as error:
+        hint = f"name another {kind}"
+        if error.errno in _FULL:
+            hint = f"free some space, or name a {kind} on another disk"
+        elif error.errno == errno.ENAMETOOLONG:
+            hint = "name a shorter one"
+        what = "" if kind == "file" else "the results "
+        raise OutputError(f"{path}: {what}cannot be written: {reason(error)}; {hint}") from error
