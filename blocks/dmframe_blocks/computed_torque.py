@@ -86,8 +86,8 @@ class ComputedTorque(AbstractBlock):
         """(4) names no error where the adaptation is indirect: it is the prediction error that vanishes."""
         if truth.direct.is_zero():
             text = (
-                "M_hat stays uniformly positive definite, so that where the prediction error vanishes the tracking error "
-                "obeys its stable linear equation"
+                "M_hat stays uniformly positive definite, so that where the prediction error vanishes the tracking "
+                "error obeys its stable linear equation"
             )
             return (Assumption(text, "eqs. (54), (58)"),)
         return ()

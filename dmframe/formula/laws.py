@@ -10,7 +10,7 @@ import numpy as np
 
 from dmframe.certificate import Certificate
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.diagram.model import BlockModel
+from dmframe.diagram.model import BlockModel, symbols_in
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
@@ -215,13 +215,18 @@ class ReadBlock:
                 if symbol.nnz() and symbol.is_valid_input() and name in signals:  # else a number
                     pairs.setdefault(str(symbol), (symbol, ca.densify(getattr(signals, name))))
         labels, mine = self._labelled(self.scalars, proved)
-        symbols, values = zip(*pairs.values(), strict=True) if pairs else ((), ())
-        expected = ca.substitute([ca.SX(piece) for piece in self.scalar_signs.meant(mine)], list(symbols), list(values))
+        symbols, meanings = zip(*pairs.values(), strict=True) if pairs else ((), ())
+        expected = ca.substitute(
+            [ca.SX(piece) for piece in self.scalar_signs.meant(mine)], list(symbols), list(meanings)
+        )
         found = [ca.SX(piece) for _, piece in _pieces(proved)]
         both = loop.joined([*expected, *found])
-        leaves = ca.symvar(ca.veccat(*both))
-        function = ca.Function("proved", [ca.veccat(*leaves)], both)
-        numbers = function.call([np.random.default_rng(POINTS).uniform(0.5, 1.5, len(leaves))])
+        functions = self.reading.functions
+        constants, values = (ca.SX(0, 1), ca.DM(0, 1)) if functions is None else (functions.constants, functions.values)
+        known = symbols_in([constants])  # with others a robot's rotations would be none, and M(q) not one matrix
+        leaves = [leaf for leaf in ca.symvar(ca.veccat(*both)) if leaf.element_hash() not in known]
+        function = ca.Function("proved", [ca.veccat(*leaves), constants], both)
+        numbers = function.call([np.random.default_rng(POINTS).uniform(0.5, 1.5, len(leaves)), values])
         for label, one, two in zip(labels, numbers, numbers[len(mine) :], strict=False):
             if differs(one.full(), two.full()):
                 raise self._fault("certificate", label)
