@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 from pydantic import BaseModel, ValidationError
 
@@ -15,7 +15,7 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection, robot_name
-from dmframe.config.overrides import overridden, target
+from dmframe.config.overrides import overridden, put
 from dmframe.config.renamed import with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
@@ -61,7 +61,7 @@ class Graph:
         try:
             return Diagram.build(self.blocks, self.file.wires, self.robot)
         except DmframeError as error:
-            raise placed(error, self.document, self.overrides) from None
+            raise placed(error, self.document) from None
 
     def baseline(self) -> Graph:
         """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
@@ -87,25 +87,33 @@ class Graph:
 
     def with_duration(self, duration: float) -> Graph:
         """The same graph, run for another time [s]."""
+        document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        return replace(self, file=file, data={**self.data, "duration": duration})
+        return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
+
+
+TIMES: Final = (("duration",), ("clock",), ("solver", "step"), ("solver", "output"), ("log", "every"))
+"""They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
 
 
 def placed(error: DmframeError, document: Document, overrides: Sequence[str] = ()) -> DmframeError:
     """The fault, or each of several in the order of the file, with ``file:line:column``.
 
-    One whose culprit an override has set is placed there: ``--set task.gamma=-1``.
+    One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
+    which overrides changed it.
     """
+    del overrides  # they stand in the document
     faults = error.faults if isinstance(error, Faults) else (error,)
     for fault in faults:
-        if not fault.location:
-            fault.location = _override_of(fault.path, document, overrides) or _location(fault, document)
+        fault.location = fault.location or _location(fault, document)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
 
 
 def _location(fault: DmframeError, document: Document) -> str:
     """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list."""
     path = fault.path
+    if path in TIMES:
+        path = next((other for other in (path, *TIMES) if document.locate(other).startswith("--")), path)
     if isinstance(fault, UnknownNameError):
         held: Any = document.data
         for part in path:
@@ -114,20 +122,16 @@ def _location(fault: DmframeError, document: Document) -> str:
             path = (*path, fault.name)
         elif isinstance(held, list) and fault.name in held:
             path = (*path, held.index(fault.name))
-    return document.locate(path, key=isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,))
-
-
-def _override_of(path: tuple[str | int, ...], document: Document, overrides: Sequence[str]) -> str:
-    for text in reversed(overrides):
-        keys = tuple(target(text, document.data))
-        if keys and path[: len(keys)] == keys:
-            return f"--set {text}"
-    return ""
+    place = document.locate(path, key=isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,))
+    if place.startswith("--") or (isinstance(fault, MissingError) and len(path) == 1):
+        return place
+    changed = document.said_below(path)
+    return f"{place} with {', '.join(changed)}" if changed else place
 
 
 def _place(fault: DmframeError) -> tuple[int, ...]:
     """Line and column of a fault's location; overrides come first."""
-    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location))
+    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location.partition(" with --")[0]))
 
 
 def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
@@ -150,16 +154,16 @@ def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
     path = find_graph(str(source))
-    read = with_new_names(read_file(path), overrides, path.parent)
+    read = with_new_names(overridden(read_file(path), overrides, list(GraphFile.model_fields)), path.parent)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{notice}\n")
-    return make_graph(read.document, path, read.overrides)
+    return replace(make_graph(read.document, path), overrides=tuple(overrides))
 
 
-def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) -> Graph:
+def make_graph(document: Document, path: Path) -> Graph:
     """A graph from its document; `path` names it, and files are looked for beside it."""
-    data = overridden(document.data, overrides, list(GraphFile.model_fields))
+    data = document.data
     faults = list[DmframeError]()
     try:
         file = GraphFile.model_validate(data)
@@ -175,9 +179,9 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
     try:
         raise_all(faults)
     except DmframeError as error:
-        raise placed(error, document, overrides) from None
+        raise placed(error, document) from None
     assert file is not None  # a file that is not valid left a fault
-    return Graph(path.stem, file, data, document, blocks, robot, start, tuple(overrides))
+    return Graph(path.stem, file, data, document, blocks, robot, start)
 
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
