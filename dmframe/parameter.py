@@ -89,7 +89,7 @@ def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:
 
 
 def _field(spec: Spec, default: Any) -> Any:
-    return Field(default, json_schema_extra={KEY: asdict(spec)}, validate_default=False)
+    return Field(default, json_schema_extra={KEY: asdict(spec)}, validate_default=True)
 
 
 def spec_of(field: FieldInfo) -> Spec | None:
@@ -164,7 +164,10 @@ def _gain(value: Any, spec: Spec) -> Any:
         return _prior(value)
     rows = _numbers(value, replace(spec, sign=""))
     if _depth(rows) == 2:
-        check_definite(rows)
+        try:
+            check_definite(rows)
+        except OverflowError:
+            raise ValueError(f"expected a matrix of numbers nearer to 1, found {_shown(value)}") from None
         return rows
     numbers = _numbers(value, spec)
     if _depth(numbers) not in (0, 1):

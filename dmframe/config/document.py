@@ -161,6 +161,11 @@ def read_document(text: str, name: str) -> Document:
     return Document(name, mapping_of(root), root)
 
 
+def visible(text: str) -> str:
+    """A text that a message quotes, in one line: what cannot be shown is escaped."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 def _unreadable(letter: str) -> str:
     return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
@@ -260,7 +265,7 @@ class _Reader:
 
     def _value(self, event: Any, events: Iterator[Any], path: Steps) -> Scalar | list[Node] | dict[str, Any]:
         if event.tag is not None:
-            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            tag = visible(str(event.tag)).replace("tag:yaml.org,2002:", "!!")
             self._note(f"tags such as {shorten(tag)} are not used in a graph; write the value alone", event, path)
         if isinstance(event, SequenceStartEvent):
             items: list[Node] = []

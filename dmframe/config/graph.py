@@ -20,6 +20,7 @@ from dmframe.config.renamed import with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate import Log, Solver
+from dmframe.simulate.run import check_run
 from dmframe.units import to_unit
 
 
@@ -57,11 +58,32 @@ class Graph:
         return Log(self.file.log.every, self.file.log.signals)
 
     def diagram(self) -> Diagram:
-        """Wire and flatten it; faults carry their place in the file."""
+        """Wire and flatten it, and check what the file says of runs and proofs; faults carry their place in the file.
+
+        What needs a pose, or a proof, is left to `simulate` and `verify`.
+        """
         try:
-            return Diagram.build(self.blocks, self.file.wires, self.robot)
+            diagram = Diagram.build(self.blocks, self.file.wires, self.robot)
+            self._check(diagram)
+            return diagram
         except DmframeError as error:
             raise placed(error, self.document) from None
+
+    def _check(self, diagram: Diagram) -> None:
+        """Refuse what a run or a proof would refuse of the file's other keys."""
+        file, faults = self.file, list[DmframeError]()
+        try:
+            check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
+        except DmframeError as error:
+            faults += error.faults if isinstance(error, Faults) else (error,)
+        if file.uncertain:
+            from dmframe.certify.uncertain import intervals
+
+            try:
+                intervals(diagram, file.uncertain)
+            except DmframeError as error:
+                faults += error.faults if isinstance(error, Faults) else (error,)
+        raise_all(faults)
 
     def baseline(self) -> Graph:
         """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
@@ -208,6 +230,11 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
             faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
         elif isinstance(spec, dict) and "type" not in spec:
             faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
+        elif isinstance(spec, dict) and not isinstance(spec["type"], str):
+            found = _shown(spec["type"])
+            faults.append(
+                ValueFault(f"{where}.type: expected the name of a block type, found {found}", path=(*path, "type"))
+            )
         elif isinstance(spec, dict):
             try:
                 made[name] = _block(path, spec, base)
@@ -222,7 +249,7 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
 def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     where = ".".join(path)
     try:
-        kind = find_block(str(spec["type"]), base, f"{where}.type")
+        kind = find_block(spec["type"], base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise

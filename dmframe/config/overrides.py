@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from dmframe.config.document import Document, Node, mapping_of, read_document
+from dmframe.config.document import Document, Node, mapping_of, read_document, visible
 from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
 from dmframe.units import shorten
 
@@ -23,18 +23,11 @@ _COMMENT = re.compile(r"(?:^|\s)#")
 def overridden(document: Document, overrides: Sequence[str], known: Sequence[str]) -> Document:
     """The document with ``--set`` values put in, `known` being a graph's keys."""
     for text in overrides:
-        said = spoken("--set", text)
+        said = f"--set {shorten(visible(text), 200)}"
         keys = _target(text, said, document.data, known)
         root = _put(document.root, keys, _value(text, said), said)
         document = Document(document.name, mapping_of(root), root)
     return document
-
-
-def spoken(option: str, text: str) -> str:
-    """An option as messages quote it, in one line whatever it holds."""
-    return f"{option} " + shorten(
-        "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text), 200
-    )
 
 
 def put(document: Document, key: str, value: float, said: str) -> Document:

@@ -16,12 +16,12 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import EngineError, ValueFault
+from dmframe.errors import DmframeError, EngineError, Faults, ValueFault, raise_all
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
-from dmframe.simulate.start import Made, start_state
-from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
+from dmframe.simulate.start import Made, check_start, start_state
+from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step, substeps_of
 
 BREATH = 0.05
 """Progress is told, and Ctrl-C is heard, about this often [s]."""
@@ -209,20 +209,53 @@ class Prepared:
 
 def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: Solver, log: Log) -> Prepared:
     """Check what is asked, and build the functions of a tick."""
+    ticks, matrices, plain = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
+    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in (*plain, *matrices)))
+    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
+
+
+def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
+    """How many ticks a run takes. Raises `ValueFault` and `EngineError` for times with which it cannot be computed."""
     for name, value in (("duration", duration), ("clock", clock)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
-    matrices, plain = watched(diagram), _recorded(diagram)
-    recorded = [*plain, *matrices]
-    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in recorded))
-    if duration / step.period > MOST_TICKS:
+    substeps_of(clock, solver)
+    ticks = duration / (clock if clock is not None else solver.output)
+    if ticks > MOST_TICKS:
+        slower = "a slower clock" if clock is not None else "a longer solver.output"
         raise EngineError(
-            f"duration: a run of {duration / step.period:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
-            "run a shorter time or take a slower clock",
+            f"duration: a run of {ticks:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
+            f"run a shorter time or take {slower}",
             path=("duration",),
         )
-    ticks = max(1, round(duration / step.period))
-    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
+    return max(1, round(ticks))
+
+
+def check_run(
+    diagram: Diagram,
+    duration: float,
+    *,
+    clock: float | None,
+    solver: Solver,
+    log: Log,
+    start: Mapping[str, Any],
+) -> None:
+    """Refuse what `simulate` would refuse of times, log and start values, as far as no pose need be sought.
+
+    Raises one fault, or all of them as `Faults`.
+    """
+
+    def times_and_log() -> None:
+        ticks, period = ticks_of(duration, clock, solver), clock if clock is not None else solver.output
+        keeping(diagram, log, _recorded(diagram), watched(diagram), period, ticks)
+
+    faults = list[DmframeError]()
+    for ask in (times_and_log, lambda: check_start(diagram, start)):
+        try:
+            ask()
+        except DmframeError as error:
+            faults += error.faults if isinstance(error, Faults) else (error,)
+    raise_all(faults)
 
 
 def _recorded(diagram: Diagram) -> list[Signal]:

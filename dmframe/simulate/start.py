@@ -11,9 +11,10 @@ import numpy as np
 
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
 
 NEAR = "near"
@@ -53,6 +54,11 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
     _check_finite(variables, values)
     _into_sets(loop, values)
     return _column(variables, values)
+
+
+def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
+    """Refuse start values of states that there are not, of another size or outside the joints' limits."""
+    _given(diagram, (*diagram.loop.controller, *diagram.loop.plant), given)
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
@@ -230,11 +236,28 @@ def _said(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
     """What a block says of its start, as expressions."""
 
     def ask() -> Mapping[str, Any]:
-        seen = view(diagram, block)
-        return diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+        try:
+            return _asked(diagram, block)
+        except BlockError as fault:
+            fault.path = fault.path or ("blocks", block)
+            raise
 
     found: Mapping[str, Any] = _once(made, ("said", block), ask)
     return found
+
+
+def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
+    seen, states = view(diagram, block), diagram.models[block].states
+    with told_by(block, "start()"):
+        said = diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+    if not isinstance(said, Mapping):
+        raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
+    for name in states.keys() & said.keys():
+        with told_by(block, f"start() of {name}"):
+            found, expected = ca.SX(said[name]).numel(), states[name].numel()
+        if found != expected:
+            raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
+    return said
 
 
 def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
