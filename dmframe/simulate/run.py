@@ -29,6 +29,9 @@ BREATH = 0.05
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
 
+MOST_SLOPE = 1e12
+"""No solver takes a plant whose rates change faster [1/s, or its other units]."""
+
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
 
@@ -352,7 +355,9 @@ def _stiffness(
     size = stack(v.symbol for v in diagram.loop.plant).numel()
     jacobian = slope(state, 0, p, 0)[0].full()[:, -size:]
     h = step.period / step.substeps
-    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian)))) if np.all(np.isfinite(jacobian)) else np.inf
+    if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
+        return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
+    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian))))
     if fastest > 0.9 * RK4_STABLE:
         return (
             f"the plant is stiff: at rest h |lambda| = {fastest:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "

@@ -23,6 +23,9 @@ NEAR = "near"
 REACHED = 1e-9
 """A start pose is on the path if it is this close [m or rad]."""
 
+FARTHEST = 1e100
+"""Beyond this the square of a distance overflows."""
+
 ROUNDING = 1e-9
 """A start is in its box if it misses it by less, relative to one plus its size."""
 
@@ -88,7 +91,10 @@ def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int
 def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:
     raise_all(
         [
-            StartError(f"{v.label}: expected a finite start, found {np.ravel(values[v.label]).tolist()}")
+            StartError(
+                f"{v.label}: expected a finite start, found {np.ravel(values[v.label]).tolist()}",
+                path=("blocks", v.block),
+            )
             for v in variables
             if not np.all(np.isfinite(values[v.label]))
         ]
@@ -182,6 +188,9 @@ def _solve(
     from scipy.optimize import least_squares
 
     p, size = diagram.loop.p_values, residual.size1_in(0)
+    if not np.max(np.abs(goal), initial=0.0) < FARTHEST:  # nan too
+        text = f"start: expected {desired} below {FARTHEST:g}, found {goal.tolist()}; take numbers nearer to 1"
+        raise StartError(text, path=("start",))
     lower, upper = _limits(diagram, size)
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)

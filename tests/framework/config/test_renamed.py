@@ -135,7 +135,7 @@ def test_every_old_name_at_once_gives_the_same_graph(
 
 @pytest.mark.parametrize(
     ("override", "parameter", "value"),
-    [("pull.gain=7", "pull.rate", 7), ("blocks.pull.gain=7", "pull.rate", 7), ("cart.shove=2", "cart.push", 2)],
+    [("pull.gain=7", "pull.rate", 7), ("blocks.pull.gain=7", "pull.rate", 7), ("cart.shove=0.75", "cart.push", 0.75)],
 )
 def test_set_takes_an_old_name_and_goes_before_the_file(
     write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], override: str, parameter: str, value: float
