@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -153,7 +154,9 @@ def margins(loop: Rational) -> Margins:
     """Gain and phase margins by python-control."""
     import control
 
-    gain, phase, phase_crossover, gain_crossover = control.margin(loop.system())
+    with warnings.catch_warnings():  # it asks NumPy to warn of each underflow
+        warnings.simplefilter("ignore", RuntimeWarning)
+        gain, phase, phase_crossover, gain_crossover = control.margin(loop.system())
     return Margins(float(gain), float(phase), float(phase_crossover), float(gain_crossover))
 
 

@@ -114,7 +114,7 @@ class Graph:
         return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
 
 
-TIMES: Final = (("duration",), ("clock",), ("solver", "step"), ("solver", "output"), ("log", "every"))
+TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
 """They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
 
 
