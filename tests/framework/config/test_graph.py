@@ -142,7 +142,6 @@ def test_labels_with_dots_are_set_as_one_key() -> None:
         ("'# b'", "# b"),
         ("[1, # one\n 2]", [1, 2]),
         ("{a: '#'}", {"a": "#"}),
-        ("\n- 1\n- 2", [1, 2]),
     ],
 )
 def test_an_override_keeps_all_of_its_one_value(written: str, value: object) -> None:
