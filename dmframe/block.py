@@ -8,12 +8,12 @@ from __future__ import annotations
 import re
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from fractions import Fraction
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, Final, final
 
-from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, PydanticUndefinedAnnotation, ValidationError, field_validator
 from pydantic_core import ErrorDetails
 
 from dmframe.certificate import SX, Certificate, Condition
@@ -29,8 +29,8 @@ from dmframe.errors import (
 )
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import TIME, Port, Side, State
-from dmframe.units import compatible
+from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.units import compatible, shorten
 
 
 @final
@@ -88,6 +88,12 @@ class AbstractBlock(BaseModel):
     renamed: ClassVar[Mapping[str, str]] = {}
     """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
 
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse a class whose constants or parameters are not of their kind, before anything reads them."""
+        super().__pydantic_init_subclass__(**kwargs)
+        raise_all([BlockError(f"{cls.__name__}: {text}") for text in _malformed(cls)])
+
     def __init__(self, /, **values: Any) -> None:
         try:
             super().__init__(**values)
@@ -143,18 +149,75 @@ class AbstractBlock(BaseModel):
         return [BlockError(f"{where}: {text}") for text in _breaches(cls)]
 
 
+_LISTS: Final[Mapping[str, type[Port | State]]] = {"inputs": Port, "outputs": Port, "states": State, "truth": Port}
+_KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "Access": Access}
+"""What the fields of a port, a state and a parameter hold, by their annotations."""
+
+
+def _malformed(block: type[AbstractBlock]) -> Iterator[str]:
+    """Constants and parameters of a class that are not of their kind, so that no code could read them."""
+    for name, kind in _LISTS.items():
+        items = getattr(block, name)
+        if not isinstance(items, tuple | list):
+            hint = "; a comma makes a tuple of one" if isinstance(items, kind) else ""
+            yield f"expected {name} to be a tuple of {kind.__name__}s, found {_short(items)}{hint}"
+            continue
+        for item in items:
+            if not isinstance(item, kind):
+                yield f"expected each of its {name} to be a {kind.__name__}, found {_short(item)}"
+            else:
+                yield from _misfit(item, f"of the {kind.__name__.lower()} {_short(item.name)} in {name}")
+    names = block.renamed
+    if not isinstance(names, Mapping) or not all(isinstance(word, str) for pair in names.items() for word in pair):
+        yield f"expected renamed to map old names to new ones, found {_short(names)}"
+    if not isinstance(block.side, Side):
+        yield f"expected its side to be a Side, found {_short(block.side)}"
+    if not isinstance(block.uses_robot, bool):
+        yield f"expected uses_robot to be True or False, found {_short(block.uses_robot)}"
+    yield from _mistyped(block)
+
+
+def _mistyped(block: type[AbstractBlock]) -> Iterator[str]:
+    """Parameters whose annotation nobody knows, or whose default they could not take."""
+    if not block.__pydantic_complete__:
+        try:
+            block.model_rebuild()
+        except PydanticUndefinedAnnotation as error:
+            yield f"expected annotations that its module knows, found {error.name}; import it there"
+            return
+    for name, spec in specs(block).items():
+        wrong = list(_misfit(spec, f"of the parameter {name}"))
+        yield from wrong
+        default = block.model_fields[name].default
+        if wrong or default is None or block.model_fields[name].is_required():
+            continue
+        try:
+            read(default, spec)
+        except (DmframeError, ValueError) as error:
+            yield f"the default of the parameter {name}: {error}"
+
+
+def _misfit(item: Any, of: str) -> Iterator[str]:
+    """Fields of a declaration that are of another type than its annotations say."""
+    for each in fields(item):
+        value, kind = getattr(item, each.name), _KINDS[str(each.type)]
+        if not isinstance(value, kind):
+            expected = "a text" if kind is str else f"of type {kind.__name__}"
+            yield f"expected the {each.name} {of} to be {expected}, found {_short(value)}"
+
+
+def _short(value: object) -> str:
+    return shorten(repr(value), 40)
+
+
 def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
     """What is wrong with a block's class, one text a breach."""
-    kinds: dict[str, tuple[Sequence[Port | State], type]] = {
-        "input": (block.inputs, Port),
-        "output": (block.outputs, Port),
-        "state": (block.states, State),
+    kinds: dict[str, Sequence[Port | State]] = {
+        "input": block.inputs,
+        "output": block.outputs,
+        "state": block.states,
     }
-    for kind, (items, expected) in kinds.items():
-        strangers = [item for item in items if not isinstance(item, expected)]
-        if strangers:
-            yield f"expected each {kind} to be a {expected.__name__}, found {strangers[0]!r}"
-            return
+    for kind, items in kinds.items():
         names = [item.name for item in items]
         yield from (f"declares the {kind} {name} twice" for name in sorted({n for n in names if names.count(n) > 1}))
         for item in items:
@@ -188,8 +251,6 @@ def names_of(block: type[AbstractBlock]) -> list[str]:
 
 def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     """A proof leaves a trajectory and all its derivatives free: that is right of a function of time alone."""
-    if not isinstance(block.side, Side):
-        yield f"expected its side to be a Side, found {block.side!r}"
     if block.side is not Side.SOURCE:
         return
     why = "a source is a function of time alone"
@@ -211,6 +272,11 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     for name in block.model_fields:
         if hasattr(AbstractBlock, name):
             yield f"the parameter {name} hides what every block has under that name; rename it"
+    for name, spec in numbers.items():
+        try:
+            compatible(spec.unit, "")
+        except UnitError as fault:
+            yield f"the unit of the parameter {name}: {fault.text}"
     balls = [name for name, spec in numbers.items() if spec.form == "ball"]
     for state in block.states:
         if state.box and state.box not in boxes:

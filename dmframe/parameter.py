@@ -89,7 +89,7 @@ def Rows(columns: str, unit: str = "", *, default: Any = ...) -> Any:
 
 
 def _field(spec: Spec, default: Any) -> Any:
-    return Field(default, json_schema_extra={KEY: asdict(spec)}, validate_default=False)
+    return Field(default, json_schema_extra={KEY: asdict(spec)}, validate_default=True)
 
 
 def spec_of(field: FieldInfo) -> Spec | None:
@@ -167,7 +167,10 @@ def _gain(value: Any, spec: Spec) -> Any:
         lengths = " and ".join(str(length) for length in dict.fromkeys(map(len, rows)))
         raise ValueError(f"expected rows of one length, found rows of {lengths} numbers in {_shown(value)}")
     if _depth(rows) == 2:
-        check_definite(rows)
+        try:
+            check_definite(rows)
+        except OverflowError:
+            raise ValueError(f"expected a matrix of numbers nearer to 1, found {_shown(value)}") from None
         return rows
     if _depth(rows) not in (0, 1):
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analyse.set_point import at_set_point, equilibrium, frozen, rates, variables
+from dmframe.analyse.set_point import MOST, at_set_point, computable, equilibrium, frozen, rates, variables
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import columns, stack
-from dmframe.errors import ShapeError
+from dmframe.errors import EngineError, ShapeError
 from dmframe.port import Side
 from dmframe.simulate import Solver
 from dmframe.simulate.step import build_step, project
@@ -106,21 +106,28 @@ class Linear:
         size, inputs = self.plant_B.shape
         joined = np.zeros((size + inputs, size + inputs))
         joined[:size, :size], joined[:size, size:] = self.plant_A * period, self.plant_B * period
-        held = expm(joined)
+        with np.errstate(all="ignore"):  # what overflows is told where the poles are asked for
+            held = expm(joined)
         Phi = np.zeros_like(self.A)
         Phi[: self.controller] = np.eye(self.controller, len(self.states)) + period * self.control
-        Phi[self.controller :] = held[:size, size:] @ self.command
-        Phi[self.controller :, self.controller :] += held[:size, :size]
+        with np.errstate(all="ignore"):
+            Phi[self.controller :] = held[:size, size:] @ self.command
+            Phi[self.controller :, self.controller :] += held[:size, :size]
         return Phi
 
     def sampled_poles(self, period: float) -> Complex:
         """Eigenvalues of `sampled`, without those at one, largest first."""
         # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
-        found = np.linalg.eigvals(self._others.T @ self.sampled(period) @ self._others)
+        Phi = self.sampled(period)
+        if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
+            raise EngineError(f"linearise: the transition over a tick of {period:g} s overflows; take a faster clock")
+        found = np.linalg.eigvals(self._others.T @ Phi @ self._others)
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=complex)
 
     def spectral_radius(self, period: float) -> float:
-        """The largest modulus of `sampled_poles`; below 1 the loop comes to rest on this clock."""
+        """The largest modulus of `sampled_poles`, infinite where they overflow; below 1 the loop comes to rest."""
+        if not np.max(np.abs(self.sampled(period)), initial=0.0) < MOST:
+            return float("inf")
         return float(np.max(np.abs(self.sampled_poles(period)), initial=0.0))
 
 
@@ -159,6 +166,10 @@ def linearise(
     u = command(point, loop.p_values)
     first = control.size1_out(0)
     plant_A, plant_B = _plant(loop, commands)
+
+    def told(matrix: Any) -> Array:
+        return np.asarray(computable(loop, "linearise", np.asarray(matrix)))
+
     return Linear(
         states=_labels([(v.label, v.symbol.numel()) for v in variables(loop)]),
         trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
@@ -166,12 +177,12 @@ def linearise(
         point=point,
         controller=first,
         drift=float(np.max(np.abs(rates(loop)(point, loop.p_values).full()), initial=0.0)),
-        A=_slope(rates(loop), point, p),
-        B=_trajectory_slope(loop, point, p),
-        control=_slope(control, point, p),
-        command=_slope(command, point, p),
-        plant_A=plant_A(point[first:], u, p).full(),
-        plant_B=plant_B(point[first:], u, p).full(),
+        A=told(_slope(rates(loop), point, p)),
+        B=told(_trajectory_slope(loop, point, p)),
+        control=told(_slope(control, point, p)),
+        command=told(_slope(command, point, p)),
+        plant_A=told(plant_A(point[first:], u, p).full()),
+        plant_B=told(plant_B(point[first:], u, p).full()),
     )
 
 
@@ -216,7 +227,8 @@ def rest_space(A: Array) -> Array:
     """An orthonormal basis of the null space of A, as columns; found on the balanced matrix, whose units are even."""
     from scipy.linalg import matrix_balance
 
-    balanced, scale = matrix_balance(A, permute=False, separate=True)
+    with np.errstate(invalid="ignore"):  # it casts a wide scale for a permutation that is not asked for
+        balanced, scale = matrix_balance(A, permute=False, separate=True)
     _, values, rows = np.linalg.svd(balanced)
     null = rows[values <= _NULL * max(float(np.max(values, initial=0.0)), 1e-300)].T
     return np.asarray(np.linalg.qr(null * np.asarray(scale[0])[:, None])[0])

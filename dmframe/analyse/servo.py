@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -11,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analyse.rational import Passivity, Rational, passivity, transfer
-from dmframe.analyse.set_point import equilibrium, frozen, true_values
+from dmframe.analyse.set_point import computable, equilibrium, frozen, true_values
 from dmframe.block import AbstractBlock
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.model import BlockModel
 from dmframe.diagram.view import view
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import MissingError
+from dmframe.errors import EngineError, MissingError
 from dmframe.port import Access, Side
 
 Array = NDArray[np.float64]
@@ -96,6 +97,8 @@ def servo_transfer(
     ------
     MissingError
         A diagram without a servo and an arm of that kind.
+    EngineError
+        Numbers that overflow.
     """
     still = frozen(diagram)
     point = equilibrium(still, start=start) if state is None else np.asarray(state, dtype=float)
@@ -103,9 +106,14 @@ def servo_transfer(
     M, B, K = _arm(still, arm, point)
     names = diagram.robot.joint_names if diagram.robot is not None else tuple(f"joint {j + 1}" for j in range(len(M)))
     inverse = _inverse(diagram, servo)
-    return tuple(
-        _joint(diagram, servo, inverse, names[j], j, (float(M[j, j]), float(B[j]), float(K[j]))) for j in range(len(M))
-    )
+    found = list[JointLoop]()
+    for j, name in enumerate(names):
+        try:
+            with np.errstate(all="ignore"):  # coefficients far from 1 are told below, or do not matter
+                found.append(_joint(diagram, servo, inverse, name, j, (float(M[j, j]), float(B[j]), float(K[j]))))
+        except (np.linalg.LinAlgError, OverflowError):
+            raise EngineError(f"servo: the transfer functions of {name} overflow; take gains nearer to 1") from None
+    return tuple(found)
 
 
 def _joint(
@@ -146,7 +154,9 @@ def margins(loop: Rational) -> Margins:
     """Gain and phase margins by python-control."""
     import control
 
-    gain, phase, phase_crossover, gain_crossover = control.margin(loop.system())
+    with warnings.catch_warnings():  # it asks NumPy to warn of each underflow
+        warnings.simplefilter("ignore", RuntimeWarning)
+        gain, phase, phase_crossover, gain_crossover = control.margin(loop.system())
     return Margins(float(gain), float(phase), float(phase_crossover), float(gain_crossover))
 
 
@@ -194,7 +204,11 @@ def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:
     (slope,) = loop.joined([ca.substitute([slope], [u], [ca.vec(seen.u.u)])[0]])
     values = ca.Function("arm", [loop.state, loop.p], [slope, *given.values()], {"allow_free": True})
     inverse_mass, K, B = (result.full() for result in values(point, loop.p_values))
-    return np.diag(K.ravel()) @ np.linalg.inv(inverse_mass), B.ravel(), K.ravel()
+    try:
+        M = np.diag(K.ravel()) @ np.linalg.inv(computable(loop, "servo", inverse_mass))
+    except np.linalg.LinAlgError:
+        raise EngineError("servo: expected a mass matrix that is not singular at the set-point, found one") from None
+    return M, B.ravel(), K.ravel()
 
 
 @final

@@ -22,6 +22,12 @@ from dmframe.simulate.step import project
 AT_REST: Final = 1e-8
 """An equilibrium's largest rate, relative to 1 + |state|."""
 
+MOST: Final = 1e150
+"""Slopes of this size or above overflow once they are multiplied."""
+
+FAR: Final = 30
+"""Powers of ten from 1 that no parameter of a robot has."""
+
 _STEPS: Final = 60
 
 
@@ -118,8 +124,10 @@ def equilibrium(
             break
         if np.max(np.abs(rate), initial=0.0) <= AT_REST * (1 + np.max(np.abs(x), initial=0.0)) * 1e-3:
             return x
-        step = np.linalg.lstsq(slope(x, p, 0)[0].full()[:, free], -rate, rcond=1e-12)[0]
+        now = computable(loop, "set-point", slope(x, p, 0)[0].full())
+        step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
+    computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
     if abs(rate[worst]) <= AT_REST * (1 + np.max(np.abs(x))):
         return x
@@ -127,6 +135,28 @@ def equilibrium(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
         f"still moves at {rate[worst]:.3g} a second; give estimates with which the loop can rest, or another start"
     )
+
+
+def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
+    """Numbers of the loop that linear algebra can take; `where` says what they are for.
+
+    Raises `EngineError` where they overflow, with the parameters that are far from 1.
+    """
+    if np.max(np.abs(numbers), initial=0.0) < MOST:  # not so of nan
+        return numbers
+    far = [
+        f"{parameter.label} = {value:g}"
+        for parameter in loop.parameters
+        for value in np.ravel(parameter.value)[np.argsort(-_distance(np.ravel(parameter.value)))][:1]
+        if _distance(np.array([value]))[0] > FAR
+    ]
+    cause = f", with {', '.join(far)}" if far else ""
+    raise EngineError(f"{where}: the rates of the loop overflow{cause}; take numbers nearer to 1")
+
+
+def _distance(values: np.ndarray) -> np.ndarray:
+    """How many powers of ten each is from 1; a zero is not far."""
+    return np.abs(np.log10(np.where(values == 0, 1.0, np.abs(values))))
 
 
 def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarray]:

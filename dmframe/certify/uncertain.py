@@ -34,6 +34,10 @@ def intervals(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, list[Inte
             faults.append(UnknownNameError(f"uncertain.{label}", "parameter of the plant", label, known, path=path))
             continue
         block, key = known[label]
+        if value is None:
+            text = f"uncertain.{label}: expected an interval [lower, upper], found nothing; leave it out if it is known"
+            faults.append(ValueFault(text, path=path))
+            continue
         spec = specs(type(block))[key]
         own = diagram.models[label.partition(".")[0]].values[key]
         try:

@@ -50,12 +50,20 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U000100
 @final
 @dataclass(frozen=True)
 class Node:
-    """A value and where it stands; `size` counts what it holds, each alias in full."""
+    """A value and where it stands; `size` counts what it holds, each alias in full.
+
+    `said` is what put it there instead of the file, ``--set task.gamma=2``.
+    """
 
     line: int
     column: int
     value: Scalar | list[Node] | dict[str, tuple[Node, Node]]
     size: int = 1
+    said: str = ""
+
+    def place(self, name: str) -> str:
+        """Where it stands in the text of that name, or what put it there."""
+        return self.said or f"{name}:{self.line}:{self.column}"
 
 
 @final
@@ -72,6 +80,15 @@ class Document:
 
         Where nothing stands at `path`, the place of the nearest ancestor's key: that is where to add it.
         """
+        node, named, exact = self._at(path)
+        return (named if key or not exact else node).place(self.name)
+
+    def said_below(self, path: Sequence[str | int]) -> list[str]:
+        """Which overrides stand in what `locate` finds."""
+        return list(dict.fromkeys(_said_in(self._at(path)[0])))
+
+    def _at(self, path: Sequence[str | int]) -> tuple[Node, Node, bool]:
+        """The value at `path` with its key, or its nearest ancestor's, and whether it is there."""
         node, named = self.root, self.root
         for step in path:
             held = node.value
@@ -80,10 +97,8 @@ class Document:
             elif isinstance(held, list) and isinstance(step, int) and 0 <= step < len(held):
                 named = node = held[step]
             else:
-                key = True
-                break
-        place = named if key else node
-        return f"{self.name}:{place.line}:{place.column}"
+                return node, named, False
+        return node, named, True
 
 
 def read_file(path: Path | str) -> Document:
@@ -125,10 +140,7 @@ def read_document(text: str, name: str) -> Document:
     _check_size(len(text.encode("utf-8", "surrogatepass")), name)
     strange = _UNPRINTABLE.search(text)
     if strange:
-        raise DocumentError(
-            f"expected readable text, found the control character U+{ord(strange.group()):04X}; remove it",
-            location=_place(name, text, strange.start()),
-        )
+        raise DocumentError(_unreadable(strange.group()), location=_place(name, text, strange.start()))
     reader = _Reader(name)
     root: Node | None = None
     try:
@@ -147,6 +159,15 @@ def read_document(text: str, name: str) -> Document:
             location=f"{name}:{root.line}:{root.column}",
         )
     return Document(name, mapping_of(root), root)
+
+
+def visible(text: str) -> str:
+    """A text that a message quotes, in one line: what cannot be shown is escaped."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
+def _unreadable(letter: str) -> str:
+    return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
 
 def _check_size(count: int, name: str) -> None:
@@ -180,6 +201,19 @@ def _kind(value: object) -> str:
 def mapping_of(node: Node) -> dict[str, Any]:
     """A mapping's node as plain data."""
     return {key: _plain(value) for key, (_, value) in node.value.items()} if isinstance(node.value, dict) else {}
+
+
+def _said_in(node: Node) -> Iterator[str]:
+    if node.said:
+        yield node.said
+        return
+    below = node.value.values() if isinstance(node.value, dict) else [(item, item) for item in _items(node)]
+    for _, value in below:
+        yield from _said_in(value)
+
+
+def _items(node: Node) -> list[Node]:
+    return node.value if isinstance(node.value, list) else []
 
 
 def _plain(node: Node) -> Plain:
@@ -231,7 +265,7 @@ class _Reader:
 
     def _value(self, event: Any, events: Iterator[Any], path: Steps) -> Scalar | list[Node] | dict[str, Any]:
         if event.tag is not None:
-            tag = str(event.tag).replace("tag:yaml.org,2002:", "!!")
+            tag = visible(str(event.tag)).replace("tag:yaml.org,2002:", "!!")
             self._note(f"tags such as {shorten(tag)} are not used in a graph; write the value alone", event, path)
         if isinstance(event, SequenceStartEvent):
             items: list[Node] = []
@@ -270,6 +304,11 @@ class _Reader:
 
     def _scalar(self, event: Any, path: Steps) -> Scalar:
         text: str = event.value
+        if strange := _UNPRINTABLE.search(
+            text
+        ):  # out of an escape, "\\e" or "\\ud800"; such a character cannot stand itself
+            self._note(_unreadable(strange.group()), event, path)
+            return _UNPRINTABLE.sub("", text)
         if event.style is not None:
             return text
         if text in _WORDS:

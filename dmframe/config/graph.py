@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 from pydantic import BaseModel, ValidationError
 
@@ -15,11 +15,12 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection, robot_name
-from dmframe.config.overrides import overridden, target
+from dmframe.config.overrides import overridden, put
 from dmframe.config.renamed import with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate import Log, Solver
+from dmframe.simulate.run import check_run
 from dmframe.units import to_unit
 
 
@@ -57,11 +58,32 @@ class Graph:
         return Log(self.file.log.every, self.file.log.signals)
 
     def diagram(self) -> Diagram:
-        """Wire and flatten it; faults carry their place in the file."""
+        """Wire and flatten it, and check what the file says of runs and proofs; faults carry their place in the file.
+
+        What needs a pose, or a proof, is left to `simulate` and `verify`.
+        """
         try:
-            return Diagram.build(self.blocks, self.file.wires, self.robot)
+            diagram = Diagram.build(self.blocks, self.file.wires, self.robot)
+            self._check(diagram)
+            return diagram
         except DmframeError as error:
-            raise placed(error, self.document, self.overrides) from None
+            raise placed(error, self.document) from None
+
+    def _check(self, diagram: Diagram) -> None:
+        """Refuse what a run or a proof would refuse of the file's other keys."""
+        file, faults = self.file, list[DmframeError]()
+        try:
+            check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
+        except DmframeError as error:
+            faults += error.faults if isinstance(error, Faults) else (error,)
+        if file.uncertain:
+            from dmframe.certify.uncertain import intervals
+
+            try:
+                intervals(diagram, file.uncertain)
+            except DmframeError as error:
+                faults += error.faults if isinstance(error, Faults) else (error,)
+        raise_all(faults)
 
     def baseline(self) -> Graph:
         """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
@@ -87,25 +109,33 @@ class Graph:
 
     def with_duration(self, duration: float) -> Graph:
         """The same graph, run for another time [s]."""
+        document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        return replace(self, file=file, data={**self.data, "duration": duration})
+        return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
+
+
+TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
+"""They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
 
 
 def placed(error: DmframeError, document: Document, overrides: Sequence[str] = ()) -> DmframeError:
     """The fault, or each of several in the order of the file, with ``file:line:column``.
 
-    One whose culprit an override has set is placed there: ``--set task.gamma=-1``.
+    One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
+    which overrides changed it.
     """
+    del overrides  # they stand in the document
     faults = error.faults if isinstance(error, Faults) else (error,)
     for fault in faults:
-        if not fault.location:
-            fault.location = _override_of(fault.path, document, overrides) or _location(fault, document)
+        fault.location = fault.location or _location(fault, document)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
 
 
 def _location(fault: DmframeError, document: Document) -> str:
     """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list."""
     path = fault.path
+    if path in TIMES:
+        path = next((other for other in (path, *TIMES) if document.locate(other).startswith("--")), path)
     if isinstance(fault, UnknownNameError):
         held: Any = document.data
         for part in path:
@@ -114,20 +144,16 @@ def _location(fault: DmframeError, document: Document) -> str:
             path = (*path, fault.name)
         elif isinstance(held, list) and fault.name in held:
             path = (*path, held.index(fault.name))
-    return document.locate(path, key=isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,))
-
-
-def _override_of(path: tuple[str | int, ...], document: Document, overrides: Sequence[str]) -> str:
-    for text in reversed(overrides):
-        keys = tuple(target(text, document.data))
-        if keys and path[: len(keys)] == keys:
-            return f"--set {text}"
-    return ""
+    place = document.locate(path, key=isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,))
+    if place.startswith("--") or (isinstance(fault, MissingError) and len(path) == 1):
+        return place
+    changed = document.said_below(path)
+    return f"{place} with {', '.join(changed)}" if changed else place
 
 
 def _place(fault: DmframeError) -> tuple[int, ...]:
     """Line and column of a fault's location; overrides come first."""
-    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location))
+    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location.partition(" with --")[0]))
 
 
 def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
@@ -150,16 +176,16 @@ def load_graph(source: str | Path, overrides: Sequence[str] = ()) -> Graph:
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
     path = find_graph(str(source))
-    read = with_new_names(read_file(path), overrides, path.parent)
+    read = with_new_names(overridden(read_file(path), overrides, list(GraphFile.model_fields)), path.parent)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{notice}\n")
-    return make_graph(read.document, path, read.overrides)
+    return replace(make_graph(read.document, path), overrides=tuple(overrides))
 
 
-def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) -> Graph:
+def make_graph(document: Document, path: Path) -> Graph:
     """A graph from its document; `path` names it, and files are looked for beside it."""
-    data = overridden(document.data, overrides, list(GraphFile.model_fields))
+    data = document.data
     faults = list[DmframeError]()
     try:
         file = GraphFile.model_validate(data)
@@ -175,9 +201,9 @@ def make_graph(document: Document, path: Path, overrides: Sequence[str] = ()) ->
     try:
         raise_all(faults)
     except DmframeError as error:
-        raise placed(error, document, overrides) from None
+        raise placed(error, document) from None
     assert file is not None  # a file that is not valid left a fault
-    return Graph(path.stem, file, data, document, blocks, robot, start, tuple(overrides))
+    return Graph(path.stem, file, data, document, blocks, robot, start)
 
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -204,6 +230,11 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
             faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
         elif isinstance(spec, dict) and "type" not in spec:
             faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
+        elif isinstance(spec, dict) and not isinstance(spec["type"], str):
+            found = _shown(spec["type"])
+            faults.append(
+                ValueFault(f"{where}.type: expected the name of a block type, found {found}", path=(*path, "type"))
+            )
         elif isinstance(spec, dict):
             try:
                 made[name] = _block(path, spec, base)
@@ -218,7 +249,7 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
 def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
     where = ".".join(path)
     try:
-        kind = find_block(str(spec["type"]), base, f"{where}.type")
+        kind = find_block(spec["type"], base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise

@@ -1,60 +1,113 @@
-"""Values given on the command line that go before those of a graph file: ``--set task.gamma=2``."""
+"""Values given on the command line that go before those of a graph file: ``--set task.gamma=2``.
+
+They are put into the document itself, so that all that reads it later, old names included, reads one text; each says
+of itself that it came by ``--set``, and so does a fault in it.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, Final
 
-from dmframe.config.document import read_document
+from dmframe.config.document import Document, Node, mapping_of, read_document, visible
 from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
+from dmframe.units import shorten
+
+LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
+"""Sections whose keys may hold dots, as ``servo.K_D`` does: what follows the section's name is one key."""
+_COMMENT = re.compile(r"(?:^|\s)#")
 
 
-def overridden(data: Mapping[str, Any], overrides: Sequence[str], known: Sequence[str]) -> dict[str, Any]:
-    """The file's data with ``--set`` values put in, `known` being a graph's keys; its own data is not touched."""
-    result: dict[str, Any] = _copy(data)
+def overridden(document: Document, overrides: Sequence[str], known: Sequence[str]) -> Document:
+    """The document with ``--set`` values put in, `known` being a graph's keys."""
     for text in overrides:
-        keys, blocks = target(text, result), result.get("blocks")
-        names = list(blocks) if isinstance(blocks, dict) else []
-        if len(keys) < 2 and keys != [text.partition("=")[0].strip()]:
-            raise ValueFault(f"--set {text}: expected block.parameter=value or key=value")
-        if keys[0] not in known:
-            raise UnknownNameError(f"--set {text}", "block or key", keys[0], [*names, *known])
-        if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
-            raise UnknownNameError(f"--set {text}", "block", keys[1], names)
-        if keys[0] == "blocks" and len(keys) < 3:
-            raise ValueFault(f"--set {text}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
-        place = result
-        for part in keys[:-1]:
-            if place.get(part) is None:
-                place[part] = {}
-            elif part == "robot" and isinstance(place[part], str):
-                place[part] = {"model": place[part]}
-            if not isinstance(place[part], dict):
-                raise ValueFault(f"--set {text}: {part} holds no keys")
-            place = place[part]
-        place[keys[-1]] = _override_value(text)
-    return result
+        said = f"--set {shorten(visible(text), 200)}"
+        keys = _target(text, said, document.data, known)
+        root = _put(document.root, keys, _value(text, said), said)
+        document = Document(document.name, mapping_of(root), root)
+    return document
 
 
-def _override_value(text: str) -> Any:
-    value = text.partition("=")[2].strip()
-    try:
-        return read_document(f"value: {value}\n", "").data["value"]
-    except DmframeError as error:
-        reason = (error.faults if isinstance(error, Faults) else (error,))[0].text
-        raise ValueFault(f"--set {text}: {reason}") from None
+def put(document: Document, key: str, value: float, said: str) -> Document:
+    """The document with another number under one of its keys; messages call its place `said`."""
+    root = _put(document.root, [key], Node(1, 1, value, said=said), said)
+    return Document(document.name, {**document.data, key: value}, root)
 
 
-def target(text: str, data: Mapping[str, Any]) -> list[str]:
-    """Where an override points to; empty where it is none. A block's name needs no ``blocks.`` before it."""
+def _target(text: str, said: str, data: Mapping[str, Any], known: Sequence[str]) -> list[str]:
+    """The keys that lead to what an override sets. A block's name needs no ``blocks.`` before it."""
     key, equals, _ = text.partition("=")
     keys, blocks = key.strip().split("."), data.get("blocks")
+    names = list(blocks) if isinstance(blocks, dict) else []
     if not equals or not all(keys):
-        return []
-    return ["blocks", *keys] if isinstance(blocks, dict) and keys[0] in blocks else keys
+        raise ValueFault(f"{said}: expected block.parameter=value or key=value")
+    if keys[0] in names:
+        keys = ["blocks", *keys]
+    if keys[0] not in known:
+        raise UnknownNameError(said, "block or key", keys[0], [*names, *known])
+    if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
+        raise UnknownNameError(said, "block", keys[1], names)
+    if keys[0] == "blocks" and len(keys) < 3:
+        raise ValueFault(f"{said}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
+    for section in LABELLED:
+        if tuple(keys[: len(section)]) == section and len(keys) > len(section):
+            return [*section, ".".join(keys[len(section) :])]
+    return keys
 
 
-def _copy(data: Any) -> Any:
-    if isinstance(data, Mapping):
-        return {key: _copy(value) for key, value in data.items()}
-    return [_copy(value) for value in data] if isinstance(data, list) else data
+def _value(text: str, said: str) -> Node:
+    """What stands after the equals sign: one value, as in YAML, but that no comment may follow it."""
+    written = text.partition("=")[2].strip()
+    value = _read(written, said)
+    for mark in _COMMENT.finditer(written):
+        try:
+            before = _read(written[: mark.start()], said)
+        except DmframeError:
+            continue  # this one stands in quotes or in a list
+        if mapping_of(before) == mapping_of(value):
+            raise ValueFault(f"{said}: a # begins a comment here; put a text that holds one in double quotes")
+    return _by(_only(value, said), said)
+
+
+def _read(written: str, said: str) -> Node:
+    try:
+        return read_document(f"value: {written}\n", "").root
+    except DmframeError as error:
+        reason = (error.faults if isinstance(error, Faults) else (error,))[0].text
+        raise ValueFault(f"{said}: {reason.removeprefix('value: ')}") from None
+
+
+def _only(root: Node, said: str) -> Node:
+    entries = root.value if isinstance(root.value, dict) else {}
+    for name in entries:
+        if name != "value":
+            raise ValueFault(f"{said}: expected one value, found {shorten(name)} beside it; give it a --set of its own")
+    return entries["value"][1]
+
+
+def _by(node: Node, said: str) -> Node:
+    """The node and all below it, as put there by an override."""
+    value = node.value
+    if isinstance(value, dict):
+        value = {name: (_by(key, said), _by(below, said)) for name, (key, below) in value.items()}
+    elif isinstance(value, list):
+        value = [_by(item, said) for item in value]
+    return replace(node, value=value, said=said)
+
+
+def _put(node: Node, keys: Sequence[str], value: Node, said: str) -> Node:
+    """The mapping with a value where `keys` lead; mappings on the way are made where nothing stands."""
+    entries = dict(node.value) if isinstance(node.value, dict) else {}
+    first, *rest = keys
+    key, held = entries.get(first, (Node(1, 1, first, said=said), Node(1, 1, None, said=said)))
+    if not rest:
+        entries[first] = (replace(key, said=said), value)
+        return replace(node, value=entries)
+    if first == "robot" and isinstance(held.value, str):  # its name alone
+        held = replace(held, value={"model": (held, held)})
+    if held.value is not None and not isinstance(held.value, dict):
+        raise ValueFault(f"{said}: {first} holds no keys")
+    entries[first] = (key, _put(held, rest, value, said))
+    return replace(node, value=entries)

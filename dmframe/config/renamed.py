@@ -1,13 +1,14 @@
 """Graph files that use a name from before: it is read as the new one, with a notice.
 
 A block class says which of its parameters, states and ports had another name (`AbstractBlock.renamed`). The old names
-are put right before anything else reads the file: in blocks and the baseline, in wires, start values, uncertain
-parameters and logged signals, and in what ``--set`` says. So no other part of the framework knows an old name.
+are put right before anything else reads the document, in which ``--set`` values stand already: in blocks and the
+baseline, in wires, start values, uncertain parameters and logged signals. So no other part of the framework knows an
+old name.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,6 @@ from typing import Any, final
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import find_block
 from dmframe.config.document import Document, Node, mapping_of
-from dmframe.config.overrides import target
 from dmframe.errors import DmframeError, ValueFault
 
 Names = Mapping[str, Mapping[str, str]]
@@ -27,39 +27,31 @@ SECTIONS = ("blocks", "baseline")
 @final
 @dataclass(frozen=True)
 class Renamed:
-    """A document and overrides with new names alone, what to tell the user, and where both names were given."""
+    """A document with new names alone, what to tell the user, and where both names were given."""
 
     document: Document
-    overrides: tuple[str, ...]
     notices: tuple[str, ...] = ()
     faults: tuple[DmframeError, ...] = ()
 
 
-def with_new_names(document: Document, overrides: Sequence[str], base: Path) -> Renamed:
-    """Put old names right, in the file and in what ``--set`` says; block files are looked for in the folder `base`."""
-    kinds = _kinds(document.data, overrides, base)
+def with_new_names(document: Document, base: Path) -> Renamed:
+    """Put old names right; block files are looked for in the folder `base`."""
+    kinds = _kinds(document.data, base)
     if not any(kind.renamed for section in kinds.values() for kind in section.values()):
-        return Renamed(document, tuple(overrides))
+        return Renamed(document)
     work = _Work(document.name, kinds)
     root = work.graph(document.root)
-    changed = Document(document.name, mapping_of(root), root)
-    texts = work.overrides(overrides, changed.data)
-    return Renamed(changed, texts, tuple(work.notices), tuple(work.faults))
+    return Renamed(Document(document.name, mapping_of(root), root), tuple(work.notices), tuple(work.faults))
 
 
-def _kinds(data: Mapping[str, Any], overrides: Sequence[str], base: Path) -> dict[str, dict[str, type[AbstractBlock]]]:
+def _kinds(data: Mapping[str, Any], base: Path) -> dict[str, dict[str, type[AbstractBlock]]]:
     """The classes of the blocks of both sections; one that cannot be found is told where blocks are made."""
     found = dict[str, dict[str, type[AbstractBlock]]]()
     for section in SECTIONS:
         entries = data.get(section)
-        specs = entries.items() if isinstance(entries, dict) else ()
-        types = {name: spec.get("type") for name, spec in specs if isinstance(spec, dict)}
-        for text in overrides:  # one may choose another type
-            keys = target(text, data)
-            if len(keys) == 3 and keys[0] == section and keys[2] == "type":
-                types[keys[1]] = text.partition("=")[2].strip()
         found[section] = {}
-        for name, kind in types.items():
+        for name, spec in entries.items() if isinstance(entries, dict) else ():
+            kind = spec.get("type") if isinstance(spec, dict) else None
             try:
                 found[section][name] = find_block(str(kind), base)
             except DmframeError:
@@ -106,25 +98,6 @@ class _Work:
             signals = replace(signals, value=[self._text(node) for node in signals.value])
         return root if log is None else _with(root, "log", _with(log, "signals", signals))
 
-    def overrides(self, texts: Sequence[str], data: Mapping[str, Any]) -> tuple[str, ...]:
-        """Overrides with new names; they go before what the file says, under whichever name."""
-        changed, given = list[str](), dict[tuple[str, ...], str]()
-        for text in texts:
-            keys, (said, _, value) = target(text, data), text.partition("=")
-            old, new = keys[-1] if keys else "", ""
-            if len(keys) == 3 and keys[0] in SECTIONS:
-                new = self.sections[keys[0]].get(keys[1], {}).get(old, old)
-            elif len(keys) == 2 and keys[0] == "start":
-                new = self._start(old)
-            if new and new != old:
-                self._tell(f"--set {text}", old, new)
-                text = f"{said.strip().removesuffix(old)}{new}={value}"
-            name = new or old
-            if (other := given.setdefault((*keys[:-1], name), old)) != old:
-                self.faults.append(_both(f"--set {text}", other if old == name else old, name))
-            changed.append(text)
-        return tuple(changed)
-
     def _label(self, text: str) -> str:
         """``task.alpha`` as ``task.alpha_bar``; any other text as it is."""
         block, dot, name = text.partition(".")
@@ -141,12 +114,14 @@ class _Work:
         changed = dict[str, tuple[Node, Node]]()
         for key, (at, value) in node.value.items():
             name = new(key)
+            other = node.value[name][1] if name != key and name in node.value else None
+            if other is not None and bool(other.said) == bool(value.said):
+                self.faults.append(_both(at.place(self.file), key, name))
+                continue
             if name != key:
-                place = f"{self.file}:{at.line}:{at.column}"
-                if name in node.value:
-                    self.faults.append(_both(place, key, name))
-                    continue
-                self._tell(place, key, name)
+                self._tell(at.place(self.file), key, name)
+            if name in changed and changed[name][1].said:  # an override goes before the file, under whichever name
+                continue
             changed[name] = (replace(at, value=name), value)
         return replace(node, value=changed)
 
@@ -154,7 +129,7 @@ class _Work:
         """A label as a value."""
         if not isinstance(node.value, str) or (new := self._label(node.value)) == node.value:
             return node
-        self._tell(f"{self.file}:{node.line}:{node.column}", node.value, new)
+        self._tell(node.place(self.file), node.value, new)
         return replace(node, value=new)
 
     def _tell(self, place: str, old: str, new: str) -> None:

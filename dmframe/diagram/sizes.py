@@ -60,12 +60,29 @@ def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, 
                 )
             )
             continue
-        faults += [sizes.bind(letter, size, name) for letter, size in block.sizes(robot).items()]
+        faults += [sizes.bind(letter, size, name) for letter, size in _own(name, block, robot).items()]
     for name, block in blocks.items():
         faults += _from_parameters(name, block, sizes)
     if not any(isinstance(fault, MissingError) for fault in faults):  # a robot would bind most letters
         faults += [_unbound(name, letter) for name, letter in _unbound_letters(blocks, sizes)]
     return sizes, [fault for fault in faults if fault is not None]
+
+
+def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
+    """The letters that a block binds by itself."""
+    from dmframe.diagram.model import told_by  # which imports this module
+
+    try:
+        with told_by(name, "sizes()"):
+            found = block.sizes(robot)
+        if not isinstance(found, Mapping) or not all(
+            isinstance(letter, str) and isinstance(size, int) for letter, size in found.items()
+        ):
+            raise BlockError(f"{name}: expected sizes() to return a whole number for each letter, found {found!r:.60}")
+    except BlockError as fault:
+        fault.path = fault.path or ("blocks", name)
+        raise
+    return found
 
 
 def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[DmframeError | None]:
@@ -137,9 +154,23 @@ def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) ->
             f"inverse_of: expected a block that models its parameters, found {prior.inverse_of}; the graph has "
             f"{able or 'none'}"
         )
-    rows = tuple(tuple(float(decimal(prior.scale) * value) for value in row) for row in exact)
+    try:
+        rows = tuple(tuple(float(decimal(prior.scale) * value) for value in row) for row in exact)
+    except OverflowError:
+        raise ValueFault(_too_large(prior)) from None
+    if not all(rows[i][i] for i in range(len(rows)) if exact[i][i]):
+        raise ValueFault(_too_large(prior))
     try:
         check_definite(rows)
+    except OverflowError:
+        raise ValueFault(_too_large(prior)) from None
     except ValueError as error:
         raise ValueFault(f"inverse_of: {error}; the model holds a link that is no physical body") from None
     return rows
+
+
+def _too_large(prior: Prior) -> str:
+    return (
+        f"inverse_of: with scale {prior.scale:g} and others {prior.others:g} the gain's elements leave the range of "
+        "numbers; take numbers nearer to 1"
+    )

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from dmframe.errors import RobotError, UnknownNameError, ValueFault
 
 TOOL_FRAME = "dmframe_tool"
+FARTHEST = 1e100
+"""Where a tool's coordinates overflow once they are multiplied. [m]"""
 
 
 def reduce_model(
@@ -173,6 +175,11 @@ def _tool_frame(model: Any, tool: str | Sequence[float] | None, where: str) -> i
     if point.shape != (3,) or not np.all(np.isfinite(point)):
         raise ValueFault(
             f"{where}: expected the tool as a frame's name or 3 finite numbers in m, found {list(tool)}",
+            path=("robot", "tool"),
+        )
+    if np.max(np.abs(point)) >= FARTHEST:
+        raise ValueFault(
+            f"{where}: expected the tool within {FARTHEST:g} m of the last joint, found {list(tool)}",
             path=("robot", "tool"),
         )
     placement = pin.SE3(np.eye(3), point)

@@ -28,8 +28,8 @@ def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
     MissingError
         No such file.
     RobotError
-        Not readable, not XML (with line and column), not a URDF, a number in it that is none, or an inertial element
-        that is not complete; several of the latter as `Faults`.
+        Not readable, not XML (with line and column), not a URDF, joints that make no tree, a number that is none, or an
+        inertial element that is not complete; several of the latter as `Faults`.
     """
     import pinocchio as pin
 
@@ -45,10 +45,10 @@ def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
     spelled_plainly(root)
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        _check_read(model, root, lines, where)
     except (ValueError, RuntimeError) as fault:
         reason = str(fault).strip().rstrip(".")
         raise RobotError(f"{where}: expected a valid URDF; the parser says: {reason}", path=URDF_PATH) from None
-    _check_read(model, root, lines, where)
     mimics = (joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None)
     return model, frozenset(mimics)
 

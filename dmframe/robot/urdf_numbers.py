@@ -9,6 +9,10 @@ from dataclasses import dataclass, field
 from typing import Final, final
 from xml.etree import ElementTree
 
+import numpy as np
+
+from dmframe.robot.urdf_tree import tree_faults
+
 Element = ElementTree.Element
 
 NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -36,6 +40,12 @@ OF_JOINT: Final[Mapping[str, Mapping[str, int]]] = {
 LIMITED: Final = ("revolute", "prismatic")
 POINTED: Final = (*LIMITED, "continuous", "planar")
 """Types of joints with limits, and with an axis."""
+LARGEST: Final = 1e100
+"""Lengths, masses, inertias and axes of this size or above overflow once they are multiplied. [SI units]"""
+SIZED: Final = ("origin", "mass", "inertia")
+"""Elements whose numbers must be below that."""
+ROUNDING: Final = 1e-6
+"""What rounded digits leave below zero of a principal moment, relative to the largest."""
 
 
 @final
@@ -52,11 +62,18 @@ def numbers(text: str) -> list[float]:
 
 
 def faults_of(root: Element, lines: Lines, where: str) -> Iterator[str]:
-    """What is wrong with the numbers of links and joints: each told with its line."""
+    """What is wrong with the tree, and with the numbers of links and joints: each told with its line."""
+    for element, text in tree_faults(root):
+        name = next((e for e in (element, *_parents(root, element)) if e.tag in ("link", "joint")), element)
+        yield f"{where}:{lines.of[element]}: {name.tag} {name.get('name') or 'without a name'}: {text}"
     for kind, check in (("link", _link), ("joint", _joint)):
         for element in root.findall(kind):
             for culprit, text in check(element):
                 yield f"{where}:{lines.of[culprit]}: {kind} {element.get('name', '')}: {text}"
+
+
+def _parents(root: Element, element: Element) -> Iterator[Element]:
+    return (parent for parent in root if element in list(parent))
 
 
 def spelled_plainly(root: Element) -> None:
@@ -86,6 +103,19 @@ def _link(link: Element) -> Found:
     for mass in link.findall("inertial/mass"):
         if _is_number(mass.get("value", "")) and float(mass.get("value", "")) < 0:
             yield mass, f"expected a mass >= 0, found {mass.get('value')}"
+    for inertia in link.findall("inertial/inertia"):
+        if all(_is_number(inertia.get(key, "")) and not _is_large(inertia.get(key, "")) for key in INERTIA):
+            yield from _unphysical(inertia)
+
+
+def _unphysical(inertia: Element) -> Found:
+    """A moment about some axis that is below zero."""
+    negative = [key for key in ("ixx", "iyy", "izz") if float(inertia.get(key, "")) < 0]
+    yield from ((inertia, f"expected {key} >= 0, found {inertia.get(key)}") for key in negative)
+    xx, xy, xz, yy, yz, zz = (float(inertia.get(key, "")) for key in INERTIA)
+    least, *_, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not negative and least < -ROUNDING * most:
+        yield inertia, f"expected an inertia whose principal moments are >= 0, found {least:.3g} among them"
 
 
 def _joint(joint: Element) -> Found:
@@ -97,6 +127,8 @@ def _joint(joint: Element) -> Found:
     turns = joint.get("type") in POINTED
     if turns and axis is not None and _is_column(way, 3) and not any(numbers(way)):
         yield axis, f"expected an axis that points somewhere, found {way}"
+    elif turns and axis is not None and _is_column(way, 3) and not 1 / LARGEST < math.hypot(*numbers(way)) < LARGEST:
+        yield axis, f"expected an axis of a length near 1, found {way}"
     if joint.get("type") not in LIMITED:
         return
     if limit is None:
@@ -119,7 +151,11 @@ def _single(parent: Element, tag: str) -> Found:
 def _malformed(parent: Element) -> Found:
     for element, key, count in _numeric(parent):
         text = element.get(key)
-        if text is None or _is_column(text, count):
+        if text is None:
+            continue
+        if _is_column(text, count):
+            if element.tag in SIZED and any(map(_is_large, text.split())):
+                yield element, f"expected {'numbers' if count > 1 else 'a number'} below {LARGEST:g}, found {text!r}"
             continue
         if count == 1:
             name = "mass" if element.tag == "mass" else key
@@ -156,6 +192,10 @@ def _numeric(parent: Element) -> Iterator[tuple[Element, str, int]]:
 
 def _is_number(text: str) -> bool:
     return bool(NUMBER.fullmatch(text.strip())) and math.isfinite(float(text))
+
+
+def _is_large(text: str) -> bool:
+    return abs(float(text)) >= LARGEST
 
 
 def _is_column(text: str, count: int) -> bool:

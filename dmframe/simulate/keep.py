@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
-from dmframe.errors import EngineError, UnknownNameError, ValueFault
+from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate.start import goals
 
 MOST_NUMBERS = 500_000_000
@@ -81,9 +81,9 @@ def keeping(
     items: list[Variable | Signal] = [*variables, *recorded, *matrices]
     wanted = {variable.label for variable in variables} | {signal.label for signal in recorded}
     if log.signals is not None:
-        for name in log.signals:
-            if name not in wanted:
-                raise UnknownNameError("log.signals", "signal", name, wanted, path=("log", "signals"))
+        strangers = [name for name in dict.fromkeys(log.signals) if name not in wanted]
+        path = ("log", "signals")
+        raise_all([UnknownNameError("log.signals", "signal", name, wanted, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in goals(diagram.loop) for label in pair[:2])}
     wanted |= {matrix.label for matrix in matrices}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
@@ -100,7 +100,7 @@ def keeping(
 
 def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[str, ...]]:
     if log.every is not None:
-        every = max(1, round(log.every / period))
+        every = max(1, round(min(log.every / period, ticks + 1)))  # one that is longer than the run keeps its begin
         if ticks // every * width > MOST_NUMBERS:
             most = MOST_NUMBERS // width
             raise EngineError(

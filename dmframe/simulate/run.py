@@ -16,18 +16,21 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import EngineError, ValueFault
+from dmframe.errors import DmframeError, EngineError, Faults, ValueFault, raise_all
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
-from dmframe.simulate.start import Made, start_state
-from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step
+from dmframe.simulate.start import Made, check_start, start_state
+from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step, substeps_of
 
 BREATH = 0.05
 """Progress is told, and Ctrl-C is heard, about this often [s]."""
 
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
+
+MOST_SLOPE = 1e12
+"""No solver takes a plant whose rates change faster [1/s, or its other units]."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
@@ -209,20 +212,53 @@ class Prepared:
 
 def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: Solver, log: Log) -> Prepared:
     """Check what is asked, and build the functions of a tick."""
+    ticks, matrices, plain = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
+    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in (*plain, *matrices)))
+    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
+
+
+def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
+    """How many ticks a run takes. Raises `ValueFault` and `EngineError` for times with which it cannot be computed."""
     for name, value in (("duration", duration), ("clock", clock)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
-    matrices, plain = watched(diagram), _recorded(diagram)
-    recorded = [*plain, *matrices]
-    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in recorded))
-    if duration / step.period > MOST_TICKS:
+    substeps_of(clock, solver)
+    ticks = duration / (clock if clock is not None else solver.output)
+    if ticks > MOST_TICKS:
+        slower = "a slower clock" if clock is not None else "a longer solver.output"
         raise EngineError(
-            f"duration: a run of {duration / step.period:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
-            "run a shorter time or take a slower clock",
+            f"duration: a run of {ticks:.3g} ticks is too long, expected at most {MOST_TICKS:.3g}; "
+            f"run a shorter time or take {slower}",
             path=("duration",),
         )
-    ticks = max(1, round(duration / step.period))
-    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
+    return max(1, round(ticks))
+
+
+def check_run(
+    diagram: Diagram,
+    duration: float,
+    *,
+    clock: float | None,
+    solver: Solver,
+    log: Log,
+    start: Mapping[str, Any],
+) -> None:
+    """Refuse what `simulate` would refuse of times, log and start values, as far as no pose need be sought.
+
+    Raises one fault, or all of them as `Faults`.
+    """
+
+    def times_and_log() -> None:
+        ticks, period = ticks_of(duration, clock, solver), clock if clock is not None else solver.output
+        keeping(diagram, log, _recorded(diagram), watched(diagram), period, ticks)
+
+    faults = list[DmframeError]()
+    for ask in (times_and_log, lambda: check_start(diagram, start)):
+        try:
+            ask()
+        except DmframeError as error:
+            faults += error.faults if isinstance(error, Faults) else (error,)
+    raise_all(faults)
 
 
 def _recorded(diagram: Diagram) -> list[Signal]:
@@ -319,7 +355,9 @@ def _stiffness(
     size = stack(v.symbol for v in diagram.loop.plant).numel()
     jacobian = slope(state, 0, p, 0)[0].full()[:, -size:]
     h = step.period / step.substeps
-    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian)))) if np.all(np.isfinite(jacobian)) else np.inf
+    if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
+        return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
+    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian))))
     if fastest > 0.9 * RK4_STABLE:
         return (
             f"the plant is stiff: at rest h |lambda| = {fastest:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "

@@ -11,9 +11,10 @@ import numpy as np
 
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.model import told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
-from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
 
 NEAR = "near"
@@ -21,6 +22,9 @@ NEAR = "near"
 
 REACHED = 1e-9
 """A start pose is on the path if it is this close [m or rad]."""
+
+FARTHEST = 1e100
+"""Beyond this the square of a distance overflows."""
 
 ROUNDING = 1e-9
 """A start is in its box if it misses it by less, relative to one plus its size."""
@@ -55,6 +59,11 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
     return _column(variables, values)
 
 
+def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
+    """Refuse start values of states that there are not, of another size or outside the joints' limits."""
+    _given(diagram, (*diagram.loop.controller, *diagram.loop.plant), given)
+
+
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
     """A start on the rim of its box or ball, missed by rounding, is put on it; one outside is a fault."""
     faults = list[DmframeError]()
@@ -82,7 +91,10 @@ def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int
 def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> None:
     raise_all(
         [
-            StartError(f"{v.label}: expected a finite start, found {np.ravel(values[v.label]).tolist()}")
+            StartError(
+                f"{v.label}: expected a finite start, found {np.ravel(values[v.label]).tolist()}",
+                path=("blocks", v.block),
+            )
             for v in variables
             if not np.all(np.isfinite(values[v.label]))
         ]
@@ -176,6 +188,9 @@ def _solve(
     from scipy.optimize import least_squares
 
     p, size = diagram.loop.p_values, residual.size1_in(0)
+    if not np.max(np.abs(goal), initial=0.0) < FARTHEST:  # nan too
+        text = f"start: expected {desired} below {FARTHEST:g}, found {goal.tolist()}; take numbers nearer to 1"
+        raise StartError(text, path=("start",))
     lower, upper = _limits(diagram, size)
     middle = (np.maximum(lower, -np.pi) + np.minimum(upper, np.pi)) / 2
     rng = np.random.default_rng(0)
@@ -230,11 +245,28 @@ def _said(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
     """What a block says of its start, as expressions."""
 
     def ask() -> Mapping[str, Any]:
-        seen = view(diagram, block)
-        return diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+        try:
+            return _asked(diagram, block)
+        except BlockError as fault:
+            fault.path = fault.path or ("blocks", block)
+            raise
 
     found: Mapping[str, Any] = _once(made, ("said", block), ask)
     return found
+
+
+def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
+    seen, states = view(diagram, block), diagram.models[block].states
+    with told_by(block, "start()"):
+        said = diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+    if not isinstance(said, Mapping):
+        raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
+    for name in states.keys() & said.keys():
+        with told_by(block, f"start() of {name}"):
+            found, expected = ca.SX(said[name]).numel(), states[name].numel()
+        if found != expected:
+            raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
+    return said
 
 
 def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:

@@ -116,7 +116,7 @@ class Step:
 def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX) -> Step:
     """The tick of a closed loop on a clock, or in continuous time where `clock` is None."""
     period = clock if clock is not None else solver.output
-    substeps = _substeps(period, solver)
+    substeps = substeps_of(clock, solver)
     parts = build_parts(loop, clock, recorded)
     measured = _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
     state, t, p = _columns_of(parts)
@@ -145,14 +145,17 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     )
 
 
-def _substeps(period: float, solver: Solver) -> int:
+def substeps_of(clock: float | None, solver: Solver) -> int:
+    """Integrator steps in a tick. Raises `EngineError` where they are too many to write out."""
     if solver.method != "rk4":
         return 1
+    period = clock if clock is not None else solver.output
     steps = period / solver.step
     if steps > MOST_SUBSTEPS:
+        tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")
         raise EngineError(
-            f"solver.step: expected at most {MOST_SUBSTEPS} steps in a tick of {period:g} s, found {steps:.3g}; "
-            "take a longer step, or solver.method cvodes",
+            f"solver.step: expected at most {MOST_SUBSTEPS} steps in a tick of {tick}{period:g} s, found {steps:.3g}; "
+            f"take a longer step, {shorter}, or solver.method cvodes",
             path=("solver", "step"),
         )
     return max(1, math.ceil(round(steps, 9)))

@@ -68,7 +68,6 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
     ("members", "text"),
     [
         ({"inputs": (Port("a"), Port("a"))}, "declares the input a twice"),
-        ({"outputs": ("a",)}, "expected each output to be a Port, found 'a'"),
         ({"states": (State("a", "", "fortnight"),)}, "the unit of the state a: unknown unit fortnight; "),
         (
             {"inputs": (Port("da", derivative_of="b"), Port("a"))},

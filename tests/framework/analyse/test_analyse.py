@@ -321,3 +321,34 @@ class Still(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"dq_c": 0})
+
+
+@pytest.mark.parametrize(
+    "override",
+    ["servo.K_D=1e308", "servo.K_D=1e160", "inverse.K_c=1e300", "dynamics.Gamma=1e308", "arm.viscous=1e160"],
+)
+def test_numbers_that_overflow_are_named_before_any_linear_algebra(
+    capfd: pytest.CaptureFixture[str], override: str
+) -> None:
+    with pytest.raises(EngineError) as caught:
+        linearise(load_graph("pendulum", [override]).diagram())
+    label, _, value = override.partition("=")
+    assert str(caught.value).endswith(
+        f": the rates of the loop overflow, with {label} = {float(value):g}; take numbers nearer to 1"
+    )
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("override", ["inverse.K_c=1e-300", "servo.K_I=1e-300", "arm.viscous=1e-300"])
+def test_numbers_that_vanish_are_analysed_without_a_warning(override: str) -> None:
+    diagram = load_graph("pendulum", [override]).diagram()
+    assert len(linearise(diagram).poles)
+    (joint,) = servo_transfer(diagram)
+    assert np.isfinite(joint.margins.phase)
+
+
+def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
+    linear = linearise(load_graph("pendulum", ["servo.K_D=1e9"]).diagram())
+    assert linear.spectral_radius(1e290) == np.inf
+    with pytest.raises(EngineError, match="overflows; take a faster clock"):
+        linear.sampled_poles(1e290)

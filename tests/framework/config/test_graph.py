@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from dmframe.catalogue import graphs
+from dmframe.config.document import read_file
+from dmframe.config.grammar import GraphFile
 from dmframe.config.graph import load_graph, placed
-from dmframe.errors import DmframeError
+from dmframe.config.overrides import overridden
+from dmframe.errors import DmframeError, Faults
 from dmframe.simulate import Solver, simulate
 
 PENDULUM = graphs()["pendulum"].read_text()
@@ -52,7 +55,7 @@ def test_a_continuous_clock_is_no_period() -> None:
     assert load_graph("pendulum").file.clock is None
 
 
-def test_an_override_goes_before_the_file_and_leaves_it_alone() -> None:
+def test_an_override_goes_before_the_file() -> None:
     graph = load_graph(
         "pendulum", ["task.alpha_bar=3", "clock=4 ms", "blocks.servo.K_D=[25]", "robot.friction_velocity=0.01"]
     )
@@ -61,7 +64,7 @@ def test_an_override_goes_before_the_file_and_leaves_it_alone() -> None:
     assert graph.file.clock == 0.004
     assert graph.robot.friction_velocity == 0.01
     assert graph.data["blocks"]["task"]["alpha_bar"] == 3
-    assert graph.document.data["blocks"]["task"]["alpha_bar"] == 2
+    assert load_graph("pendulum").data["blocks"]["task"]["alpha_bar"] == 2
 
 
 def test_the_last_override_of_a_value_holds() -> None:
@@ -78,6 +81,72 @@ def test_another_duration_leaves_the_graph_as_it_was() -> None:
     graph = load_graph("pendulum")
     assert graph.with_duration(1.5).file.duration == 1.5
     assert graph.file.duration == 30.0
+
+
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("start.qq=1", "start.qq: unknown state"),
+        ("start.q=[1, 2]", "start.q: expected 1 numbers, found 2"),
+        ("start.q=99", "start.q: expected joint1 between"),
+        ('log.signals=["a"]', "log.signals: unknown signal"),
+        ("solver.step=1e-9", "solver.step: expected at most 2000 steps in a tick of solver.output, 0.01 s"),
+        ("duration=1e9", "duration: a run of 1e+11 ticks is too long"),
+        ("uncertain={servo.K_D: [1, 2]}", "uncertain.servo.K_D: expected an interval that holds the graph's own"),
+        ("uncertain.servo.K_D=nothing", "uncertain.servo.K_D: expected"),
+        ("uncertain.servo.K_J=[1, 2]", "uncertain.servo.K_J: unknown parameter of the plant"),
+    ],
+)
+def test_a_diagram_is_refused_for_what_a_run_or_a_proof_would_refuse(override: str, text: str) -> None:
+    graph = load_graph("pendulum", [override])
+    with pytest.raises(DmframeError) as caught:
+        graph.diagram()
+    assert text in str(caught.value)
+    assert str(caught.value).startswith("--set ")
+
+
+def test_all_that_a_run_would_refuse_is_told_at_once() -> None:
+    with pytest.raises(Faults) as caught:
+        load_graph("pendulum", ["start.qq=1", "log.signals=[a, b]", "uncertain={servo.K_D: 1}"]).diagram()
+    assert len(caught.value.faults) == 4
+
+
+def test_a_fault_of_the_duration_that_a_call_gave_is_placed_there() -> None:
+    graph = load_graph("pendulum").with_duration(1e9)
+    assert graph.data["duration"] == 1e9
+    with pytest.raises(DmframeError) as caught:
+        graph.diagram()
+    assert str(caught.value).startswith("--until 1e+09: duration: a run of 1e+11 ticks is too long")
+
+
+def test_a_fault_of_a_whole_block_says_which_overrides_changed_it() -> None:
+    with pytest.raises(DmframeError) as caught:
+        load_graph("pendulum", ["path.times=[0, 0, 0, 0, 0]", "task.alpha_bar=1"])
+    assert caught.value.location.endswith("pendulum.yaml:7:13 with --set path.times=[0, 0, 0, 0, 0]")
+
+
+def test_labels_with_dots_are_set_as_one_key() -> None:
+    given = ["uncertain.servo.K_D=[10, 30]", "start.arm.q=0.1", "wires.inverse.dq_r=task.dq_r", "robot.hold.a.b=1 deg"]
+    document = overridden(read_file(graphs()["pendulum"]), given, list(GraphFile.model_fields))
+    assert document.data["uncertain"] == {"servo.K_D": [10, 30]}
+    assert document.data["start"] == {"arm.q": 0.1}
+    assert document.data["wires"] == {"inverse.dq_r": "task.dq_r"}
+    assert document.data["robot"] == {"model": "pendulum", "hold": {"a.b": "1 deg"}}
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("a#b", "a#b"),
+        ('"a # b"', "a # b"),
+        ("'# b'", "# b"),
+        ("[1, # one\n 2]", [1, 2]),
+        ("{a: '#'}", {"a": "#"}),
+    ],
+)
+def test_an_override_keeps_all_of_its_one_value(written: str, value: object) -> None:
+    document = overridden(read_file(graphs()["pendulum"]), [f"title={written}"], list(GraphFile.model_fields))
+    assert document.data["title"] == value
 
 
 def test_a_users_block_beside_the_graph_runs_from_any_folder(tmp_path: Path) -> None:

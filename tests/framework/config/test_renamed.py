@@ -135,7 +135,7 @@ def test_every_old_name_at_once_gives_the_same_graph(
 
 @pytest.mark.parametrize(
     ("override", "parameter", "value"),
-    [("pull.gain=7", "pull.rate", 7), ("blocks.pull.gain=7", "pull.rate", 7), ("cart.shove=2", "cart.push", 2)],
+    [("pull.gain=7", "pull.rate", 7), ("blocks.pull.gain=7", "pull.rate", 7), ("cart.shove=0.75", "cart.push", 0.75)],
 )
 def test_set_takes_an_old_name_and_goes_before_the_file(
     write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], override: str, parameter: str, value: float
@@ -150,6 +150,31 @@ def test_set_takes_an_old_name_and_goes_before_the_file(
         capsys.readouterr()
 
 
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("log.signals=[cart.y]", "log.signals=[cart.height]"),
+        ("log={signals: [cart.y]}", "log={signals: [cart.height]}"),
+        ("wires={pull.y: cart.y}", "wires={pull.height: cart.height}"),
+        ("wires.pull.y=cart.y", "wires.pull.height=cart.height"),
+        ("uncertain={cart.shove: [0, 2]}", "uncertain={cart.push: [0, 2]}"),
+        ("uncertain.cart.shove=[0, 2]", "uncertain.cart.push=[0, 2]"),
+        ("start={cart.z: 5}", "start={cart.place: 5}"),
+        ("start.cart.z=5", "start.cart.place=5"),
+        ("baseline.pull.gain=2", "baseline.pull.rate=2"),
+    ],
+)
+def test_set_reads_old_names_wherever_a_file_may_hold_them(
+    write: Callable[[str], Path], capsys: pytest.CaptureFixture[str], old: str, new: str
+) -> None:
+    wanted = load_graph(write(NEW), [new])
+    assert capsys.readouterr().err == ""
+    assert load_graph(write(NEW), [old]).data == wanted.data
+    told = capsys.readouterr().err.splitlines()
+    assert told
+    assert all(line.startswith(f"--set {old}: notice: ") for line in told)
+
+
 def test_set_takes_an_old_start(write: Callable[[str], Path]) -> None:
     assert load_graph(write(NEW), ["start.z=5"]).start == {"place": 5.0}
 
@@ -160,13 +185,13 @@ def test_both_names_at_once_are_an_error_with_its_place(write: Callable[[str], P
     assert f"{file}:7:43: gain is called rate now, and both are given; keep rate alone" in text
     assert f"{file}:11:13: cart.shove is called cart.push now, and both are given" in text
     text = told(lambda: load_graph(write(NEW), ["pull.gain=1", "pull.rate=2"]))
-    assert text == "--set pull.rate=2: gain is called rate now, and both are given; keep rate alone"
+    assert text == "--set pull.gain=1: gain is called rate now, and both are given; keep rate alone"
 
 
 def test_a_bad_value_under_an_old_name_is_told_where_it_stands(write: Callable[[str], Path]) -> None:
     file = write(NEW.replace("rate: 3", "gain: -3"))
     assert told(lambda: load_graph(file)).startswith(f"{file}:7:40: blocks.pull.rate: ")
-    assert "--set pull.rate=-1" in told(lambda: load_graph(write(NEW), ["pull.gain=-1"]))
+    assert "--set pull.gain=-1: blocks.pull.rate: " in told(lambda: load_graph(write(NEW), ["pull.gain=-1"]))
 
 
 def test_a_block_of_another_type_has_no_old_names(write: Callable[[str], Path]) -> None:

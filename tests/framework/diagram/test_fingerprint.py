@@ -174,7 +174,6 @@ def a_source(**changes: Any) -> type[AbstractBlock]:
         ({"truth": (Port("k"),)}, "goal: reads the truth k; a source is a function of time alone"),
         ({"certificate": lambda self, u, x, p, truth: None}, "goal: has a certificate of its own"),
         ({"start": lambda self, u, p, truth: {}}, "goal: has a start of its own"),
-        ({"side": "source"}, "goal: expected its side to be a Side, found 'source'"),
     ],
 )
 def test_a_source_that_is_more_than_a_function_of_time_is_refused(changes: dict[str, Any], text: str) -> None:

@@ -95,6 +95,90 @@ def test_a_malformed_number_is_told_with_its_line(write: Callable[[str], Path], 
     assert f"robot arm.urdf:{text}" in told(write(ARM.replace(old, new, 1)))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ('iyy="0.03"', 'iyy="-5"', "7: link a: expected iyy >= 0, found -5"),
+        (
+            'ixy="0.001"',
+            'ixy="1"',
+            "7: link a: expected an inertia whose principal moments are >= 0, found -0.975 among",
+        ),
+        ('"2.5"', '"1e308"', "6: link a: expected a number below 1e+100, found '1e308'"),
+        ("0.1 0 0.2", "1e100 0 0", "13: joint j: expected numbers below 1e+100, found '1e100 0 0'"),
+        ("0 0 1", "1e-200 0 0", "14: joint j: expected an axis of a length near 1, found 1e-200 0 0"),
+        ("0 0 1", "1e308 1e308 0", "14: joint j: expected an axis of a length near 1, found 1e308 1e308 0"),
+    ],
+)
+def test_a_number_that_no_body_has_is_told_with_its_line(
+    write: Callable[[str], Path], old: str, new: str, text: str
+) -> None:
+    assert f"robot arm.urdf:{text}" in told(write(ARM.replace(old, new, 1)))
+
+
+TAIL = """  <link name="b"/>
+  <joint name="k" type="fixed"><parent link="a"/><child link="b"/></joint>
+</robot>
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (
+            '<child link="a"/>',
+            '<child link="base"/>',
+            "11: joint j: expected a tree, found a loop: its parent base moves",
+        ),
+        (
+            '<parent link="base"/>',
+            '<parent link="b"/>',
+            "11: joint j: expected a tree, found a loop: its parent b moves",
+        ),
+        (
+            '<child link="b"/>',
+            '<child link="a"/>',
+            "19: joint k: expected each link to be the child of one joint, found a",
+        ),
+        ('<link name="b"/>', '<link name="b"/><link name="c"/>', "18: link c: expected one base, found base and c"),
+        ('<joint name="j"', '<joint name=""', "11: joint without a name: expected a name of this joint, found none"),
+        ('<joint name="j"', "<joint", "11: joint without a name: expected a name of this joint, found none"),
+        ('<link name="b"', '<link name=" "', "18: link  : expected a name of this link, found none"),
+        ('<joint name="k"', '<joint name="j"', "19: joint j: expected one joint of that name, found two"),
+        ('<link name="b"', '<link name="a"', "18: link a: expected one link of that name, found two"),
+        ('<child link="b"/>', '<child link="bb"/>', "19: joint k: its child bb is no link of the file; "),
+        ('<parent link="a"/>', "<parent/>", "19: joint k: its parent without a name is no link of the file; "),
+        ('<parent link="a"/>', "", "19: joint k: expected one <parent>, found none"),
+        ('<child link="b"/>', '<child link="b"/><child link="a"/>', "19: joint k: expected one <child>, found 2"),
+        (
+            'type="fixed"',
+            'type="stiff"',
+            "19: joint k: expected a type of joint, revolute, continuous, prismatic, fixed",
+        ),
+    ],
+)
+def test_joints_that_make_no_tree_are_told_with_their_line(
+    write: Callable[[str], Path], capfd: pytest.CaptureFixture[str], old: str, new: str, text: str
+) -> None:
+    two = ARM.replace("</robot>\n", TAIL)
+    read_urdf(write(two))
+    assert two.count(old) == 1
+    assert f"robot arm.urdf:{text}" in told(write(two.replace(old, new)))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_what_pinocchio_refuses_is_told_as_a_fault_of_the_file(
+    write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: Any) -> Any:
+        raise RuntimeError("The 3d inertia should be positive.")
+
+    monkeypatch.setattr(pin, "Inertia", type("Inertia", (), {"__init__": refuse, "Zero": refuse}))
+    assert told(write(ARM)) == (
+        "robot arm.urdf: expected a valid URDF; the parser says: The 3d inertia should be positive"
+    )
+
+
 def test_a_joint_without_limits_is_told(write: Callable[[str], Path]) -> None:
     text = re.sub("<limit.*/>", "", ARM)
     assert "robot arm.urdf:11: joint j: expected <limit> of a revolute joint, found none" in told(write(text))
