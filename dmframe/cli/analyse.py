@@ -12,7 +12,6 @@ from dmframe.analyse.period import Bracket
 from dmframe.analyse.servo import JointLoop
 from dmframe.analyse.summary import NOTE, Analysis, analyse, summary
 from dmframe.analyse.tie import TieGain
-from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
 from dmframe.cli.streams import tell
 from dmframe.config import Graph, load_graph
@@ -29,7 +28,7 @@ def analyse_graph(name: str, overrides: Sequence[str], *, horizon: float, as_jso
         solver=graph.solver,
         start=graph.start,
         horizon=horizon,
-        uncertain=intervals(diagram, graph.file.uncertain),
+        uncertain=graph.intervals(diagram),
     )
     tell(json.dumps(summary(graph.name, found), indent=2) if as_json else page(graph, found))
 

@@ -80,7 +80,9 @@ def check(graph: OneGraph, overrides: Overrides = []) -> None:  # noqa: B006 - t
     from dmframe.config import load_graph
 
     loaded = load_graph(graph, overrides)
-    tell(check_page(loaded, loaded.diagram()))
+    diagram = loaded.diagram()
+    loaded.intervals(diagram)
+    tell(check_page(loaded, diagram))
 
 
 @app.command()

@@ -153,7 +153,7 @@ def _run(graph: Graph, diagram: Any, engine: Choice, bar: Progress) -> Run:
             log=graph.log,
         )
     except DmframeError as error:
-        raise placed(error, graph.document, graph.overrides) from None
+        raise placed(error, graph.document) from None
 
 
 def _say(text: str, as_json: bool) -> None:

@@ -12,7 +12,6 @@ from typing import Any, Final
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
 from dmframe.certify.summary import summary
-from dmframe.certify.uncertain import intervals
 from dmframe.cli.show import columns
 from dmframe.cli.streams import tell
 from dmframe.config import Graph, load_graph
@@ -55,9 +54,9 @@ def verify_graphs(
 
 def _verify(graph: Graph, diagram: Diagram, seed: int) -> Verdict:
     try:
-        return verify(diagram, seed=seed, uncertain=intervals(diagram, graph.file.uncertain), start=graph.start)
+        return verify(diagram, seed=seed, uncertain=graph.intervals(diagram), start=graph.start)
     except DmframeError as error:
-        raise placed(error, graph.document, graph.overrides) from None
+        raise placed(error, graph.document) from None
 
 
 def page(graph: Graph, verdict: Verdict) -> str:

@@ -19,6 +19,7 @@ from dmframe.config.overrides import overridden, put
 from dmframe.config.renamed import with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Solver
 from dmframe.simulate.run import check_run
 from dmframe.units import to_unit
@@ -58,32 +59,29 @@ class Graph:
         return Log(self.file.log.every, self.file.log.signals)
 
     def diagram(self) -> Diagram:
-        """Wire and flatten it, and check what the file says of runs and proofs; faults carry their place in the file.
+        """Wire and flatten it, and check what the file says of runs; faults carry their place in the file.
 
         What needs a pose, or a proof, is left to `simulate` and `verify`.
         """
+        file = self.file
         try:
-            diagram = Diagram.build(self.blocks, self.file.wires, self.robot)
-            self._check(diagram)
+            diagram = Diagram.build(self.blocks, file.wires, self.robot)
+            check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
             return diagram
         except DmframeError as error:
             raise placed(error, self.document) from None
 
-    def _check(self, diagram: Diagram) -> None:
-        """Refuse what a run or a proof would refuse of the file's other keys."""
-        file, faults = self.file, list[DmframeError]()
-        try:
-            check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
-        except DmframeError as error:
-            faults += error.faults if isinstance(error, Faults) else (error,)
-        if file.uncertain:
-            from dmframe.certify.uncertain import intervals
+    def intervals(self, diagram: Diagram) -> Mapping[str, Sequence[Interval]]:
+        """The true parameters that the file knows up to an interval; faults carry their place in the file.
 
-            try:
-                intervals(diagram, file.uncertain)
-            except DmframeError as error:
-                faults += error.faults if isinstance(error, Faults) else (error,)
-        raise_all(faults)
+        A run does without: it may be one outside of them.
+        """
+        from dmframe.certify.uncertain import intervals
+
+        try:
+            return intervals(diagram, self.file.uncertain)
+        except DmframeError as error:
+            raise placed(error, self.document) from None
 
     def baseline(self) -> Graph:
         """The same graph with the blocks of its key `baseline`, and without wires of blocks that are left out.
@@ -118,13 +116,12 @@ TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log",
 """They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
 
 
-def placed(error: DmframeError, document: Document, overrides: Sequence[str] = ()) -> DmframeError:
+def placed(error: DmframeError, document: Document) -> DmframeError:
     """The fault, or each of several in the order of the file, with ``file:line:column``.
 
     One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
     which overrides changed it.
     """
-    del overrides  # they stand in the document
     faults = error.faults if isinstance(error, Faults) else (error,)
     for fault in faults:
         fault.location = fault.location or _location(fault, document)
