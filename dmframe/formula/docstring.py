@@ -171,6 +171,14 @@ def energies(stated: Certificate) -> list[Any]:
     return [total(stated.storage) / 2, claimed]
 
 
+def _name_of(item: Stated) -> tuple[Symbol, bool] | None:
+    """The name on the left of an equation; None where something else stands there."""
+    try:
+        return name_in(item.left)
+    except UnreadableLatexError:
+        return None
+
+
 class _Verdict(Enum):
     """What an equation is, with some options."""
 
@@ -190,7 +198,7 @@ class _Trial:
         self._open = dict[Symbol, Stated]()
         self._known = dict[Symbol, Numbers]()
         for item in equations:
-            left = name_in(item.left)
+            left = _name_of(item)
             if left is not None and self._is_new(left[0]):
                 self._open.setdefault(left[0], item)
 
@@ -199,7 +207,7 @@ class _Trial:
 
     def is_computed(self, item: Stated) -> bool:
         """Is its left side something that the block computes with these options?"""
-        left = name_in(item.left)
+        left = _name_of(item)
         if left is None:
             return False
         bare = undotted(left[0])
@@ -226,9 +234,12 @@ class _Trial:
     def verdict(self, item: Stated) -> tuple[_Verdict, str]:
         """What an equation is, and the sentence about it."""
         try:
-            return self._verdict(item)
+            with np.errstate(all="ignore"):  # what is not finite is compared, not warned of
+                return self._verdict(item)
         except UnreadableLatexError as error:
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
+        except Exception as error:  # an author may write anything; it is no fault of the code
+            return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {type(error).__name__}: {error}"
 
     def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
         left = name_in(item.left)

@@ -116,7 +116,7 @@ class Reading:
         if model.robot is not None and self.functions is not None:
             robot = ReadRobot(self.functions, symbolic=kind is ca.MX)
         columns = {"inputs": inputs, "states": states, "parameters": parameters, "truths": truths}
-        taken = {name: _KINDS[what] for what, items in columns.items() for name in items}
+        taken = {"S": "the storage"} | {name: _KINDS[what] for what, items in columns.items() for name in items}
         if robot is not None and kind is ca.MX:
             names |= {symbol.name(): symbol for symbol in robot.numbers.values()}
             taken |= {symbol.name(): "a number of the robot" for symbol in robot.numbers.values()}
@@ -258,10 +258,10 @@ def told_at(name: str, block: AbstractBlock) -> Iterator[None]:
     try:
         yield
     except NamingError as error:
-        file = inspect.getsourcefile(type(block)) or ""
+        file = inspect.unwrap(type(block).equations).__code__.co_filename
         frames = [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-        line = frames[-1].lineno if frames else None
-        raise BlockError(f"{name}: {Path(file).name}:{line}: {error.text}") from None
+        where = f"{Path(file).name}:{frames[-1].lineno}: " if frames else ""
+        raise BlockError(f"{name}: {where}{error.text}") from None
 
 
 def place_of(block: type[AbstractBlock], method: str) -> str:

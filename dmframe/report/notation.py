@@ -83,8 +83,9 @@ def latex(text: str) -> str:
         token = _TOKEN.match(text, place)
         if token is None or not _is_formula(token, text):
             return rf"\text{{{_escaped(text)}}}"
-        pieces.append(_piece(token))
         place = token.end()
+        calls = token["name"] and not token["primes"] and text[place : place + 1] == "("
+        pieces.append(_piece(token).rstrip() if calls else _piece(token))
     return re.sub(r" (?=[)^/,]|\|\^)|(?<=[A-Za-z]) (?=\()", "", " ".join("".join(pieces).split()))
 
 
@@ -98,6 +99,8 @@ def _is_formula(token: re.Match[str], text: str) -> bool:
         return True
     if name == "do" or name.endswith("_box") or (token["primes"] and text[token.end() : token.end() + 1].islower()):
         return False
+    if text[token.end() : token.end() + 1] == "(":  # a function: tool(a_k)
+        return True
     head = name.split("_")[0]
     return len(head) == 1 or head in LETTERS or re.fullmatch(r"d{1,2}[a-z]", head) is not None
 

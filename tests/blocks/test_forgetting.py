@@ -16,6 +16,7 @@ from dmframe.certify import Verdict, verify
 from dmframe.certify.along import along
 from dmframe.config.graph import load_graph
 from dmframe.errors import DmframeError
+from dmframe.formula.docstring import check_docstring
 from dmframe.report.terms import terms_of
 from dmframe.simulate import Run, simulate
 from dmframe_blocks.adaptive_kinematics import AdaptiveKinematics
@@ -137,6 +138,7 @@ def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_wo
 
 def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
     right = AdaptiveKinematics._fit
+    assert not check_docstring(AdaptiveKinematics)  # read before the fault, which it would tell of, comes in
 
     def unlearning(self: Any, *signals: Any) -> Fit:
         fit = right(self, *signals)

@@ -138,6 +138,9 @@ SEEDED = {
     "a new name that nothing uses": (r"\tau_d &=", r"\tau_x &=", "no other equation uses it"),
     "a name that nothing bears": (r"\dot q_r - K_c e", r"\dot q_r - K_d e", "nothing bears the name K_d"),
     "a bracket that is not closed": ("(x - x_d) ", "(x - x_d ", "missing"),
+    "a function of too few arguments": (r"\dot w &= -\Lambda", r"\dot w &= \max \Lambda", "cannot be read"),
+    "a left side that ends too early": (r"\dot w &=", r"\dot &=", "cannot be read"),
+    "a number that is none": (r"\dot w &= -\Lambda", r"\dot w &= \sqrt{-1} \Lambda", r"\dot{w}"),
     "no equation at all": (r"\dot w &= -\Lambda", r"-\Lambda", "no equation"),
     "another order of the product": (r"-\Gamma Y_d^\top \sigma  ", r"-Y_d^\top \Gamma \sigma  ", "cannot be"),
 }

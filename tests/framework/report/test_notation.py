@@ -4,7 +4,7 @@ import pytest
 
 from dmframe.config import load_graph
 from dmframe.formula import laws_of
-from dmframe.report.notation import latex, marked, signal_latex
+from dmframe.report.notation import latex, marked, signal_latex, spelled
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,10 @@ def test_what_a_certificate_calls_its_squares_becomes_a_formula(text, expected):
         ("V(0) is all that there is (M(q) > 0)", "$V(0)$ is all that there is ($M(q) > 0$)"),
         ("A'P + P A < 0 at the corners", r"$A^{\top} P + P A < 0$ at the corners"),
         ("property P2", "property P2"),
+        ("weight of |a_k_hat - tool(a_k)|^2 in V", r"weight of $|\hat{a}_{k} - \mathrm{tool}(a_{k})|^2$ in $V$"),
+        ("geometry (adaptive_kinematics) knows x", "geometry (`adaptive_kinematics`) knows $x$"),
+        ("|(a_k, b_k)|^2 > 0 (least pivot)", r"$|(a_{k},\; b_{k})|^2 > 0$ (least pivot)"),
+        ("it is d(x - x_d)/dt, as all do", r"it is $d(x - x_{d})/dt$, as all do"),
         ("", ""),
     ],
 )
@@ -52,3 +56,20 @@ def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
     assert signal_latex("d(x - x_d)/dt", laws) == r"\tfrac{d}{dt} (x - x_{d})"
     assert signal_latex("x - x_d (task)", laws) == r"x - x_{d} \;\text{(task)}"
     assert signal_latex("q_c", laws) == "q_{c}"
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (
+            "task: weight of |J_hat'(x - x_d)/2 - s/gamma|^2 in dV/dt >= 0",
+            "task: weight of |Ĵᵀ(x − x_d)/2 − s/γ|² in V̇ ≥ 0",
+        ),
+        ("x - x_d goes to zero, if dy_dot does", "x − x_d goes to zero, if ẏ_dot does"),
+        ("d(x - x_d)/dt goes to zero, as joints do", "d(x − x_d)/dt goes to zero, as joints do"),
+        ("adaptation.a_d_hat: inside the box", "adaptation.a_d_hat: inside the box"),
+        ("|a_k_hat - tool(a_k)|^2", "|â_k − tool(a_k)|²"),
+    ],
+)
+def test_a_terminal_shows_the_formulas_of_a_sentence_in_unicode(text, expected):
+    assert spelled(text) == expected
