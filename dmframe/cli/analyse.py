@@ -97,7 +97,7 @@ def _periods(found: Analysis) -> Iterator[tuple[str, str]]:
 def _least_K_c(graph: Graph, ties: Sequence[TieGain]) -> Iterator[str]:
     if ties:
         over = "the intervals of uncertain:" if graph.file.uncertain else "the graph's own servo gains"
-        yield f"K_c of the PID inverse [1/s]: the least that makes M_bar >= 0 over {over}, rounded upwards"
+        yield f"K_c of the PID inverse [1/s]: the least that makes M̄ ≥ 0 over {over}, rounded upwards"
         heads = ("joint", "K_c of the graph", "least K_c", "least without friction")
         yield columns([heads, *(_tie(tie) for tie in ties)])
         yield ""

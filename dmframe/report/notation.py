@@ -19,7 +19,7 @@ _UNICODE_SIGNS: Final = {">=": "≥", "<=": "≤", "-": "−", "*": "·"}
 _ARTICLES: Final = frozenset({"a", "A", "I", "s"})
 _TOKEN: Final = re.compile(
     r"(?P<rate>\bd(?P<of>[A-Z])/dt\b)|(?P<over>/dt\b)|(?P<name>[A-Za-z][A-Za-z0-9]*(?:_[A-Za-z0-9]+)*)(?P<primes>'*)|"
-    r"(?P<comma>,)|(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
+    r"(?P<comma>,)|(?P<weighted>\|_(?P<by>[A-Z])\^2)|(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
 )
 
 _LABEL: Final = re.compile(r"\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
@@ -71,6 +71,8 @@ def _unicode_piece(token: re.Match[str]) -> str:
         if primes and name[0].isupper():
             return f"{unicode_name(name)}ᵀ"
         return unicode_name(name, {0: "", 1: "dot"}.get(primes, "ddot"))
+    if token["weighted"]:
+        return f"|²_{token['by']}"
     if token["close"]:
         return ")" + ("ᵀ" if token["after"] else "")
     return _UNICODE_SIGNS.get(token.group(), token.group())
@@ -116,6 +118,8 @@ def _piece(token: re.Match[str]) -> str:
         return "/dt "
     if token["comma"]:
         return r",\; "
+    if token["weighted"]:
+        return f"|^2_{token['by']} "
     if token["sign"]:
         return _SIGNS.get(token["sign"], f"{token['sign']}")
     return " " if token["blank"] else token["number"]

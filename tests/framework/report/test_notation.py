@@ -69,6 +69,7 @@ def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
         ("d(x - x_d)/dt goes to zero, as joints do", "d(x − x_d)/dt goes to zero, as joints do"),
         ("adaptation.a_d_hat: inside the box", "adaptation.a_d_hat: inside the box"),
         ("|a_k_hat - tool(a_k)|^2", "|â_k − tool(a_k)|²"),
+        ("weight of |a_d|_W^2 in V", "weight of |a_d|²_W in V"),
     ],
 )
 def test_a_terminal_shows_the_formulas_of_a_sentence_in_unicode(text, expected):
