@@ -14,6 +14,7 @@ from dmframe.certify.summary import summary
 from dmframe.config import Graph
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
+from dmframe.formula.where import where
 from dmframe.parameter import specs
 from dmframe.report.laws import Law, Row, law_of
 from dmframe.report.linear import LinearView, linear_view
@@ -98,6 +99,8 @@ class Content:
     ----------
     summary
         What ``verify --json`` prints of it.
+    signs
+        Each operation, quantity of the robot and convention that the laws use, with what it means.
     picture
         The diagram as stand-alone SVG.
     mermaid
@@ -116,6 +119,7 @@ class Content:
     picture: str
     mermaid: str
     laws: tuple[BlockLaw, ...]
+    signs: tuple[tuple[str, str], ...]
     terms: Terms | None
     conditions: tuple[Condition, ...]
     assumptions: tuple[tuple[str, str], ...]
@@ -149,6 +153,7 @@ def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[st
         picture=svg(diagram),
         mermaid=mermaid(diagram),
         laws=tuple(_law(diagram, name, law) for name, law in laws.items()),
+        signs=where(line for law in laws.values() for line in law.lines),
         terms=terms_of(verdict.claim) if verdict.claim is not None else None,
         conditions=tuple(map(_condition, verdict.conditions)),
         assumptions=tuple((marked(item.text), item.source) for item in verdict.assumptions),

@@ -22,8 +22,8 @@ _TOKEN: Final = re.compile(
     r"(?P<comma>,)|(?P<weighted>\|_(?P<by>[A-Z])\^2)|(?P<number>\d+(?:\.\d+)?)|(?P<close>\))(?P<after>'*)|(?P<sign>>=|<=|[-+/*^|(=<>])|(?P<blank>\s+)"
 )
 
-_LABEL: Final = re.compile(r"\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
-"""``inverse.w``, and ``d inverse.w/dt``."""
+_LABEL: Final = re.compile(r"\b[\w-]+\.\w+:\d+|\\[A-Za-z]+[^:\s]*|\b(d )?[A-Za-z]\w*\.[A-Za-z]\w*(?(1)/dt)")
+"""``inverse.w``, ``d inverse.w/dt``, ``my_block.py:12`` and an author's own LaTeX."""
 
 
 def signal_latex(text: str, laws: Mapping[str, PrintedLaw]) -> str:

@@ -38,6 +38,7 @@ def test_what_a_certificate_calls_its_squares_becomes_a_formula(text, expected):
         ("V(0) is all that there is (M(q) > 0)", "$V(0)$ is all that there is ($M(q) > 0$)"),
         ("A'P + P A < 0 at the corners", r"$A^{\top} P + P A < 0$ at the corners"),
         ("property P2", "property P2"),
+        (r"my_block.py:18: \dot{w_P}: it holds no w", r"`my_block.py:18`: `\dot{w_P}`: it holds no $w$"),
         ("weight of |a_k_hat - tool(a_k)|^2 in V", r"weight of $|\hat{a}_{k} - \mathrm{tool}(a_{k})|^2$ in $V$"),
         ("geometry (adaptive_kinematics) knows x", "geometry (`adaptive_kinematics`) knows $x$"),
         ("|(a_k, b_k)|^2 > 0 (least pivot)", r"$|(a_{k},\; b_{k})|^2 > 0$ (least pivot)"),
