@@ -57,18 +57,16 @@ def run_graphs(
         results, interrupted = _simulate_all(graphs, diagrams, choice, as_json)
         if not results:
             return STOPPED
-        _say(f"writing {place.path}", as_json)
         try:
-            with held_off() as signals:  # all on the disk before anything is printed: printing may fail
-                summaries = write_run(place, results, plots=plots)
-        except DmframeError:
             if not as_json:
-                _table(results)  # all that is left of them
-            raise
+                _table(results)  # figures take seconds; the numbers are there now
+        finally:  # printing may fail, results are written all the same
+            _say(f"writing {place.path}", as_json)
+            with held_off() as signals:
+                summaries = write_run(place, results, plots=plots)
     if as_json:
         tell(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
     else:
-        _table(results)
         tell(f"results: {place.path}")
     if interrupted or signals:
         return STOPPED
