@@ -48,7 +48,7 @@ def test_a_condition_that_fails_gives_status_1_and_is_marked(dmframe: Any) -> No
     said = dmframe("verify", "pendulum", "--set", "servo.K_I=2000")
     assert said.status == 1
     assert "not applicable" in said.out.splitlines()[0]
-    assert any("M_bar" in line and line.endswith("FAILS") for line in said.out.splitlines())
+    assert any("M̄" in line and line.endswith("FAILS") for line in said.out.splitlines())
 
 
 def test_verify_json_has_the_keys_of_the_contract(dmframe: Any) -> None:
