@@ -287,5 +287,5 @@ def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch
     assert "goes to zero" not in text
     assert "What is left, above zero or of either sign:" in text
     assert "$a_{d}$" in text  # the estimate starts at zero
-    assert "[0] plus or minus [10]" in text
+    assert "0 plus or minus 10" in text
     assert "What is left" in (tmp_path / "report.html").read_text()

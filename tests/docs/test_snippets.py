@@ -101,7 +101,7 @@ def run_console(text: str, where: str) -> None:
         assert status == 0, f"{where}: status {status} before `$ {command}`"
         status, printed = run_command(command)
         if wanted:
-            assert re.fullmatch(pattern(wanted), printed.rstrip() + "\n"), f"{where}: `$ {command}` printed\n{printed}"
+            assert matches(wanted, printed.rstrip().splitlines()), f"{where}: `$ {command}` printed\n{printed}"
     assert status == 0, f"{where}: the last command's status is {status}"
 
 
@@ -117,10 +117,18 @@ def commands(text: str) -> list[tuple[str, list[str]]]:
     return found
 
 
-def pattern(lines: list[str]) -> str:
-    """Expected lines as a regular expression; blanks that line columns up may differ in number."""
-    parts = ["(?:.*\n)*?" if line.strip() == "..." else f"{_line(line)}\n?" for line in lines]
-    return "".join(parts) + r"\s*"
+def matches(wanted: list[str], printed: list[str]) -> bool:
+    """Do lines match, ``...`` any number of them? Blanks that line columns up may differ in number."""
+    places = {0}  # how many printed lines may be behind us
+    for line in wanted:
+        if line.strip() == "...":
+            places = set(range(min(places, default=len(printed) + 1), len(printed) + 1))
+        elif line.strip():
+            shape = _line(line)
+            places = {k + 1 for k in places if k < len(printed) and re.fullmatch(shape, printed[k])}
+        else:
+            places |= {k + 1 for k in places if k < len(printed) and not printed[k].strip()}
+    return len(printed) in places
 
 
 def _line(line: str) -> str:

@@ -23,10 +23,11 @@ FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
 
 @pytest.fixture(autouse=True)
 def listening() -> Iterator[None]:
-    """Processes that a shell starts in the background, and their children, are deaf to Ctrl-C."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """Processes that a shell starts in the background, and their children, are deaf to Ctrl-C; those of nohup to more."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler), signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in zip((signal.SIGINT, signal.SIGHUP), before, strict=True):
+        signal.signal(number, handler)
 
 
 def started(words: Sequence[str], cwd: Path, **options: Any) -> subprocess.Popen[str]:

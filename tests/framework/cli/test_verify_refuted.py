@@ -78,7 +78,7 @@ def test_an_uncertain_gain_is_judged_at_its_worst(dmframe: Any, tmp_path: Path) 
     assert dmframe("verify", "sure.yaml").status == 0
     unsure = dmframe("verify", "unsure.yaml")
     assert unsure.status == 1
-    assert "M_bar" in unsure.out.splitlines()[1]
+    assert "M̄" in unsure.out.splitlines()[1]
     wrong = dmframe("verify", "wrong.yaml")
     assert wrong.status == 2
     assert "uncertain.servo.K_J: unknown parameter of the plant; did you mean servo.K_" in wrong.err

@@ -105,7 +105,9 @@ def complaint(text: str, overrides: list[str] | None = None) -> str:
     graph: Graph | None = None
     try:
         graph = load_graph("g.yaml", overrides or ())
-        simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
+        diagram = graph.diagram()
+        graph.intervals(diagram)
+        simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     except DmframeError as error:
         return str(placed(error, graph.document) if graph else error)
     return "nothing"

@@ -92,12 +92,9 @@ def test_another_duration_leaves_the_graph_as_it_was() -> None:
         ('log.signals=["a"]', "log.signals: unknown signal"),
         ("solver.step=1e-9", "solver.step: expected at most 2000 steps in a tick of solver.output, 0.01 s"),
         ("duration=1e9", "duration: a run of 1e+11 ticks is too long"),
-        ("uncertain={servo.K_D: [1, 2]}", "uncertain.servo.K_D: expected an interval that holds the graph's own"),
-        ("uncertain.servo.K_D=nothing", "uncertain.servo.K_D: expected"),
-        ("uncertain.servo.K_J=[1, 2]", "uncertain.servo.K_J: unknown parameter of the plant"),
     ],
 )
-def test_a_diagram_is_refused_for_what_a_run_or_a_proof_would_refuse(override: str, text: str) -> None:
+def test_a_diagram_is_refused_for_what_a_run_would_refuse(override: str, text: str) -> None:
     graph = load_graph("pendulum", [override])
     with pytest.raises(DmframeError) as caught:
         graph.diagram()
@@ -105,10 +102,27 @@ def test_a_diagram_is_refused_for_what_a_run_or_a_proof_would_refuse(override: s
     assert str(caught.value).startswith("--set ")
 
 
+@pytest.mark.parametrize(
+    ("override", "text"),
+    [
+        ("uncertain={servo.K_D: [1, 2]}", "uncertain.servo.K_D: expected an interval that holds the graph's own"),
+        ("uncertain.servo.K_D=nothing", "uncertain.servo.K_D: expected"),
+        ("uncertain.servo.K_J=[1, 2]", "uncertain.servo.K_J: unknown parameter of the plant"),
+    ],
+)
+def test_intervals_are_refused_where_a_proof_takes_them_and_leave_a_run_alone(override: str, text: str) -> None:
+    graph = load_graph("pendulum", [override])
+    diagram = graph.diagram()
+    with pytest.raises(DmframeError) as caught:
+        graph.intervals(diagram)
+    assert text in str(caught.value)
+    assert str(caught.value).startswith("--set ")
+
+
 def test_all_that_a_run_would_refuse_is_told_at_once() -> None:
     with pytest.raises(Faults) as caught:
-        load_graph("pendulum", ["start.qq=1", "log.signals=[a, b]", "uncertain={servo.K_D: 1}"]).diagram()
-    assert len(caught.value.faults) == 4
+        load_graph("pendulum", ["start.qq=1", "log.signals=[a, b]"]).diagram()
+    assert len(caught.value.faults) == 3
 
 
 def test_a_fault_of_the_duration_that_a_call_gave_is_placed_there() -> None:
