@@ -94,10 +94,13 @@ def _followed(verdict: Verdict) -> Iterator[str]:
     """What follows: the signals of each kind, and last the conclusions, each with its step."""
     for says in dict.fromkeys(item.says for item in verdict.statements):
         found = [item for item in verdict.statements if item.says == says and not item.concludes]
-        for assumes in dict.fromkeys(item.assumes for item in found):
-            given = f", if {' and '.join(assumes)}" if assumes else ""
-            signals = dict.fromkeys(item.signal for item in found if item.assumes == assumes)
-            yield _told(f"{says.removeprefix('is ')}{given}: ", signals)
+        grouped = dict[tuple[str, ...], list[str]]()
+        for item in found:
+            own = item.assumes == (f"the derivative of {item.signal} is bounded",)
+            grouped.setdefault(("its own derivative is bounded",) if own else item.assumes, []).append(item.signal)
+        for assumes, signals in grouped.items():
+            given = f", each if {' and '.join(assumes)}" if assumes else ""
+            yield _told(f"{says.removeprefix('is ')}{given}: ", map(spelled, dict.fromkeys(signals)))
     states = verdict.states
     if states is not None and states.unfelt:
         yield _told("may drift together unfelt by all else, as joints that turn round and round: ", states.unfelt)
@@ -107,7 +110,7 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         lines = [(block, line) for block, law in verdict.claim.laws.items() for line in law.definitions]
         told = {line.name: {other.whole.text for _, other in lines if other.name == line.name} for _, line in lines}
         named = dict.fromkeys(
-            line.whole.text + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
+            line.whole.unicode + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
         )
         if named:
             yield _told("where ", named)
@@ -117,12 +120,13 @@ def _followed(verdict: Verdict) -> Iterator[str]:
 
 
 def _told(lead: str, items: Iterable[str]) -> str:
-    return _line(lead + ", ".join(item.replace(" ", HARD) for item in items))  # a formula is not broken between lines
+    kept = ", ".join(item.replace(" ", HARD) for item in items)  # a formula is not broken between lines
+    return fill(f"    {lead}{kept}", **_wrapped()).replace(HARD, " ")
 
 
 def _line(text: str) -> str:
-    """One item, wrapped below itself."""
-    return fill(f"    {spelled(text)}", **_wrapped()).replace(HARD, " ")
+    """A sentence, wrapped below itself."""
+    return fill(f"    {spelled(text)}", **_wrapped())
 
 
 def _wrapped() -> dict[str, Any]:

@@ -165,12 +165,14 @@ class _Reader:
         return tree.add(self.node(base), product, shape)
 
     def reshape(self, x: Any, shape: Shape) -> Node:
-        """A column transposed."""
+        """A column transposed; the columns of a matrix above one another."""
         of = x.dep(0)
         if of.shape == shape:
             return self.node(of)
         if (of.is_column() and x.is_row()) or (of.is_row() and x.is_column()):
             return tree.transpose(self.node(of))
+        if x.is_column():
+            return Applied("vec", (self.node(of),), shape)
         raise UnreadableError("it reshapes a matrix")
 
     def cast(self, x: Any, shape: Shape) -> Node:

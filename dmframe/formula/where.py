@@ -46,6 +46,8 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
             yield UNICODE.write(Applied(function, names, node.shape, symbol)), _unicode(said[1])
         case Applied("sum"):
             yield "sum(a)", _SUMMED
+        case Applied("vec"):
+            yield "vec(A)", "the columns of A above one another"
         case Applied("hadamard"):
             yield "A .* B", "the product element by element"
         case Name(name) if name in MEANINGS:

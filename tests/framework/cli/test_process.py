@@ -23,7 +23,7 @@ FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
 
 @pytest.fixture(autouse=True)
 def listening() -> Iterator[None]:
-    """Processes that a shell starts in the background, and their children, are deaf to Ctrl-C; those of nohup to more."""
+    """Processes that a shell starts in the background, and their children, are deaf to signals of the terminal."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler), signal.signal(signal.SIGHUP, signal.SIG_DFL)
     yield
     for number, handler in zip((signal.SIGINT, signal.SIGHUP), before, strict=True):
