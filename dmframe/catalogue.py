@@ -6,6 +6,7 @@ one block: ``pid_inverse.py`` holds ``PidInverse``, of ``type: pid_inverse``. It
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib
 import importlib.util
@@ -14,7 +15,7 @@ import pkgutil
 import sys
 import traceback
 from collections.abc import Iterator
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
@@ -28,7 +29,7 @@ GROUP = "dmframe.blocks"
 
 def packages() -> Iterator[ModuleType]:
     """The registered block packages. Raises `BlockError` for one that cannot be imported, or where there is none."""
-    found = {point.value: point for point in entry_points(group=GROUP)}  # an editable install may be listed twice
+    found = {point.value: point for point in _points(tuple(sys.path))}  # an editable install may be listed twice
     if not found:
         raise BlockError(f"no package is registered under the entry-point group {GROUP}; install dmframe first")
     for value, point in sorted(found.items()):
@@ -36,6 +37,12 @@ def packages() -> Iterator[ModuleType]:
         if not hasattr(package, "__path__"):
             raise BlockError(f"the entry point {point.name} names {value}; expected a package, found a module")
         yield package
+
+
+@functools.lru_cache(maxsize=8)
+def _points(path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
+    """The entry points of what is installed along a path, which takes milliseconds to read."""
+    return tuple(entry_points(group=GROUP))
 
 
 def _imported(module: str, what: str) -> ModuleType:
