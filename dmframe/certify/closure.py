@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -105,14 +106,33 @@ class Closure:
 
     def conditions(self) -> list[tuple[str, Condition]]:
         """What had to be assumed, and what has to stand in for what did not follow; by block."""
-        return [(block, condition) for block, item in (*self.assumed, *self.missed) for condition in item.otherwise]
+        stated = [(block, Assumption(_stays_stable(item), "not decided")) for block, item in self.assumed]
+        return [
+            *stated,
+            *((block, condition) for block, item in (*self.assumed, *self.missed) for condition in item.otherwise),
+        ]
 
     def bounds(self, expressions: Sequence[SX]) -> list[bool]:
         """Which of these follow: they do not move with any open direction."""
         if not expressions:
             return []
         differences = self._moves([ca.vec(ca.densify(expression)) for expression in expressions])
-        return [not any(rows) for rows in differences]
+        return [
+            not any(rows) and self._corrected(expression)
+            for rows, expression in zip(differences, expressions, strict=True)
+        ]
+
+    def _corrected(self, expression: SX, seen: frozenset[str] = frozenset()) -> bool:
+        """Is each projection's correction in it bounded? It takes away what its nominal rate has too much."""
+        used = symbols_in([expression])
+        for projection in self._claim.loop.projections:
+            if projection.name in seen or not used & symbols_in([projection.correction]):
+                continue
+            (nominal,) = self._claim.loop.joined([projection.nominal])
+            (moves,) = self._moves([ca.vec(ca.densify(nominal))])
+            if any(moves) or not self._corrected(nominal, seen | {projection.name}):
+                return False
+        return True
 
     def turning(self) -> bool:
         """No rate moves with what is open: it turns, or drifts, without being felt."""
@@ -273,9 +293,11 @@ class Closure:
         """Is the remainder bounded by now, and the linear part stable, or assumed to be?"""
         if not all(self.bounds(list(self.remainders(item)))):
             return False
-        if stable(item, self._numbers, self._claim):
+        holds = stable(item, self._numbers, self._claim)
+        if holds:
             return True
-        given = bool(item.otherwise) and all(isinstance(condition, Assumption) for condition in item.otherwise)
+        given = holds is None and bool(item.otherwise)
+        given = given and all(isinstance(condition, Assumption) for condition in item.otherwise)
         if given:
             self.assumed.append((block, item))
         return given
@@ -293,15 +315,21 @@ def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]])
     return all(u is own or not u[column] for u in directions)
 
 
-def stable(driven: Driven, numbers: Numbers, claim: Claim) -> bool:
+def _stays_stable(driven: Driven) -> str:
+    return f"the linear equation that drives {', '.join(driven.of)} is exponentially stable"
+
+
+def stable(driven: Driven, numbers: Numbers, claim: Claim) -> bool | None:
     r"""Is :math:`\dot z = A z` stable for each joint, at the graph's numbers, or while A's states move in their boxes?
+
+    None where A holds something else, so that nothing decides it.
 
     One equation a joint: A < 0 at its upper end. Two: of parameters alone, trace A < 0 and det A > 0; with states, a
     companion form [[0, 1], [-b, -a]] and one Lyapunov matrix for all corners of the box (`common_margin`).
     """
     A = [[numbers_of(rate, numbers, claim) for rate in row] for row in driven.rates]
     if any(entry is None for row in A for entry in row):
-        return False
+        return None
     rows = [[entry for entry in row if entry is not None] for row in A]
     joints = max(len(entry) for row in rows for entry in row)
     return all(_stable([[entry[j % len(entry)] for entry in row] for row in rows]) for j in range(joints))
@@ -327,8 +355,9 @@ def numbers_of(rate: SX, numbers: Numbers, claim: Claim) -> list[Number] | None:
         if isinstance(projection.set, Box) and symbols_in([rate]) & symbols_in([projection.state]):
             ends = [numbers.of(end) for end in (projection.set.lower, projection.set.upper)]
             inside = [Interval(lower(low), upper(high)) for low, high in zip(*ends, strict=True)]
-            return numbers.with_states(rate, projection.state, inside)
-    try:
+            with suppress(ValueFault, ZeroDivisionError):
+                return numbers.with_states(rate, projection.state, inside)
+            return None
+    with suppress(ValueFault, ZeroDivisionError):
         return numbers.of(rate)
-    except (ValueFault, ZeroDivisionError):
-        return None
+    return None

@@ -70,6 +70,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         paying = terms[: len(certificate.pays)]
         if len(certificate.pays) > len(terms):
             yield f"pays has {len(certificate.pays)} shares, expected one for each of {len(terms)} dissipated squares"
+        yield from _ill_paid(certificate)
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
             yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
 
@@ -82,6 +83,16 @@ def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]
     yield "supply and pays", [certificate.supply, *certificate.pays]
     yield "truth", list(certificate.truth.values())
+
+
+def _ill_paid(certificate: Certificate) -> Iterator[str]:
+    """What pays has the length of what it composes: of a shorter one, each element would pay more than once."""
+    vectors = [ca.SX(term.pieces[0]) for term in certificate.dissipation[: len(certificate.pays)]]
+    lengths = {vector.numel() for vector in vectors}
+    shares = {ca.SX(share).numel() for share in certificate.pays}
+    if len(lengths) > 1 or not shares <= lengths | {1}:
+        found = ", ".join(map(str, sorted(lengths | shares)))
+        yield f"expected the squares that pay, and their shares, to be of one length, found {found}"
 
 
 def _ill_driven(driven: Sequence[object]) -> Iterator[str]:

@@ -211,7 +211,8 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(f"{name} is constant", "Theorems 1, 2 and 4")
             continue
-        rates = f" and its {ORDERS[min(order, len(ORDERS) - 1)]}derivative{'s' * (order > 1)}" if order else ""
+        count = ORDERS[order] if order < len(ORDERS) else f"first {order} "
+        rates = f" and its {count}derivative{'s' * (order > 1)}" if order else ""
         yield Assumption(f"{name}{rates} {'are' if order else 'is'} bounded", "Theorems 1 to 4")
 
 
@@ -223,6 +224,9 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
             port = next(p for p in diagram.models[source.block].block.outputs if p.name == source.port)
             if port.access is Access.MEASURED:
                 found[f"{source.block}.{source.port}"] = None
+    for leaf in diagram.loop.crossings:  # what a derived rate needs is wired to nothing
+        if leaf.side is Side.PLANT:
+            found[leaf.name] = None
     if found:
         frame = "; positions of the tool are those of the path's frame" if any(n.endswith(".x") for n in found) else ""
         yield Assumption(

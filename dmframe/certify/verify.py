@@ -156,7 +156,7 @@ def _verified(
 ) -> Verdict:
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
-    smooth = smoothness(diagram, claim)
+    smooth, known = smoothness(diagram, claim), len(diagram.resolver.trajectories)
     clock.built()
     own = seed
     seed = drawn(claim, symbols, own)
@@ -187,7 +187,6 @@ def _verified(
     closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
     needed, given = decide(closure.conditions(), numbers)
     conditions += needed
-    known = len(diagram.resolver.trajectories)
     statements = statements_of(claim, symbols, signs, closure)
     if len(diagram.resolver.trajectories) > known:  # what follows has differentiated a trajectory once more
         smooth = smoothness(diagram, claim)
