@@ -150,12 +150,17 @@ class Certificate:
     def __post_init__(self) -> None:
         check_fields(self)
 
+    @property
+    def pieces(self) -> list[SX]:
+        """All its expressions."""
+        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven)
+        consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
+        pieces = (piece for term in terms for piece in term.pieces)
+        return [ca.SX(piece) for piece in (*pieces, self.supply, *consumed, *self.pays)]
+
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
-        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven)
-        pieces = [ca.SX(piece) for term in terms for piece in term.pieces]
-        consumed = [] if self.consumes is None else [ca.SX(self.consumes.vector), ca.SX(self.consumes.c)]
-        done = iter(transform([*pieces, ca.SX(self.supply), *consumed, *map(ca.SX, self.pays)]))
+        done = iter(transform(self.pieces))
 
         def rebuilt(term: Any) -> Any:
             return term.with_pieces([next(done) for _ in term.pieces])
@@ -166,7 +171,7 @@ class Certificate:
             excess=tuple(rebuilt(term) for term in self.excess),
             driven=tuple(rebuilt(term) for term in self.driven),
             supply=next(done),
-            consumes=Consumed(next(done), next(done)) if consumed else None,
+            consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
             pays=tuple(done),
             task=self.task,
             truth=self.truth,

@@ -31,7 +31,7 @@ from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
-from dmframe.certify.symbols import exact_values, symbols_of
+from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.model import symbols_in
 from dmframe.diagram.projection import Box
@@ -76,6 +76,7 @@ class Closure:
         self.driven: list[Driven] = []
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
+        self.tapes = list[tuple[Sequence[Group], Tape]]()
         self._follow(bases)
 
     @property
@@ -205,7 +206,9 @@ class Closure:
         ):
             self._symbols = symbols_of(self._claim, self._numbers.uncertain)
             self._extend()
-        return Tape.from_function(self._symbols.function("closure", expressions))
+        tape = Tape.from_function(self._symbols.function("closure", expressions))
+        self.tapes.append((self._symbols.groups, tape))
+        return tape
 
     def _moves(self, expressions: Sequence[SX]) -> list[list[int]]:
         """By how much each element moves along a random open direction."""

@@ -12,6 +12,7 @@ from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
+from dmframe.certify.divisors import DEFINED, DIVISIONS, brought_in, risky, written
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.model import BlockModel, symbols_in
@@ -21,15 +22,6 @@ from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
 
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
-DEFINED: Final = {
-    getattr(ca, f"OP_{name}"): name.lower()
-    for name in "LOG LOG1P ASIN ACOS ACOSH ATANH TAN POW CONSTPOW ERFINV SQRT FMOD REMAINDER".split()
-}
-"""Functions that are not defined, or not bounded, everywhere."""
-DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
-"""Instructions that divide, with the place of the divisor."""
-SHOWN = 60
-"""Letters of a divisor that are written out."""
 
 
 def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
@@ -39,6 +31,7 @@ def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
         *_known(claim.diagram),
         *_ranks(claim),
         *(item for name in claim.diagram.blocks for item in _divisors(claim, name)),
+        *(Assumption(text, "the proof needs it") for text in brought_in(claim, closure)),
         *_open(closure),
         *_trajectories(claim),
         *_measured(claim.diagram),
@@ -80,26 +73,26 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
     outputs = [*model.equations.outputs.values(), *model.equations.rates.values()]
     known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
     seen = dict[str, None]()
-    for code, divisor in _risky(outputs):
+    for code, divisor in risky(outputs):
         if divisor.element_hash() in known or not symbols_in([divisor]) & model.moving:
             continue
         if code in DIVISIONS:
-            seen[f"{_written(divisor)} stays away from zero"] = None
+            seen[f"{written(divisor)} stays away from zero"] = None
         else:
-            seen[f"{DEFINED[code]} of {_written(divisor)} stays where it is defined and finite"] = None
+            seen[f"{DEFINED[code]} of {written(divisor)} stays where it is defined and finite"] = None
     yield from (Assumption(f"{name}: {text}", "its equations need it") for text in seen)
 
 
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        for code, part in _risky([*model.equations.outputs.values(), *model.equations.rates.values()]):
+        for code, part in risky([*model.equations.outputs.values(), *model.equations.rates.values()]):
             if symbols_in([part]) & model.moving or not symbols_in([part]):
                 continue
             if not _defined(code, part, numbers):
-                text = f"{name}: {_written(part)} is not zero"
+                text = f"{name}: {written(part)} is not zero"
                 if code not in DIVISIONS:
-                    text = f"{name}: {DEFINED[code]} of {_written(part)} is defined"
+                    text = f"{name}: {DEFINED[code]} of {written(part)} is defined"
                 yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
 
 
@@ -154,40 +147,6 @@ def _declared_full_rank(diagram: Diagram, block: str, port: str) -> bool:
     if not isinstance(source, Wire):
         return False
     return any(out.name == source.port and out.full_rank for out in diagram.models[source.block].block.outputs)
-
-
-def _risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
-    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
-    todo = [element for output in outputs for element in ca.vertsplit(ca.vec(ca.densify(output)))]
-    seen = set[int]()
-    while todo:
-        x = todo.pop()
-        if x.element_hash() in seen or not x.n_dep():
-            continue
-        seen.add(x.element_hash())
-        code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
-        if code in DIVISIONS:
-            yield code, parts[DIVISIONS[code]]
-        elif code in DEFINED and not _is_safe(code, parts):
-            yield code, parts[1] if code in (ca.OP_FMOD, ca.OP_REMAINDER) else parts[0]
-        todo += parts
-
-
-def _is_safe(code: int, parts: Sequence[SX]) -> bool:
-    """A root of max(x, c), c > 0, and a whole power that is not negative, are defined everywhere."""
-    if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
-        floors = [parts[0].dep(k) for k in range(2)]
-        return any(floor.is_constant() and float(floor) > 0 for floor in floors)
-    if code in (ca.OP_POW, ca.OP_CONSTPOW) and parts[1].is_constant():
-        return float(parts[1]) >= 0 and float(parts[1]).is_integer()
-    return False
-
-
-def _written(divisor: SX) -> str:
-    text = str(divisor)
-    if len(text) <= SHOWN:
-        return text
-    return f"a divisor made of {', '.join(sorted({s.name() for s in ca.symvar(divisor)})[:4])}"
 
 
 def _open(closure: Closure) -> Iterator[Assumption]:

@@ -53,6 +53,18 @@ class _Node(NamedTuple):
     arguments: tuple[int, ...] = ()
     constant: Fraction = Fraction(0)
 
+    @property
+    def operation(self) -> int:
+        """CasADi's code of it."""
+        return self.a if self.code == _OPAQUE_CALL else self.code
+
+    @property
+    def operands(self) -> tuple[int, ...]:
+        """The earlier values that it takes."""
+        if self.code in (_INPUT, _CONST):
+            return ()
+        return self.arguments or ((self.a,) if self.code == _POWER else (self.a, self.b))
+
 
 class _Size(NamedTuple):
     """Degrees of a numerator and a denominator, and log2 of the sum of their integer coefficients' absolute values."""
@@ -125,6 +137,10 @@ class Tape:
     def nodes(self) -> tuple[_Node, ...]:
         """The instructions, for another evaluation than in a field."""
         return self._nodes
+
+    def values(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[int]:
+        """The residues of all instructions, as `evaluate` takes its arguments."""
+        return [value % trial.prime for value in self._run([value for vector in inputs for value in vector], trial)]
 
     def evaluate(self, inputs: Sequence[Sequence[int]], trial: Trial) -> list[list[int]]:
         """The outputs' residues at the inputs' residues, both dense and column-major.

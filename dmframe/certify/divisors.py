@@ -1,0 +1,158 @@
+"""What must not be zero, or must be defined: divisors and arguments of roots and logarithms."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator, Sequence
+from enum import Enum
+from typing import Any, Final
+
+import casadi as ca
+
+from dmframe.certificate import SX
+from dmframe.certify.claim import Claim
+from dmframe.certify.closure import Closure
+from dmframe.certify.identity import ATTEMPTS
+from dmframe.certify.symbols import Group, symbols_of
+from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
+
+DEFINED: Final = {
+    getattr(ca, f"OP_{name}"): name.lower()
+    for name in "LOG LOG1P ASIN ACOS ACOSH ATANH TAN POW CONSTPOW ERFINV SQRT FMOD REMAINDER".split()
+}
+"""Functions that are not defined, or not bounded, everywhere."""
+DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
+"""Instructions that divide, with the place of the divisor."""
+AWAY: Final = "{} stays away from zero"
+SHOWN = 60
+"""Letters of a divisor that are written out."""
+
+
+def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
+    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
+    todo = [element for output in outputs for element in ca.vertsplit(ca.vec(ca.densify(output)))]
+    seen = set[int]()
+    while todo:
+        x = todo.pop()
+        if x.element_hash() in seen or not x.n_dep():
+            continue
+        seen.add(x.element_hash())
+        code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
+        if code in DIVISIONS:
+            yield code, parts[DIVISIONS[code]]
+        elif code in DEFINED and not _is_safe(code, parts):
+            yield code, parts[1] if code in (ca.OP_FMOD, ca.OP_REMAINDER) else parts[0]
+        todo += parts
+
+
+def _is_safe(code: int, parts: Sequence[SX]) -> bool:
+    """A root of max(x, c), c > 0, and a whole power that is not negative, are defined everywhere."""
+    if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
+        floors = [parts[0].dep(k) for k in range(2)]
+        return any(floor.is_constant() and float(floor) > 0 for floor in floors)
+    if code in (ca.OP_POW, ca.OP_CONSTPOW) and parts[1].is_constant():
+        return float(parts[1]) >= 0 and float(parts[1]).is_integer()
+    return False
+
+
+def written(divisor: SX) -> str:
+    text = str(divisor)
+    if len(text) <= SHOWN:
+        return text
+    return f"a divisor made of {', '.join(sorted({s.name() for s in ca.symvar(divisor)})[:4])}"
+
+
+def brought_in(claim: Claim, closure: Closure) -> Iterator[str]:
+    """What certificates, and derivatives that the proof takes, divide by, and no block's equations do.
+
+    Two divisors are one where they agree at a random point of a prime field.
+    """
+    symbols = symbols_of(claim, closure.uncertain)
+    known = Tape.from_function(symbols.function("known", list(_of_equations(claim))))
+    stated = Tape.from_function(
+        symbols.function("stated", [p for part in claim.parts for p in part.certificate.pieces])
+    )
+    rng = random.Random(closure.seed + 7)
+    for _ in range(ATTEMPTS):
+        trial, point = Trial(random_prime(rng), rng), dict[str, list[int]]()
+        try:
+            listed = {residue for (residue,) in known.evaluate(_at(point, symbols.groups, trial), trial)}
+            found = dict[str, None]()
+            for groups, tape in [(symbols.groups, stated), *closure.tapes]:
+                values = tape.values(_at(point, groups, trial), trial)
+                found |= dict.fromkeys(_unlisted(tape, groups, values, listed))
+        except ZeroDivision:
+            continue
+        yield from found
+        return
+
+
+def _at(point: dict[str, list[int]], groups: Sequence[Group], trial: Trial) -> list[list[int]]:
+    """One point, which grows as groups come in."""
+    for group in groups:
+        if group.label not in point:
+            point[group.label] = [trial.random() for _ in range(group.symbol.numel())]
+    return [point[group.label] for group in groups]
+
+
+def _of_equations(claim: Claim) -> Iterator[SX]:
+    """All that the blocks' own equations divide by, in the leaves of the closed loop."""
+    resolver = claim.diagram.resolver
+    for name, model in claim.diagram.models.items():
+        parts = [part for _, part in risky([*model.equations.outputs.values(), *model.equations.rates.values()])]
+        parts += [pivot for inverted in model.inverted for pivot in inverted.pivots]
+        yield from claim.loop.joined([resolver.expand(name, part) for part in parts])
+
+
+def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[str]:
+    owners = [group.label for group in groups for _ in range(group.symbol.numel())]
+    fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
+    made, signs = list[frozenset[str]](), list[_Sign]()
+    for node in tape.nodes:
+        of = [made[k] for k in node.operands]
+        made.append(frozenset().union(*of) if node.code != ca.OP_INPUT else frozenset({owners[node.a]}))
+        signs.append(_sign(node, [signs[k] for k in node.operands]))
+        for k, text in _asked(node):
+            moving = sorted(made[k] - fixed)
+            if moving and signs[k] is not _Sign.ABOVE and values[k] not in listed:
+                yield text.format(f"something made of {', '.join(moving[:4])}")
+
+
+def _asked(node: Any) -> Iterator[tuple[int, str]]:
+    """What an instruction asks of its operands."""
+    operation, operands = node.operation, node.operands
+    if operation in DIVISIONS:
+        yield operands[DIVISIONS[operation]], AWAY
+    elif node.code == ca.OP_POW and node.b < 0:
+        yield operands[0], AWAY
+    elif node.arguments and operation in DEFINED:
+        place = 1 if operation in (ca.OP_FMOD, ca.OP_REMAINDER) else 0
+        yield operands[place], f"{DEFINED[operation]} of {{}} stays where it is defined and finite"
+
+
+class _Sign(Enum):
+    """What is known of a value's sign."""
+
+    ANY = 0
+    NOT_BELOW = 1
+    ABOVE = 2
+
+
+def _sign(node: Any, operands: Sequence[_Sign]) -> _Sign:
+    """The sign of an instruction's value, from those of its operands."""
+    above = [sign is _Sign.ABOVE for sign in operands]
+    least = min((sign.value for sign in operands), default=0)
+    match node.operation:
+        case ca.OP_CONST:
+            return _Sign.ABOVE if node.constant > 0 else _Sign.ANY
+        case ca.OP_EXP | ca.OP_COSH:
+            return _Sign.ABOVE
+        case ca.OP_FMAX:
+            return _Sign.ABOVE if any(above) else _Sign.ANY
+        case ca.OP_ADD:
+            return _Sign.ABOVE if any(above) and least else _Sign(min(least, 1))
+        case ca.OP_MUL | ca.OP_DIV | ca.OP_INV | ca.OP_SQRT | ca.OP_TWICE | ca.OP_FMIN:
+            return _Sign(least)
+        case ca.OP_SQ | ca.OP_FABS:
+            return _Sign.ABOVE if all(above) else _Sign.NOT_BELOW
+    return _Sign.ANY
