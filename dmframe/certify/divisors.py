@@ -15,6 +15,7 @@ from dmframe.certify.closure import Closure
 from dmframe.certify.identity import ATTEMPTS
 from dmframe.certify.symbols import Group, symbols_of
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
+from dmframe.port import Side
 
 DEFINED: Final = {
     getattr(ca, f"OP_{name}"): name.lower()
@@ -56,6 +57,7 @@ def _is_safe(code: int, parts: Sequence[SX]) -> bool:
 
 
 def written(divisor: SX) -> str:
+    """A divisor's text; of a long one, what it is made of."""
     text = str(divisor)
     if len(text) <= SHOWN:
         return text
@@ -99,6 +101,8 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
     """All that the blocks' own equations divide by, in the leaves of the closed loop."""
     resolver = claim.diagram.resolver
     for name, model in claim.diagram.models.items():
+        if model.block.side is Side.SOURCE:  # a trajectory is a leaf
+            continue
         parts = [part for _, part in risky([*model.equations.outputs.values(), *model.equations.rates.values()])]
         parts += [pivot for inverted in model.inverted for pivot in inverted.pivots]
         yield from claim.loop.joined([resolver.expand(name, part) for part in parts])
