@@ -150,9 +150,12 @@ class Resolver:
         return self.crossings[end]
 
     def trajectory_rate(self, block: str, port: str, order: int) -> SX:
-        """The next derivative of a source's output: a leaf, or zero where the source stands still."""
+        """The next derivative of a source's output: a leaf, or zero where the source does not read the time.
+
+        One that jumps between constants has the derivative zero too, but is not still.
+        """
         held = self.trajectory(block, port, order)
-        if ca.jtimes(held.expression, self.time, ca.SX(1)).is_zero():
+        if not symbols_in([held.expression]) & symbols_in([self.time]):
             return ca.SX.zeros(*held.symbol.shape)
         return self.trajectory(block, port, order + 1).symbol
 
