@@ -52,10 +52,19 @@ class Naming:
 
     def define(self, name: str, expression: Expression) -> Expression:
         """The symbol of a name. Raises `NamingError`."""
+        from dmframe.formula.names import distinct, look_alikes, unicode_name  # whose package imports this module
+
         if not name.isidentifier() or iskeyword(name):
             raise NamingError(f"expected a name such as K_star, found {name!r}")
         if name in self.taken:
             raise NamingError(f"the name {name} is taken, by {self.taken[name]} of the block; choose another")
+        if strange := look_alikes(name):
+            raise NamingError(
+                f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; choose another"
+            )
+        for other in (*self.taken, *self.definitions):
+            if other != name and distinct([other, name]):
+                raise NamingError(f"the names {other} and {name} both print as {unicode_name(name)}; choose another")
         if name not in self.definitions:
             self.definitions[name] = (self.make(name, expression_of(expression).shape), expression)
             return self.definitions[name][0]

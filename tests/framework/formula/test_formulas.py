@@ -157,3 +157,4 @@ def test_a_name_prints_as_its_symbol(name):
 
 def test_two_names_that_print_alike_are_found():
     assert distinct(["x_1", "x1", "q"]) == [("x_1", "x1")]
+    assert distinct(["alpha", "α", "a_d_hat", "a_hat_d"]) == [("alpha", "α"), ("a_d_hat", "a_hat_d")]
