@@ -130,11 +130,13 @@ class Operation:
     """A function that prints as one sign: `sign` says how (see `dmframe.formula.read`), or is the function's name.
 
     `given` are the names of a robot's arguments; `said` is what it is, in words, after the names of its arguments.
+    `function` is what an `operation` runs, by which a sign of its own is found: another may have the same name.
     """
 
     sign: str
     given: tuple[str, ...] = ()
     said: tuple[tuple[str, ...], str] | None = None
+    function: Callable[..., Any] | None = None
 
 
 _operations: Final[dict[str, Operation]] = {}
@@ -163,21 +165,44 @@ def call(function: Any, arguments: Collection[Expression]) -> Expression:
     return function.call(list(arguments), False, True)[0]
 
 
+RESERVED: Final = frozenset(
+    "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log log10 log1p expm1 sqrt abs fabs sgn sign min "
+    "max fmin fmax atan2 floor ceil mod fmod pow erf sum vec hadamard diag diagonal norm dot cross det inv trace "
+    "transpose derivative solve solve_spd clip beyond and or not if else "
+    "f J Y_k W_k Y_inertia Y_d M C g g_full phi I d".split()
+)
+"""Names under which formulas print functions of the framework, of the robot and of mathematics."""
+
+
+def _check_name(function: Callable[..., Any]) -> None:
+    from dmframe.formula.names import look_alikes  # whose package imports this module
+
+    """Raise `NamingError` for a name that is none, or that prints as something else."""
+    name = function.__name__
+    if not name.isidentifier() or iskeyword(name) or look_alikes(name):
+        raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")
+    if name in RESERVED:
+        raise NamingError(f"the name {name} prints as another function; rename the operation")
+
+
 def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
     """Make a function of expressions one that prints as one sign: ``norm(a)``, not the root of a sum of squares.
 
     All its arguments are expressions or numbers, given by position. In a run it is just called. The first line of its
-    docstring stands beside the law.
+    docstring stands beside the law. Raises `NamingError` for a name that prints as something else.
     """
+    if function.__module__.partition(".")[0] != "dmframe":
+        _check_name(function)
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 
     @functools.cache
     def node(*shapes: tuple[int, int]) -> Any:
         symbols = [ca.SX.sym(f"a{place}", *shape) for place, shape in enumerate(shapes)]
-        sizes = "_".join(f"{rows}x{columns}" for rows, columns in shapes)
+        # numbered, since functions of other files may have the same name
+        sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in shapes), str(len(_operations))])
         # CasADi's names hold letters, digits and single underscores only
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
-        register(label, Operation(function.__name__, said=said_of(function)))
+        register(label, Operation(function.__name__, said=said_of(function), function=function))
         return ca.Function(label, symbols, [ca.densify(function(*symbols))])
 
     @functools.wraps(function)
