@@ -175,9 +175,9 @@ RESERVED: Final = frozenset(
 
 
 def _check_name(function: Callable[..., Any]) -> None:
+    """Raise `NamingError` for a name that is none, or that prints as something else."""
     from dmframe.formula.names import look_alikes  # whose package imports this module
 
-    """Raise `NamingError` for a name that is none, or that prints as something else."""
     name = function.__name__
     if not name.isidentifier() or iskeyword(name) or look_alikes(name):
         raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")
