@@ -191,7 +191,7 @@ def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
     All its arguments are expressions or numbers, given by position. In a run it is just called. The first line of its
     docstring stands beside the law. Raises `NamingError` for a name that prints as something else.
     """
-    if function.__module__.partition(".")[0] != "dmframe":
+    if (function.__module__ or "").partition(".")[0] != "dmframe":  # it has none in a text that is run
         _check_name(function)
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 

@@ -191,3 +191,9 @@ def test_a_sign_of_its_own_has_the_function_and_not_its_name():
     assert Formula(read(norm(x))).text == "|x|"
     assert Formula(read(operation(imitated)(x))).text == "norm(x)"
     assert Formula(read(norm(x))).text == "|x|"
+
+
+def test_an_operation_of_a_text_that_is_run_has_a_sign_too():
+    unplaced = _called("threefold")
+    unplaced.__module__ = None
+    assert Formula(read(operation(unplaced)(ca.MX.sym("x", N)))).text == "threefold(x)"
