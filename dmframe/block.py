@@ -239,8 +239,24 @@ def _breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
         if old in present:
             yield f"says that {old} is renamed {new}, and still has {old}"
+    yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
+
+
+def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """Names that a reader could take for one another."""
+    # which imports the package that reads blocks
+    from dmframe.formula.names import distinct, look_alikes, unicode_name
+
+    names = list(dict.fromkeys([*names_of(block), *(port.name for port in block.truth)]))
+    for one, other in distinct(names):
+        yield f"its names {one} and {other} both print as {unicode_name(one)}; rename one"
+    for name in names:
+        if not name.isidentifier():
+            yield f"expected a name such as K_star, found {name!r}"
+        elif strange := look_alikes(name):
+            yield f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; some look like those"
 
 
 def names_of(block: type[AbstractBlock]) -> list[str]:

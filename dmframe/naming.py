@@ -52,10 +52,19 @@ class Naming:
 
     def define(self, name: str, expression: Expression) -> Expression:
         """The symbol of a name. Raises `NamingError`."""
+        from dmframe.formula.names import distinct, look_alikes, unicode_name  # whose package imports this module
+
         if not name.isidentifier() or iskeyword(name):
             raise NamingError(f"expected a name such as K_star, found {name!r}")
         if name in self.taken:
             raise NamingError(f"the name {name} is taken, by {self.taken[name]} of the block; choose another")
+        if strange := look_alikes(name):
+            raise NamingError(
+                f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; choose another"
+            )
+        for other in (*self.taken, *self.definitions):
+            if other != name and distinct([other, name]):
+                raise NamingError(f"the names {other} and {name} both print as {unicode_name(name)}; choose another")
         if name not in self.definitions:
             self.definitions[name] = (self.make(name, expression_of(expression).shape), expression)
             return self.definitions[name][0]
@@ -121,11 +130,13 @@ class Operation:
     """A function that prints as one sign: `sign` says how (see `dmframe.formula.read`), or is the function's name.
 
     `given` are the names of a robot's arguments; `said` is what it is, in words, after the names of its arguments.
+    `function` is what an `operation` runs, by which a sign of its own is found: another may have the same name.
     """
 
     sign: str
     given: tuple[str, ...] = ()
     said: tuple[tuple[str, ...], str] | None = None
+    function: Callable[..., Any] | None = None
 
 
 _operations: Final[dict[str, Operation]] = {}
@@ -154,21 +165,44 @@ def call(function: Any, arguments: Collection[Expression]) -> Expression:
     return function.call(list(arguments), False, True)[0]
 
 
+RESERVED: Final = frozenset(
+    "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log log10 log1p expm1 sqrt abs fabs sgn sign min "
+    "max fmin fmax atan2 floor ceil mod fmod pow erf sum vec hadamard diag diagonal norm dot cross det inv trace "
+    "transpose derivative solve solve_spd clip beyond and or not if else "
+    "f J Y_k W_k Y_inertia Y_d M C g g_full phi I d".split()
+)
+"""Names under which formulas print functions of the framework, of the robot and of mathematics."""
+
+
+def _check_name(function: Callable[..., Any]) -> None:
+    """Raise `NamingError` for a name that is none, or that prints as something else."""
+    from dmframe.formula.names import look_alikes  # whose package imports this module
+
+    name = function.__name__
+    if not name.isidentifier() or iskeyword(name) or look_alikes(name):
+        raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")
+    if name in RESERVED:
+        raise NamingError(f"the name {name} prints as another function; rename the operation")
+
+
 def operation(function: Callable[..., Expression]) -> Callable[..., Expression]:
     """Make a function of expressions one that prints as one sign: ``norm(a)``, not the root of a sum of squares.
 
     All its arguments are expressions or numbers, given by position. In a run it is just called. The first line of its
-    docstring stands beside the law.
+    docstring stands beside the law. Raises `NamingError` for a name that prints as something else.
     """
+    if (function.__module__ or "").partition(".")[0] != "dmframe":  # it has none in a text that is run
+        _check_name(function)
     name = f"{function.__module__}.{function.__qualname__}".replace(".", "_").replace("<locals>", "")
 
     @functools.cache
     def node(*shapes: tuple[int, int]) -> Any:
         symbols = [ca.SX.sym(f"a{place}", *shape) for place, shape in enumerate(shapes)]
-        sizes = "_".join(f"{rows}x{columns}" for rows, columns in shapes)
+        # numbered, since functions of other files may have the same name
+        sizes = "_".join([*(f"{rows}x{columns}" for rows, columns in shapes), str(len(_operations))])
         # CasADi's names hold letters, digits and single underscores only
         label = "_".join(part for part in f"{name}_{sizes}".split("_") if part)
-        register(label, Operation(function.__name__, said=said_of(function)))
+        register(label, Operation(function.__name__, said=said_of(function), function=function))
         return ca.Function(label, symbols, [ca.densify(function(*symbols))])
 
     @functools.wraps(function)

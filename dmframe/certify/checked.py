@@ -27,6 +27,8 @@ class Checked:
 
     Parameters
     ----------
+    expression
+        What was decided; of what an author states, printed from the code.
     value
         The least value that must be positive; the margin. None where it could not be computed.
     how
@@ -75,12 +77,17 @@ class Numbers:
         )
 
     def least(self, expression: SX) -> Fraction:
-        """The least element; of an interval, its lower end."""
-        return min((lower(value) for value in self.of(expression)), default=Fraction(1))
+        """The least element; of an interval, its lower end. Raises `ValueFault` where there is none."""
+        values = self.of(expression)
+        if not values:
+            raise ValueFault("expected an expression with elements, found an empty one, of which nothing is decided")
+        return min(map(lower, values))
 
     def least_pivot(self, matrix: SX) -> Fraction:
         """The least diagonal element of LDL', up to one that is not positive, of a symmetric matrix."""
         values, n = self.of(matrix), matrix.shape[0]
+        if not values:
+            raise ValueFault("expected a matrix with elements, found an empty one")
         return min(pivots([values[column * n : (column + 1) * n] for column in range(n)]))
 
 

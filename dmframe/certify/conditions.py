@@ -30,6 +30,7 @@ from dmframe.certify.memories import memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
+from dmframe.certify.wording import worded
 from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
@@ -89,9 +90,9 @@ def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
 
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
-    text = condition.name
+    words, text = worded(numbers.claim, name, condition)
     least = partial(numbers.least, condition.expression)
-    found = decided(f"{name}: {text}", text, condition.source, least, condition.strict)
+    found = decided(f"{name}: {words}", text, condition.source, least, condition.strict)
     if found.holds or not condition.otherwise:
         return found
     return replace(found, name=f"{name}: {condition.otherwise}")

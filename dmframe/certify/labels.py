@@ -3,34 +3,81 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
 import casadi as ca
-import numpy as np
 
-from dmframe.certificate import SX, Certificate, NormSquare
+from dmframe.certificate import SX, Certificate, Clipped, Lemma, NormSquare
+from dmframe.errors import DmframeError
+from dmframe.exact import zero_test
 from dmframe.formula.law import PrintedLaw, PrintedTerm
 
-TOLERANCE = 1e-9
+_DEEP: Final = 1000
 
 
 def labelled(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> dict[str, Certificate]:
-    """Certificates whose terms bear their names; a name that two blocks give to different things carries its block."""
-    double = _double(stated, laws)
-    return {name: _named(name, certificate, laws[name], double) for name, certificate in stated.items()}
+    """Certificates whose terms bear their names, one name for one vector: where two print alike, they are told apart by
+    their block, and within a block by a number. All that follows may take a name for the vector.
+    """
+    alike = _alike(stated, laws)
+    return {name: _named(name, certificate, laws[name], alike) for name, certificate in stated.items()}
 
 
-def _named(name: str, certificate: Certificate, law: PrintedLaw, double: set[str]) -> Certificate:
-    def full(text: str) -> str:
-        return f"{text} ({name})" if text in double else text
+@final
+@dataclass
+class _Alike:
+    """One of the different vectors that print as one text, and the blocks that write it."""
+
+    vector: SX
+    blocks: set[str]
+
+
+def _alike(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> Mapping[str, Sequence[_Alike]]:
+    """The different vectors of each text."""
+    found = defaultdict[str, list[_Alike]](list)
+    for name, certificate in stated.items():
+        for text, vector in _written(certificate, laws[name]):
+            known = next((item for item in found[text] if not _differ(item.vector, vector)), None)
+            if known is None:
+                found[text].append(_Alike(vector, {name}))
+            else:
+                known.blocks.add(name)
+    return found
+
+
+def _written(certificate: Certificate, law: PrintedLaw) -> Iterator[tuple[str, SX]]:
+    """Each vector of a certificate, with how it prints."""
+    for role in ("storage", "dissipation", "excess"):
+        for term, line in zip(getattr(certificate, role), getattr(law, role), strict=True):
+            yield line.vector.text, _vector(term)
+            if isinstance(term, NormSquare) and line.by is not None:
+                yield line.by.text, ca.SX(term.by)
+    for item, formulas in zip(certificate.driven, law.driven, strict=True):
+        yield from ((formula.text, ca.SX(z)) for z, formula in zip(item.bounded, formulas, strict=True))
+
+
+def _vector(term: Any) -> SX:
+    """What the name of a term names."""
+    if isinstance(term, Lemma):
+        return ca.SX(term.first) - ca.SX(term.second)
+    return ca.SX(term.other if isinstance(term, Clipped) else term.vector)
+
+
+def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[str, Sequence[_Alike]]) -> Certificate:
+    def full(text: str, vector: SX) -> str:
+        if len(alike[text]) == 1:
+            return text
+        own = [item for item in alike[text] if name in item.blocks]
+        place = next(k for k, item in enumerate(own, 1) if not _differ(item.vector, vector))
+        return f"{text if len(own) == 1 else _numbered(text, place)} ({name})"
 
     def told(terms: Sequence[Any], printed: Sequence[PrintedTerm]) -> tuple[Any, ...]:
         return tuple(_with(term, line, full) for term, line in zip(terms, printed, strict=True))
 
     driven = tuple(
-        replace(item, of=tuple(full(formula.text) for formula in formulas))
+        replace(item, of=tuple(full(f.text, ca.SX(z)) for f, z in zip(formulas, item.bounded, strict=True)))
         for item, formulas in zip(certificate.driven, law.driven, strict=True)
     )
     return replace(
@@ -42,33 +89,27 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, double: set[str
     )
 
 
-def _with(term: Any, line: PrintedTerm, full: Any) -> Any:
-    named = replace(term, of=full(line.vector.text))
-    return replace(named, by_of=line.by.text) if isinstance(term, NormSquare) and line.by is not None else named
+def _numbered(text: str, place: int) -> str:
+    """``expression 2 of y, x``, or ``x no. 2``."""
+    lead = "an expression of "
+    return f"expression {place} of {text.removeprefix(lead)}" if text.startswith(lead) else f"{text} no. {place}"
 
 
-def _double(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) -> set[str]:
-    """Names under which blocks write different vectors."""
-    found = defaultdict[str, list[SX]](list)
-    for name, certificate in stated.items():
-        law = laws[name]
-        for role in ("storage", "dissipation", "excess"):
-            for term, line in zip(getattr(certificate, role), getattr(law, role), strict=True):
-                if hasattr(term, "vector"):
-                    found[line.vector.text].append(term.vector)
-        for item, formulas in zip(certificate.driven, law.driven, strict=True):
-            for vector, formula in zip(item.bounded, formulas, strict=True):
-                found[formula.text].append(vector)
-    return {text for text, vectors in found.items() if any(_differ(vectors[0], other) for other in vectors[1:])}
+def _with(term: Any, line: PrintedTerm, full: Callable[[str, SX], str]) -> Any:
+    named = replace(term, of=full(line.vector.text, _vector(term)))
+    if isinstance(term, NormSquare) and line.by is not None:
+        return replace(named, by_of=full(line.by.text, ca.SX(term.by)))
+    return named
 
 
 def _differ(one: SX, other: SX) -> bool:
-    """Are they different, in shape or at a random point?"""
+    """Are they different, in shape or somewhere? Those that cannot be compared count as different."""
     if one.shape != other.shape:
         return True
-    if ca.is_equal(one, other):
+    if ca.is_equal(one, other, _DEEP):
         return False
-    symbols = ca.vertcat(*ca.symvar(ca.vertcat(one, other)))
-    point = np.random.default_rng(0).uniform(0.5, 1.5, symbols.numel())
-    values = ca.Function("difference", [symbols], [one - other])(point).full()
-    return bool(np.any(np.abs(values) > TOLERANCE * (1 + np.abs(values))))
+    symbols = ca.vertcat(*ca.symvar(ca.vertcat(ca.vec(one), ca.vec(other))))
+    try:
+        return not zero_test(ca.Function("difference", [symbols], [ca.densify(one - other)]), trials=1).zero
+    except DmframeError:
+        return True

@@ -114,12 +114,14 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
 
 
 def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
-    """The matrices whose rows are declared independent, by their names."""
+    """The matrices whose rows are declared independent, by their names; of one name in two blocks, with the block."""
     diagram = claim.diagram
+    given = [name for model in diagram.models.values() for name in model.equations.outputs]
     for name, model in diagram.models.items():
         for port in model.block.outputs:
             if port.full_rank and port.name in model.equations.outputs:
-                yield port.name, claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
+                R = claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
+                yield port.name if given.count(port.name) == 1 else f"{port.name} ({name})", R
 
 
 def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:

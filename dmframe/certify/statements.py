@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import final
 
 import casadi as ca
 
+from dmframe.block import names_of
 from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, NormSquare, Square
 from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.closure import Bases, Closure
@@ -15,8 +16,10 @@ from dmframe.certify.limits import Vanishing, combined, goals
 from dmframe.certify.positive import Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
+from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.model import symbols_in
 from dmframe.exact import zero_test
+from dmframe.formula.names import symbol
 
 
 @final
@@ -130,16 +133,50 @@ def _spent_squares(claim: Claim) -> list[Square]:
 
 
 def _distinct(squares: Sequence[Square]) -> list[Square]:
+    """Each vector once."""
     return list({square.of: square for square in squares}.values())
+
+
+def _vectors(claim: Claim) -> dict[str, SX]:
+    """Each name that a certificate gives to a vector; `dmframe.certify.labels` gives one name to one vector."""
+    found = dict[str, SX]()
+    for part in claim.parts:
+        certificate = part.certificate
+        for term in (*certificate.storage, *certificate.dissipation, *certificate.excess):
+            if isinstance(term, Lemma):
+                found[term.of] = term.first - term.second
+            else:
+                found[term.of] = term.other if isinstance(term, Clipped) else term.vector
+            if isinstance(term, NormSquare):
+                found[term.by_of] = term.by
+        for item in certificate.driven:
+            found |= dict(zip(item.of, item.bounded, strict=True))
+    return found
 
 
 def _states(claim: Claim, closure: Closure, told: set[str]) -> list[Statement]:
     """The plant's states that follow, each by its name in the equations."""
-    names = {variable.label: variable.name for variable in claim.loop.plant}
+    known = _vectors(claim)
+    before = [vector for name, vector in known.items() if name in told]
     left = {variable.label for variable in closure.open_states()}
     return [
-        Statement(name, "is bounded", CLOSED) for label, name in names.items() if label not in left and name not in told
+        Statement(_state_name(claim, variable, known), "is bounded", CLOSED)
+        for variable in claim.loop.plant
+        if variable.label not in left and not any(_equal(variable.symbol, vector) for vector in before)
     ]
+
+
+def _state_name(claim: Claim, variable: Variable, known: Mapping[str, SX]) -> str:
+    """A state's name, with its block where another state, or another vector, has it."""
+    states = (*claim.loop.plant, *claim.loop.controller)
+    single = all(other.name != variable.name or other.label == variable.label for other in states)
+    names = [variable.name] * single + [f"{variable.name} ({variable.block})"]
+    free = (name for name in names if name not in known or _equal(variable.symbol, known[name]))
+    return next(free, variable.label)
+
+
+def _equal(one: SX, other: SX) -> bool:
+    return one.shape == other.shape and bool(ca.is_equal(one, other, 1))
 
 
 def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
@@ -186,12 +223,21 @@ def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> 
             continue
         second = _second(claim, item.vector)
         if second is not None and all(closure.bounds([second])):
-            found.append(
-                Vanishing(
-                    f"d{item.of}" if item.of.isidentifier() else f"d({item.of})/dt", field.derivative(item.vector), True
-                )
-            )
+            rate = field.derivative(item.vector)
+            found.append(Vanishing(_rate_name(claim, item.of, rate), rate, True))
     return found
+
+
+def _rate_name(claim: Claim, of: str, rate: SX) -> str:
+    """``dx``, unless something else prints like that; else ``d(x)/dt``."""
+    short = f"d{of}"
+    known = _vectors(claim)
+    if not of.isidentifier() or (short in known and not _equal(rate, known[short])):
+        return f"d({of})/dt"
+    blocks = claim.diagram.blocks.values()
+    taken = {name for block in blocks for name in (*names_of(type(block)), *(port.name for port in block.truth))}
+    taken |= {line.name for law in claim.laws.values() for line in law.definitions}
+    return short if short in known or symbol(short) not in {*map(symbol, taken)} else f"d({of})/dt"
 
 
 def _still(claim: Claim) -> set[int]:
@@ -206,7 +252,7 @@ def _second(claim: Claim, vector: SX) -> SX | None:
 
 def _is_state(claim: Claim, vector: SX) -> bool:
     states = [variable.symbol for variable in claim.loop.controller]
-    return any(state.shape == vector.shape and ca.is_equal(state, vector) for state in states)
+    return any(_equal(state, vector) for state in states)
 
 
 def _into_dead_zones(claim: Claim, signs: Signs) -> Iterator[Statement]:

@@ -116,5 +116,11 @@ def unicode_symbol(taken: Symbol) -> str:
 
 def distinct(names: Sequence[str]) -> list[tuple[str, str]]:
     """Pairs of different names that print alike: one symbol would have two meanings."""
-    seen = dict[Symbol, str]()
-    return [(seen[key], name) for name in names if (key := symbol(name)) in seen or seen.setdefault(key, name) != name]
+    seen = dict[str, str]()
+    printed = ((unicode_name(name), name) for name in names)  # alpha and its letter too
+    return [(seen[key], name) for key, name in printed if key in seen or seen.setdefault(key, name) != name]
+
+
+def look_alikes(name: str) -> str:
+    """The letters of a name that are neither Latin nor Greek ones of `LETTERS`: some look like those."""
+    return "".join(letter for letter in name if not letter.isascii() and letter not in LETTERS.values())

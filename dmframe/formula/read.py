@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from fractions import Fraction
+from inspect import unwrap
 from typing import Any, Final, final
 
 import casadi as ca
@@ -28,7 +29,9 @@ from dmframe.formula.tree import (
     Stack,
     Transposed,
 )
+from dmframe.linalg import solve_spd
 from dmframe.naming import operation_of
+from dmframe.terms import norm
 
 
 @final
@@ -131,13 +134,15 @@ class _Reader:
         called = operation_of(of.which_function())
         if called is None:
             raise UnreadableError(f"it calls {of.which_function().name()}, which is no operation")
-        if called.sign == "derivative":  # what it is of and by; its third argument is its value
+        if (
+            called.sign == "derivative" and called.function is None
+        ):  # what it is of and by; its third argument is its value
             return Derivative(self.node(of.dep(0)), self.node(of.dep(1)), x.shape)
         arguments = [self.node(of.dep(k)) for k in range(of.n_dep())]
         if called.given:
             return robot_call(called, arguments, x.shape)
-        if called.sign in _SIGNS:
-            return _SIGNS[called.sign](arguments, x.shape)
+        if called.function in _SIGNS:
+            return _SIGNS[called.function](arguments, x.shape)
         return Applied(called.sign, tuple(arguments), x.shape, said=called.said)
 
     def add(self, x: Any, shape: Shape) -> Node:
@@ -309,9 +314,8 @@ _RULES: Final[Mapping[int, Rule]] = {
     ca.OP_INVERSE: lambda self, x, shape: Inverse(self.node(x.dep(0)), shape),
 }
 
-_SIGNS: Final[Mapping[str, Callable[[list[Node], Shape], Node]]] = {
-    "solve_spd": _solved,
-    "norm": lambda arguments, shape: Norm(arguments[0]),
-    "dot": lambda arguments, shape: tree.dot(arguments[0], arguments[1]),
+_SIGNS: Final[Mapping[Callable[..., Any] | None, Callable[[list[Node], Shape], Node]]] = {
+    unwrap(solve_spd): _solved,
+    unwrap(norm): lambda arguments, shape: Norm(arguments[0]),
 }
-"""Operations that have a sign of their own; all others print as a function, ``clip(a, v)``."""
+"""Operations that have a sign of their own, by the function itself; all others print as one, ``clip(a, v)``."""

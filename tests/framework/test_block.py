@@ -77,6 +77,13 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
             {"states": (State("a", box="a_bux"),)},
             "the box of a is a_bux, which is no Interval parameter; did you mean a_box?",
         ),
+        (
+            {"states": (State("b_d_hat"),), "outputs": (Port("b_hat_d"),)},
+            "its names b_hat_d and b_d_hat both print as b\u0302_d; rename one",
+        ),
+        ({"states": (State("alpha"),), "inputs": (Port("α"),)}, "its names α and alpha both print as α; rename one"),
+        ({"states": (State("у"),)}, r"the name '\u0443' holds '\u0443', no Latin and no known Greek letter"),
+        ({"inputs": (Port("x - y"),)}, "expected a name such as K_star, found 'x - y'"),
         ({"states": (State("a", "n"),)}, "the parameter a and the state that starts there have different shapes"),
     ],
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from fractions import Fraction
 from itertools import product
-from typing import Any
+from typing import Any, ClassVar, final
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,7 @@ import pytest
 from closed_loops import known_blocks, loop_of
 from jsonschema import Draft202012Validator
 
-from dmframe.block import Signals
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Inequality, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
@@ -27,6 +27,9 @@ from dmframe.certify.uncertain import intervals
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
+from dmframe.naming import named
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import State
 from dmframe.robot.library import load
 
 
@@ -222,29 +225,84 @@ def with_condition(expression: Any) -> Diagram:
     return loop_of(load("arm2"), "joint", "PID", friction="none").build({"pid_inverse": changed}, lambda _, made: made)
 
 
+def mine(expression: Any) -> Checked:
+    """The user's condition, decided."""
+    (found,) = (item for name, item in checked(with_condition(expression)).items() if name.startswith("inverse: mine"))
+    return found
+
+
 def test_a_divisor_whose_interval_holds_zero_leaves_a_condition_undecided_and_says_so() -> None:
     diagram = with_condition(lambda p, truth: 1 / (truth.K_D - 79))
-    assert checked(diagram)["inverse: mine"].value == 1
+    assert checked(diagram)["inverse: mine [1/(servo.K_D - 79) > 0]"].value == 1
     verdict = verify(diagram, trials=1, uncertain=intervals(diagram, {"servo.K_D": [70, 90]}))
     assert verdict.outcome == "not_applicable"
     (failing,) = (condition for condition in verdict.conditions if not condition.holds)
     assert (failing.value, failing.how) == (None, "undecided")
-    assert failing.expression == "mine; undecided: a divisor is zero, or its interval holds zero"
+    assert failing.expression == "1/(servo.K_D - 79) > 0; undecided: a divisor is zero, or its interval holds zero"
     Draft202012Validator(verdict_schema()).validate(summary("undecided", verdict))
 
 
 def test_a_divisor_that_is_zero_leaves_a_condition_undecided() -> None:
-    assert checked(with_condition(lambda p, truth: 1 / (truth.K_D - 80)))["inverse: mine"].how == "undecided"
-    assert not checked(with_condition(lambda p, truth: 1 / (truth.K_D - truth.K_D)))["inverse: mine"].holds
+    assert mine(lambda p, truth: 1 / (truth.K_D - 80)).how == "undecided"
+    assert not mine(lambda p, truth: 1 / (truth.K_D - truth.K_D)).holds
 
 
 def test_a_condition_that_depends_on_a_signal_or_on_a_function_is_undecided() -> None:
-    moving = checked(with_condition(lambda p, truth: truth.i + 10))["inverse: mine"]
-    assert moving.expression.startswith("mine; undecided: expected an expression in parameters alone, found servo.i")
-    rooted = checked(with_condition(lambda p, truth: ca.sqrt(truth.K_D)))["inverse: mine"]
-    assert rooted.expression.startswith("mine; undecided: value: expected + - * / only")
+    moving = mine(lambda p, truth: truth.i + 10)
+    assert moving.name == "inverse: mine [servo.i + 10 > 0]"
+    assert "; undecided: expected an expression in parameters alone, found servo.i" in moving.expression
+    rooted = mine(lambda p, truth: ca.sqrt(truth.K_D))
+    assert "; undecided: value: expected + - * / only" in rooted.expression
     assert not moving.holds
     assert not rooted.holds
+
+
+def test_a_condition_on_nothing_is_not_taken_for_one_that_holds() -> None:
+    empty = mine(lambda p, truth: truth.K_D[2:])
+    assert (empty.name, empty.holds, empty.how) == ("inverse: mine [nothing > 0]", False, "undecided")
+    assert "found an empty one, of which nothing is decided" in empty.expression
+
+
+@pytest.mark.parametrize(
+    ("words", "expression", "strict", "beside"),
+    [
+        ("k > 0", lambda k: k, True, ""),
+        ("k > 1 / 2", lambda k: k - 0.5, True, ""),
+        ("2 k < k + 9", lambda k: 9 - k, True, ""),
+        ("-k >= -(3 + k) / 4", lambda k: (3 + k) / 4 - k, False, ""),
+        ("kc >= 0", lambda k: named("kc", k * k), False, " [k^2 >= 0]"),
+        ("part >= 0", lambda k: k * k + 1, False, ""),
+        ("k >= 0", lambda k: k, True, " [k > 0]"),
+        ("k > 0", lambda k: k + 10, True, " [k + 10 > 0]"),
+        ("0 > k", lambda k: k, True, " [k > 0]"),
+        ("k / 2 k > 0", lambda k: k, True, " [k > 0]"),
+        ("k > 0 and the sun rises", lambda k: k, True, " [k > 0]"),
+        ("abs(k) > 0", lambda k: k, True, " [k > 0]"),
+        ("k > (", lambda k: k, True, " [k > 0]"),
+        ("many > 0", lambda k: ca.vertcat(*range(1, 30)), True, " [a matrix of numbers > 0]"),
+        ("k is large", lambda k: ca.vertcat(*(k + i for i in range(30))), True, " [an expression of k > 0]"),
+    ],
+)
+def test_beside_the_words_of_a_condition_stands_what_is_decided_unless_they_say_it(words, expression, strict, beside):
+    @final
+    class Toy(AbstractBlock):
+        """One state."""
+
+        states: ClassVar[tuple[State, ...]] = (State("x"),)
+        k: Scalar = Positive("", "", default=2.0)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(rates={"x": -p.k * x.x})
+
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            part = named("part", p.k * p.k + 1)
+            return Certificate((Square(x.x, part),), (Square(x.x, part * p.k),))
+
+        def conditions(self, p: Signals, truth: Signals) -> tuple[Inequality, ...]:
+            return (Inequality(words, expression(p.k), "me", strict),)
+
+    (found,) = (item.name for item in verify(Diagram.build({"a": Toy()}), trials=1).conditions if item.source == "me")
+    assert found == f"a: {words}{beside}"
 
 
 def weighing(make: Any, role: str = "storage") -> Verdict:

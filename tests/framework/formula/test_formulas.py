@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import pytest
 
 from dmframe.formula.formula import Formula
 from dmframe.formula.names import distinct, latex_name, unicode_name
-from dmframe.formula.read import UnreadableError, read
+from dmframe.formula.read import FUNCTIONS, UnreadableError, read
+from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.wrap import wrapped
 from dmframe.linalg import solve_spd
-from dmframe.naming import Naming, derivative, named, reading
+from dmframe.naming import RESERVED, Naming, NamingError, derivative, named, operation, reading
+from dmframe.terms import MONOTONE, norm
 
 N, M, P = 3, 2, 5
 
@@ -157,3 +161,39 @@ def test_a_name_prints_as_its_symbol(name):
 
 def test_two_names_that_print_alike_are_found():
     assert distinct(["x_1", "x1", "q"]) == [("x_1", "x1")]
+    assert distinct(["alpha", "α", "a_d_hat", "a_hat_d"]) == [("alpha", "α"), ("a_d_hat", "a_hat_d")]
+
+
+def _called(name: str) -> Any:
+    def function(a: Any) -> Any:
+        """Three times `a`."""
+        return 3 * a
+
+    function.__name__ = function.__qualname__ = name
+    return function
+
+
+def test_an_operation_by_the_name_of_another_function_is_refused():
+    known = {*FUNCTIONS.values(), *SIGNS.values(), *PAPER, *MONOTONE, "norm", "clip", "solve_spd", "derivative", "abs"}
+    assert known <= RESERVED
+    for name in ("norm", "tanh", "dot", "solve_spd", "derivative", "M"):
+        with pytest.raises(NamingError, match=f"{name} prints as another function"):
+            operation(_called(name))
+    for name in ("<lambda>", "a + b", "\u0443"):
+        with pytest.raises(NamingError, match="expected a function with a name such as saturated"):
+            operation(_called(name))
+
+
+def test_a_sign_of_its_own_has_the_function_and_not_its_name():
+    imitated = _called("norm")
+    imitated.__module__ = "dmframe.terms"
+    x = ca.MX.sym("x", N)
+    assert Formula(read(norm(x))).text == "|x|"
+    assert Formula(read(operation(imitated)(x))).text == "norm(x)"
+    assert Formula(read(norm(x))).text == "|x|"
+
+
+def test_an_operation_of_a_text_that_is_run_has_a_sign_too():
+    unplaced = _called("threefold")
+    unplaced.__module__ = None
+    assert Formula(read(operation(unplaced)(ca.MX.sym("x", N)))).text == "threefold(x)"

@@ -260,6 +260,8 @@ def test_a_name_stands_for_its_part_and_is_defined_beside():
         (lambda x, p: named("k", x.q), "the name k is taken, by a parameter of the block"),
         (lambda x, p: named("q", x.q), "the name q is taken, by a state"),
         (lambda x, p: named("S", x.q), "the name S is taken, by the storage of the block"),
+        (lambda x, p: named("у", x.q), r"the name '\\u0443' holds '\\u0443', no Latin and no known Greek letter"),
+        (lambda x, p: named("a_1", x.q) + named("a1", x.v), "the names a_1 and a1 both print as a_1"),
         (lambda x, p: named("2a", x.q), "expected a name such as K_star, found '2a'"),
         (lambda x, p: named("a", x.q) + named("a", x.v), "a, named twice, is not the same"),
         (lambda x, p: named("a", x.q) + named("a", x.v[0]), "named twice, with different shapes"),
