@@ -23,10 +23,10 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
-from dmframe.formula.laws import POINTS, ReadBlock
+from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
-from dmframe.formula.reading import differs
+from dmframe.formula.points import ALL_SIZES, POINTS, differs, is_rounding, jittered
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
 
@@ -113,6 +113,7 @@ class _Point:
             return None
 
 
+_TURNS: Final = frozenset(("\\max", "\\min", "\\operatorname", "\\mathrm", "|", "<", ">", "cases"))
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
@@ -134,12 +135,18 @@ def undotted(name: Symbol) -> Symbol | None:
     return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
 
 
-def _point(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> _Point:
-    """All that a docstring of this block may name; a matrix that it inverts is symmetric and positive definite."""
+def _values(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
+    """One point; a matrix that the docstring inverts is symmetric and positive definite."""
     values = read.reading.values(read.signs, seed)
     for name, value in values.items():
         if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
-            values[name] = np.asarray(value) @ np.asarray(value).T + np.eye(value.shape[0])
+            most = max(1.0, float(np.max(np.abs(value))) ** 2)
+            values[name] = np.asarray(value) @ np.asarray(value).T + most * np.eye(value.shape[0])
+    return values
+
+
+def _point(read: ReadBlock, values: Mapping[str, Any]) -> _Point:
+    """All that a docstring of this block may name."""
     names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
@@ -193,8 +200,10 @@ class _Verdict(Enum):
 class _Trial:
     """A docstring's equations with some options of the block, at one point."""
 
-    def __init__(self, point: _Point, equations: Sequence[Stated]) -> None:
-        self.point, self.used = point, set[Symbol]()
+    def __init__(self, read: ReadBlock, values: Mapping[str, Any], equations: Sequence[Stated]) -> None:
+        self.point, self.used = _point(read, values), set[Symbol]()
+        self._read, self._values, self._equations = read, values, equations
+        self.compared = (np.zeros(0), np.zeros(0))
         self._open = dict[Symbol, Stated]()
         self._known = dict[Symbol, Numbers]()
         for item in equations:
@@ -235,11 +244,21 @@ class _Trial:
         """What an equation is, and the sentence about it."""
         try:
             with np.errstate(all="ignore"):  # what is not finite is compared, not warned of
-                return self._verdict(item)
+                self.compared = (np.zeros(0), np.zeros(0))
+                found = self._verdict(item)
+                differ = found[0] is _Verdict.DIFFERS and self.compared[0].size
+                return (_Verdict.HOLDS, "") if differ and is_rounding(*self.compared, self._near(item)) else found
         except UnreadableLatexError as error:
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
         except Exception as error:  # an author may write anything; it is no fault of the code
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {type(error).__name__}: {error}"
+
+    def _near(self, item: Stated) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """What is compared, at points that differ in their last digits."""
+        for values in jittered(self._values):
+            trial = _Trial(self._read, values, self._equations)
+            trial._verdict(item)
+            yield trial.compared
 
     def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
         left = name_in(item.left)
@@ -279,6 +298,7 @@ class _Trial:
         value = self._value(words)
         if value.shape == (1, 1) != computed.shape:
             value = np.full(computed.shape, value[0, 0])
+        self.compared = computed, value
         text = f"{shown}: the docstring's law is not what the equations compute"
         if shown in ("S", r"\dot{S}"):
             text = f"{shown}: the docstring's law is not what the certificate claims"
@@ -295,10 +315,13 @@ class _Checker:
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
         self.tried = 0
+        turns = any(not _TURNS.isdisjoint(item.right) for item in equations)
+        self._points = ALL_SIZES if turns else POINTS
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; returns whether nothing is left to be shown."""
-        trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
+        points = (_values(read, seed, self._equations) for seed in range(self._points))
+        trials = [_Trial(read, values, self._equations) for values in points]
         fine = set[Stated]()
         for item in self._equations:
             found = [trial.verdict(item) for trial in trials]

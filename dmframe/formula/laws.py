@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, final
 
 import casadi as ca
@@ -19,13 +19,11 @@ from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.read import UnreadableError, read
-from dmframe.formula.reading import Reading, Signs, differs, place_of
+from dmframe.formula.points import MOST, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
+from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
 from dmframe.naming import as_mx, expression_of
-
-POINTS: Final = 2
-"""Random points at which what prints is compared with what runs."""
 
 
 def printed(diagram: Diagram, name: str) -> PrintedLaw:
@@ -196,12 +194,33 @@ class ReadBlock:
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
             second = reading.of_signs(signs, [expression for _, expression in again])
             pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
-        for seed in range(POINTS):
-            values = reading.values(signs, seed)
-            for method, labels, first, second in pairs:
-                for label, one, two in zip(labels, first.at(values), second.at(values), strict=True):
-                    if differs(one, two):
-                        raise self._fault(method, label)
+        for method, labels, first, second in pairs:
+            self._hold(method, labels, first, second)
+
+    def _hold(self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated) -> None:
+        """Hold expressions to others: exactly, else at points on both sides of each switch. Raises `BlockError`."""
+        both = self.reading.exactly(first, second)
+        known = [False] * len(labels)
+        if both is not None:
+            known = equal(both[0].expressions, both[1].expressions)
+            first, second = both[0].only(known), both[1].only(known)
+        if all(known):
+            return
+        turns = [found for side in (first, second) if (found := side.turns()) is not None]
+        open_labels = [label for label, done in zip(labels, known, strict=True) if not done]
+        sides = [Sides() for _ in turns]
+        for seed in range(MOST):
+            values = self.reading.values(self.signs, seed)
+            numbers = first.at(values), second.at(values)
+            for place, (label, one, two) in enumerate(zip(open_labels, *numbers, strict=True)):
+                moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
+                if differs(one, two) and not is_rounding(one, two, moved):
+                    raise self._fault(method, label)
+            for side, found in zip(sides, turns, strict=True):
+                side.see(found.at(values)[0])
+            if seed + 1 >= POINTS and all(side.complete for side in sides):
+                return
+        raise self._unseen(method, open_labels)
 
     def hold(self, proved: Certificate, seen: View, loop: ClosedLoop) -> None:
         """Hold the certificate that prints to the one that is proved, which sees the whole closed loop.
@@ -223,13 +242,34 @@ class ReadBlock:
         both = loop.joined([*expected, *found])
         functions = self.reading.functions
         constants, values = (ca.SX(0, 1), ca.DM(0, 1)) if functions is None else (functions.constants, functions.values)
+        ones, others = both[: len(mine)], both[len(mine) :]
+        done = equal(ones, others)
+        if all(done):
+            return
         known = symbols_in([constants])  # with others a robot's rotations would be none, and M(q) not one matrix
         leaves = [leaf for leaf in ca.symvar(ca.veccat(*both)) if leaf.element_hash() not in known]
-        function = ca.Function("proved", [ca.veccat(*leaves), constants], both)
-        numbers = function.call([np.random.default_rng(POINTS).uniform(0.5, 1.5, len(leaves)), values])
-        for label, one, two in zip(labels, numbers, numbers[len(mine) :], strict=False):
-            if differs(one.full(), two.full()):
-                raise self._fault("certificate", label)
+        left = [item for side in (ones, others) for item, shown in zip(side, done, strict=True) if not shown]
+        open_labels = [label for label, shown in zip(labels, done, strict=True) if not shown]
+        turns, sides = ca.veccat(ca.SX(0, 1), *switching(left)), Sides()
+        function = ca.Function("proved", [ca.veccat(*leaves), constants], [*left, turns])
+        positive = symbols_in([loop.p])
+        above = np.array([leaf.element_hash() in positive for leaf in leaves], dtype=bool)
+        for seed in range(MOST):
+            draw = Draw(seed)
+            point = np.where(
+                above, draw.numbers(len(leaves), positive=True), draw.numbers(len(leaves), positive=False)
+            )
+            *numbers, turned = (item.full() for item in function.call([point, values]))
+            for place, label in enumerate(open_labels):
+                one, two = numbers[place], numbers[place + len(open_labels)]
+                near = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
+                moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in near)
+                if differs(one, two) and not is_rounding(one, two, moved):
+                    raise self._fault("certificate", label)
+            sides.see(turned)
+            if seed + 1 >= POINTS and sides.complete:
+                return
+        raise self._unseen("certificate", open_labels)
 
     def _labelled(self, one: Certificate, other: Certificate) -> tuple[list[str], list[Any]]:
         """The labels and the expressions of a certificate. Raises `BlockError` where another has other terms."""
@@ -241,6 +281,15 @@ class ReadBlock:
     def _fault(self, method: str, label: str) -> BlockError:
         where = place_of(self.type, method)
         text = f"{where}: {label} is not the same when {method}() is called again; what prints would not be what runs"
+        return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
+
+    def _unseen(self, method: str, labels: Sequence[str]) -> BlockError:
+        where = place_of(self.type, method)
+        text = (
+            f"{where}: {', '.join(dict.fromkeys(labels))}: a switch, such as a min or a comparison, takes one side at "
+            f"all of {MOST} points, so that nobody knows whether what prints is what runs on the other side; expected "
+            f"one that turns at sizes from 1e-3 to 1e3"
+        )
         return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
 
     def law(self) -> PrintedLaw:
