@@ -12,6 +12,7 @@ import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import chain
 from typing import Any, Final, final
 
 import casadi as ca
@@ -26,7 +27,7 @@ from dmframe.formula.latex import evaluate, name_in, said, tokens
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
-from dmframe.formula.points import ALL_SIZES, POINTS, differs, is_rounding, jittered
+from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
 
@@ -113,7 +114,7 @@ class _Point:
             return None
 
 
-_TURNS: Final = frozenset(("\\max", "\\min", "\\operatorname", "\\mathrm", "|", "<", ">", "cases"))
+_TURNS: Final = frozenset(("\\max", "\\min", "\\operatorname", "<", ">"))
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
@@ -196,11 +197,17 @@ class _Verdict(Enum):
     SKIPPED = "is about something else"
 
 
+_BAD: Final = (_Verdict.DIFFERS, _Verdict.UNREADABLE)
+
+
 @final
 class _Trial:
     """A docstring's equations with some options of the block, at one point."""
 
-    def __init__(self, read: ReadBlock, values: Mapping[str, Any], equations: Sequence[Stated]) -> None:
+    def __init__(
+        self, read: ReadBlock, values: Mapping[str, Any], equations: Sequence[Stated], *, is_near: bool = False
+    ) -> None:
+        self._is_near = is_near
         self.point, self.used = _point(read, values), set[Symbol]()
         self._read, self._values, self._equations = read, values, equations
         self.compared = (np.zeros(0), np.zeros(0))
@@ -247,7 +254,8 @@ class _Trial:
                 self.compared = (np.zeros(0), np.zeros(0))
                 found = self._verdict(item)
                 differ = found[0] is _Verdict.DIFFERS and self.compared[0].size
-                return (_Verdict.HOLDS, "") if differ and is_rounding(*self.compared, self._near(item)) else found
+                doubted = differ and not (self._is_near and differs_near(*self.compared))
+                return (_Verdict.HOLDS, "") if doubted and is_rounding(*self.compared, self._near(item)) else found
         except UnreadableLatexError as error:
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
         except Exception as error:  # an author may write anything; it is no fault of the code
@@ -315,17 +323,20 @@ class _Checker:
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
         self.tried = 0
-        turns = any(not _TURNS.isdisjoint(item.right) for item in equations)
-        self._points = ALL_SIZES if turns else POINTS
+        self._turns = any(not _TURNS.isdisjoint(item.right) for item in equations)
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; returns whether nothing is left to be shown."""
-        points = (_values(read, seed, self._equations) for seed in range(self._points))
-        trials = [_Trial(read, values, self._equations) for values in points]
+        seeds = range(ALL_SIZES) if self._turns or read.turns else FEW
+        points = [_values(read, seed, self._equations) for seed in seeds]
+        trials = [
+            _Trial(read, item, self._equations, is_near=seed < NEAR) for seed, item in zip(seeds, points, strict=True)
+        ]
         fine = set[Stated]()
         for item in self._equations:
-            found = [trial.verdict(item) for trial in trials]
-            worst = next((one for one in found if one[0] in (_Verdict.DIFFERS, _Verdict.UNREADABLE)), found[0])
+            found = (trial.verdict(item) for trial in trials)
+            first = next(found)
+            worst = next((one for one in chain([first], found) if one[0] in _BAD), first)
             if worst[0] in (_Verdict.HOLDS, _Verdict.DEFINES, _Verdict.SKIPPED):
                 fine.add(item)
             if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, final
+from functools import cached_property
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,7 @@ from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.read import UnreadableError, read
-from dmframe.formula.points import MOST, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
+from dmframe.formula.points import MOST, NEAR, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
@@ -115,6 +116,7 @@ class ReadBlock:
         self.reading = Reading(model.name, model, truths, functions, zero)
         self.certificate, self.scalars, self.claimed = Certificate(), Certificate(), list[str]()
         self.elements, self.names = Elements({}), dict[Node, Name]()
+        self._points = dict[int, dict[str, Any]]()
         try:
             self._read(ca.MX)
         except (DmframeError, KeyboardInterrupt):
@@ -166,8 +168,13 @@ class ReadBlock:
         stated = self.reading.certificate(signs, self.claimed)
         return stated if stated is not None else Certificate()
 
-    def compare(self) -> None:
-        """Hold what was read to what runs. Raises `BlockError`."""
+    @cached_property
+    def turns(self) -> bool:
+        """Does what runs hold a switch?"""
+        return self.reading.of_running().turns() is not None
+
+    def compare(self, *, near: bool = False) -> None:
+        """Hold what was read to what runs; with `near` at the first points alone. Raises `BlockError`."""
         reading, signs = self.reading, self.signs
         names = [f"the output {name}" for name in self.model.equations.outputs]
         names += [f"the rate of {name}" for name in self.model.equations.rates]
@@ -194,23 +201,26 @@ class ReadBlock:
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
             second = reading.of_signs(signs, [expression for _, expression in again])
             pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
+        self._points.clear()
         for method, labels, first, second in pairs:
-            self._hold(method, labels, first, second)
+            self._compared(method, labels, first, second, near=near)
 
-    def _hold(self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated) -> None:
+    def _compared(
+        self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated, *, near: bool
+    ) -> None:
         """Hold expressions to others: exactly, else at points on both sides of each switch. Raises `BlockError`."""
-        both = self.reading.exactly(first, second)
+        both = None if near else self.reading.exactly(first, second)
         known = [False] * len(labels)
         if both is not None:
             known = equal(both[0].expressions, both[1].expressions)
             first, second = both[0].only(known), both[1].only(known)
         if all(known):
             return
-        turns = [found for side in (first, second) if (found := side.turns()) is not None]
+        turns = [] if near else [found for side in (first, second) if (found := side.turns()) is not None]
         open_labels = [label for label, done in zip(labels, known, strict=True) if not done]
         sides = [Sides() for _ in turns]
         for seed in range(MOST):
-            values = self.reading.values(self.signs, seed)
+            values = self._values(seed)
             numbers = first.at(values), second.at(values)
             for place, (label, one, two) in enumerate(zip(open_labels, *numbers, strict=True)):
                 moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
@@ -218,9 +228,14 @@ class ReadBlock:
                     raise self._fault(method, label)
             for side, found in zip(sides, turns, strict=True):
                 side.see(found.at(values)[0])
-            if seed + 1 >= POINTS and all(side.complete for side in sides):
+            if seed + 1 >= (NEAR if near else POINTS) and all(side.complete for side in sides):
                 return
         raise self._unseen(method, open_labels)
+
+    def _values(self, seed: int) -> dict[str, Any]:
+        if seed not in self._points:
+            self._points[seed] = self.reading.values(self.signs, seed)
+        return self._points[seed]
 
     def hold(self, proved: Certificate, seen: View, loop: ClosedLoop) -> None:
         """Hold the certificate that prints to the one that is proved, which sees the whole closed loop.

@@ -13,12 +13,14 @@ from dmframe.exact import zero_test
 
 POINTS: Final = 6
 """Points at which all is compared that is not shown to be equal exactly."""
+FEW: Final = (0, 2, 3)
+"""The points for a docstring where nothing switches."""
 MOST: Final = 100
 """Points that are drawn where a switch has taken one side only."""
 ALL_SIZES: Final = 16
 """Points after which every power of ten of `_POWERS` has been taken, with both signs."""
 
-_NEAR: Final = 2
+NEAR: Final = 2
 """The first points: states in (-1, 1), parameters in (0.5, 1.5)."""
 _POWERS: Final = (2, -2, 3, 1, -1, -3, 0)
 
@@ -52,9 +54,9 @@ class Draw:
     """
 
     def __init__(self, seed: int) -> None:
-        self._near = seed < _NEAR
-        pair = (seed - _NEAR) // 2
-        self._rng = np.random.default_rng(seed if self._near else _NEAR + pair)
+        self._near = seed < NEAR
+        pair = (seed - NEAR) // 2
+        self._rng = np.random.default_rng(seed if self._near else NEAR + pair)
         self._turn = -1.0 if seed % 2 else 1.0
         self.size = 10.0 ** _POWERS[pair] if 0 <= pair < len(_POWERS) else 1.0
         self._mixed = seed >= ALL_SIZES
@@ -86,6 +88,14 @@ def differs(first: np.ndarray, second: np.ndarray) -> bool:
     one, other = np.abs(first[finite]), np.abs(second[finite])
     allowed = _CLOSE * np.maximum(one, other) + _ROUNDED * np.max(np.maximum(one, other), initial=1.0)
     return bool(np.any(np.abs(first - second)[finite] > allowed))
+
+
+def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
+    """Do numbers at one of the first points, where no terms are large, differ beyond all that rounding leaves there?"""
+    if first.shape != second.shape:
+        return True
+    largest = np.max(np.abs(first[np.isfinite(first)]), initial=0.0)
+    return bool(np.any(np.abs(np.nan_to_num(first - second)) > _CLOSE * (1.0 + largest)))
 
 
 def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:

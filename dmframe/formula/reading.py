@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -149,8 +150,7 @@ class Reading:
             most = there.shape[0] * max(draw.size, float(np.max(found[name])) / 2)
             found[name] = there * (found[name] + found[name].T) / 2 + most * np.eye(there.shape[0])
         if signs.robot is not None and self.functions is not None:
-            found |= {CONSTANTS[name]: self.functions.value(name).full() for name in CONSTANTS}
-            found[_CONSTANTS] = self.functions.values.full()
+            found |= _numbers_of(self.functions)
         return found
 
     def of_signs(self, signs: Signs, expressions: Sequence[Expression]) -> Evaluated:
@@ -224,11 +224,11 @@ class Evaluated:
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""
-        given = [ca.DM(*s.shape) if name in self.zero else ca.DM(values[name]) for name, s in self.symbols.items()]
+        given = [ca.DM(*s.shape) if name in self.zero else values[name] for name, s in self.symbols.items()]
         for place, name in enumerate(self.symbols):
             if name in self._lower:
                 _, rows, columns = self._lower[name]
-                given[place] = ca.DM(np.asarray(values[name])[rows, columns])
+                given[place] = np.asarray(values[name])[rows, columns]
         return [value.full() for value in self._function.call(given)]
 
     def of(self, symbols: Mapping[str, Any]) -> list[Any]:
@@ -250,6 +250,12 @@ class Evaluated:
             return None
         found = switching(self.expressions)
         return Evaluated(self.symbols, [ca.vertcat(*found)], self.zero, self.gains) if found else None
+
+
+@functools.lru_cache(maxsize=8)
+def _numbers_of(functions: RobotFunctions) -> dict[str, np.ndarray]:
+    """The numbers of a robot, by how they print, and all of them."""
+    return {CONSTANTS[name]: functions.value(name).full() for name in CONSTANTS} | {_CONSTANTS: functions.values.full()}
 
 
 START: Final = "(0)"
