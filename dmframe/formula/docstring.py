@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -114,7 +115,8 @@ class _Point:
             return None
 
 
-_TURNS: Final = frozenset(("\\max", "\\min", "\\operatorname", "<", ">"))
+_TURNS: Final = re.compile(r"max|min|sgn|clip|[<>]")
+"""What switches in LaTeX that can be read."""
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
@@ -323,7 +325,7 @@ class _Checker:
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
         self.tried = 0
-        self._turns = any(not _TURNS.isdisjoint(item.right) for item in equations)
+        self._turns = any(_TURNS.search("".join(item.right)) for item in equations)
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; returns whether nothing is left to be shown."""
