@@ -25,12 +25,13 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
-from dmframe.formula.laws import ReadBlock
+from dmframe.formula.laws import ReadBlock, read_blocks
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
+from dmframe.parameter import specs
 
 
 @final
@@ -45,21 +46,63 @@ def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
 
 def check_docstrings(diagram: Diagram) -> None:
     """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
-    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-    faults = [fault for kind in kinds for fault in check_docstring(kind)]
-    raise_all([fault for fault in faults if not isinstance(fault, UnreadError)])
+    raise_all([fault for fault in _faults(diagram) if not isinstance(fault, UnreadError)])
 
 
 def unread(diagram: Diagram) -> list[str]:
-    """Equations of the blocks' docstrings that cannot be read, each with file and line."""
+    """Equations of the blocks' docstrings that are held to nothing, each with file and line."""
+    return [fault.text for fault in _faults(diagram) if isinstance(fault, UnreadError)]
+
+
+def _faults(diagram: Diagram) -> list[DmframeError]:
+    """What is wrong with the docstrings, of block types and of the blocks with the values of this diagram."""
     kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-    return [fault.text for kind in kinds for fault in check_docstring(kind) if isinstance(fault, UnreadError)]
+    found = [fault for kind in kinds for fault in check_docstring(kind)]
+    if any(not isinstance(fault, UnreadError) for fault in found):
+        return found
+    stated = {kind: list(equations_of(kind)) for kind in kinds}
+    if not any(stated.values()):
+        return found
+    here = list[DmframeError]()
+    for read in read_blocks(diagram).values():
+        equations = stated[type(read.model.block)]
+        if equations:
+            here += _with_these_values(read, equations)
+    known = {fault.text for fault in found}
+    return found + [fault for fault in here if fault.text not in known]
+
+
+def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator[DmframeError]:
+    """What the docstring says that the block with its values does not compute.
+
+    A type that stands alone has been held to it with one option after another. With options together it may have a law
+    that no equation states: that is told, and is no fault of what is stated.
+    """
+    block = read.model.block
+    checker = _Checker(equations)
+    checker.hold(read, plain=True)
+    file, _ = source_of(type(block))
+    alone = [_options(other.model.block) for other, _ in variants(type(block))]
+    if not alone:
+        yield from (kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
+        return
+    fault = BlockError if _options(block) in alone else UnreadError
+    for item in checker.late:
+        text = f"{shown(item.left)}: no equation for it is what {read.name} computes with the values of this diagram"
+        yield fault(f"{file}:{item.line}: {text}")
+
+
+def _options(block: AbstractBlock) -> dict[str, Any]:
+    """The values of a block's options, and which parameters it has."""
+    known = specs(type(block))
+    held = {name: getattr(block, name) for name in type(block).model_fields}
+    return {name: value is not None if name in known else value for name, value in held.items()}
 
 
 @functools.lru_cache(maxsize=256)
 def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     equations = list(equations_of(block))
-    if not any(item.displayed for item in equations):
+    if not equations:
         return ()
     checker = _Checker(equations)
     for read, plain in variants(block):
@@ -141,6 +184,7 @@ def undotted(name: Symbol) -> Symbol | None:
 def _values(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
     """One point; a matrix that the docstring inverts is symmetric and positive definite."""
     values = read.reading.values(read.signs, seed)
+    values |= {name: number.full() for name, number in read.reading.constants.items()}
     for name, value in values.items():
         if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
             most = max(1.0, float(np.max(np.abs(value))) ** 2)
@@ -324,6 +368,8 @@ class _Checker:
         self._told = dict[Stated, tuple[_Verdict, str]]()
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
+        self.late = list[Stated]()
+        self._meant = set[str]()
         self.tried = 0
         self._turns = any(_TURNS.search("".join(item.right)) for item in equations)
 
@@ -344,6 +390,7 @@ class _Checker:
             if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
                 self._told[item] = worst
         self._used |= {said(name) for trial in trials for name in trial.used}
+        self._meant |= {shown(item.left) for item in self._equations if trials[0].is_computed(item)}
         if plain:
             self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
@@ -358,16 +405,19 @@ class _Checker:
         """Left sides of which no equation holds for the defaults, each with the first of them."""
         sides = dict[str, list[Stated]]()
         for item in self._equations:
-            if item.displayed and trial.is_computed(item):
+            if trial.is_computed(item):
                 sides.setdefault(shown(item.left), []).append(item)
-        return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
+        bad = [items for items in sides.values() if not any(item in fine for item in items)]
+        self.late = [items[0] for items in bad if all(self._told[item][0] is _Verdict.DIFFERS for item in items)]
+        return {shown(items[0].left): items[0] for items in bad if any(item.displayed for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
         """Lines and what is wrong there."""
+        held = {shown(item.left) for item in self._fine}
         for item in self._equations:
             verdict, text = self._told[item]
             if item not in self._fine:
-                if item.displayed or verdict is _Verdict.DIFFERS:
+                if item.displayed or verdict is _Verdict.DIFFERS or shown(item.left) in self._meant - held:
                     yield item.line, text, UnreadError if verdict is _Verdict.UNREADABLE else BlockError
             elif verdict is _Verdict.DEFINES and text not in self._used:
                 text = f"{text}: the block has nothing of this name, and no other equation uses it"

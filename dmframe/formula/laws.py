@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, final
+from typing import Any, Final, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from dmframe.certificate import Certificate
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.model import BlockModel, symbols_in
+from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
@@ -19,8 +21,8 @@ from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
-from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.points import MOST, NEAR, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
+from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
@@ -38,14 +40,21 @@ def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
 
 
 def read_blocks(diagram: Diagram) -> dict[str, ReadBlock]:
-    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`."""
+    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`. They are read once for a diagram."""
+    kept = _READ.get(diagram.resolver)
+    if kept is not None and kept[0] is diagram.models and kept[1] is diagram.sources:
+        return kept[2]
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
         block.compare()
+    _READ[diagram.resolver] = diagram.models, diagram.sources, blocks
     return blocks
+
+
+_READ: Final = WeakKeyDictionary[Resolver, tuple[Any, Any, dict[str, "ReadBlock"]]]()
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:
@@ -205,9 +214,7 @@ class ReadBlock:
         for method, labels, first, second in pairs:
             self._compared(method, labels, first, second, near=near)
 
-    def _compared(
-        self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated, *, near: bool
-    ) -> None:
+    def _compared(self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated, *, near: bool) -> None:
         """Hold expressions to others: exactly, else at points on both sides of each switch. Raises `BlockError`."""
         both = None if near else self.reading.exactly(first, second)
         known = [False] * len(labels)
@@ -271,9 +278,7 @@ class ReadBlock:
         above = np.array([leaf.element_hash() in positive for leaf in leaves], dtype=bool)
         for seed in range(MOST):
             draw = Draw(seed)
-            point = np.where(
-                above, draw.numbers(len(leaves), positive=True), draw.numbers(len(leaves), positive=False)
-            )
+            point = np.where(above, draw.numbers(len(leaves), positive=True), draw.numbers(len(leaves), positive=False))
             *numbers, turned = (item.full() for item in function.call([point, values]))
             for place, label in enumerate(open_labels):
                 one, two = numbers[place], numbers[place + len(open_labels)]

@@ -62,8 +62,8 @@ class Draw:
         self._mixed = seed >= ALL_SIZES
         self._zero = _VANISHING[seed % len(_VANISHING)] if self._mixed else 0.0
 
-    def numbers(self, shape: Any, *, positive: bool) -> np.ndarray:
-        """The next numbers."""
+    def numbers(self, shape: Any, *, positive: bool) -> Any:
+        """The next numbers, an array of this shape."""
         if self._near:
             return self._rng.uniform(0.5 if positive else -1.0, 1.5 if positive else 1.0, shape)
         found = self.size * self._rng.uniform(0.5, 1.5, shape)
@@ -120,9 +120,7 @@ def jittered(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for seed in range(_JITTERS):
         rng = np.random.default_rng(seed)
         moved = {name: np.asarray(value, dtype=float) for name, value in values.items()}
-        yield {
-            name: value * (1.0 + _JITTER * rng.uniform(-1.0, 1.0, np.shape(value))) for name, value in moved.items()
-        }
+        yield {name: value * (1.0 + _JITTER * rng.uniform(-1.0, 1.0, np.shape(value))) for name, value in moved.items()}
 
 
 def equal(ones: Sequence[Any], others: Sequence[Any]) -> list[bool]:
