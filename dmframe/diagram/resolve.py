@@ -160,8 +160,7 @@ class Resolver:
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
         """A source's output, or a time derivative of it, as a leaf; of one that is stated too, one leaf for both."""
-        key = self._as_stated(block, port, order)
-        port, order = key[1:]
+        key = block, port, order = self._as_derivative(block, port, order)
         if key not in self.trajectories:
             if order == 0:
                 expression = self.output(block, port)
@@ -171,15 +170,15 @@ class Resolver:
             self.trajectories[key] = Leaf(name, Side.SOURCE, symbol(name, expression.shape), expression)
         return self.trajectories[key]
 
-    def _as_stated(self, block: str, port: str, order: int) -> tuple[str, str, int]:
-        """A derivative that the source has as an output of its own, under that output's name."""
-        model = self.models[block]
-        while order:
-            stated = next((known.name for known in model.block.outputs if known.derivative_of == port), None)
-            if stated is None or stated not in model.equations.outputs:
-                break
-            self._hold_stated(block, port, stated)
-            port, order = stated, order - 1
+    def _as_derivative(self, block: str, port: str, order: int) -> tuple[str, str, int]:
+        """An output that the source declares to be a derivative of another, as the derivative of that one."""
+        stated = {known.name: known.derivative_of for known in self.models[block].block.outputs}
+        outputs = self.models[block].equations.outputs
+        seen = {port}
+        while stated.get(port) in outputs and stated[port] not in seen:
+            self._hold_stated(block, stated[port], port)
+            port, order = stated[port], order + 1
+            seen.add(port)
         return block, port, order
 
     def _hold_stated(self, block: str, port: str, stated: str) -> None:
@@ -189,16 +188,17 @@ class Resolver:
         self._held.add((block, stated))
         derived = ca.jtimes(self.output(block, port), self.time, ca.SX(1))
         if not _is_zero(ca.densify(derived - self.output(block, stated))):
-            text = (
-                f"{block}.{stated}: expected the time derivative of {block}.{port}, as it declares, found another one"
-            )
+            text = f"{block}.{stated}: expected the time derivative of {block}.{port}, as it declares, found another"
             self.faults.append(DerivativeError(text, path=("blocks", block)))
 
     def _leaf_name(self, block: str, port: str, order: int) -> str:
-        """``path.dr``; where the source has another output of this name, ``path.d(r)/dt``."""
+        """``path.dr``, or the output that is this derivative; where another output has that name, ``path.d(r)/dt``."""
         name = f"{'d' * order}{port}"
-        if order and name in {known.name for known in self.models[block].block.outputs}:
-            name = f"d{order if order > 1 else ''}({port})/dt"
+        for known in self.models[block].block.outputs if order else ():
+            if self._as_derivative(block, known.name, 0) == (block, port, order):
+                return f"{block}.{known.name}"
+            if known.name == name:
+                name = f"d{order if order > 1 else ''}({port})/dt"
         return f"{block}.{name}"
 
     def _projected(self, model: BlockModel, state: str, rate: SX) -> SX:
