@@ -68,7 +68,7 @@ class Reader(AbstractBlock):
 def test_a_stated_derivative_is_the_derivative():
     diagram = Diagram.build({"path": Both(), "track": Track()})
     assert [leaf.name for leaf in diagram.loop.trajectories] == ["path.r", "path.dr"]
-    assert verify(diagram).status == "proved"
+    assert verify(diagram).outcome == "proved"
 
 
 def test_a_stated_derivative_that_is_another_signal_is_refused():
