@@ -167,8 +167,13 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
             register[targets[0]] = inputs[arguments[1]]
         elif code == ca.OP_CONST:
             register[targets[0]] = ca.SX(function.instruction_constant(k))
+        elif code == ca.OP_CALL:  # a function kept whole: what turns in it or by it is met by the points alone
+            register |= dict.fromkeys(targets)
         elif code != ca.OP_OUTPUT:
             values = [register[argument] for argument in arguments]
+            if any(value is None for value in values):
+                register[targets[0]] = None
+                continue
             if code in _SWITCHES:
                 turns = values[0] - values[1] if code in _DIFFERENCE else values[-1 if code in _LAST else 0]
                 found.append(ca.fabs(turns) - _TINY if code in _EQUALITY else turns)
