@@ -19,6 +19,7 @@ from dmframe.diagram.model import BlockModel, symbol, symbols_in
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
+from dmframe.exact import zero_test
 from dmframe.port import Access, Side
 
 
@@ -45,6 +46,7 @@ class Resolver:
         self.projections = dict[End, Projection]()
         self.faults = list[DmframeError]()
         self._outputs, self._rates = dict[End, SX](), dict[End, SX]()
+        self._held = set[End]()
         self._open = list[str]()
 
     def output(self, block: str, port: str) -> SX:
@@ -160,16 +162,47 @@ class Resolver:
         return self.trajectory(block, port, order + 1).symbol
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
-        """A source's output, or a time derivative of it, as a leaf."""
-        key = (block, port, order)
+        """A source's output, or a time derivative of it, as a leaf; of one that is stated too, one leaf for both."""
+        key = block, port, order = self._as_derivative(block, port, order)
         if key not in self.trajectories:
             if order == 0:
                 expression = self.output(block, port)
             else:
                 expression = ca.jtimes(self.trajectory(block, port, order - 1).expression, self.time, ca.SX(1))
-            name = f"{block}.{'d' * order}{port}"
+            name = self._leaf_name(block, port, order)
             self.trajectories[key] = Leaf(name, Side.SOURCE, symbol(name, expression.shape), expression)
         return self.trajectories[key]
+
+    def _as_derivative(self, block: str, port: str, order: int) -> tuple[str, str, int]:
+        """An output that the source declares to be a derivative of another, as the derivative of that one."""
+        stated = {known.name: known.derivative_of for known in self.models[block].block.outputs}
+        outputs = self.models[block].equations.outputs
+        seen = {port}
+        while stated.get(port) in outputs and stated[port] not in seen:
+            self._hold_stated(block, stated[port], port)
+            port, order = stated[port], order + 1
+            seen.add(port)
+        return block, port, order
+
+    def _hold_stated(self, block: str, port: str, stated: str) -> None:
+        """Hold an output that a source declares to be a derivative to the derivative. The fault is told once."""
+        if (block, stated) in self._held:
+            return
+        self._held.add((block, stated))
+        derived = ca.jtimes(self.output(block, port), self.time, ca.SX(1))
+        if not _is_zero(ca.densify(derived - self.output(block, stated))):
+            text = f"{block}.{stated}: expected the time derivative of {block}.{port}, as it declares, found another"
+            self.faults.append(DerivativeError(text, path=("blocks", block)))
+
+    def _leaf_name(self, block: str, port: str, order: int) -> str:
+        """``path.dr``, or the output that is this derivative; where another output has that name, ``path.d(r)/dt``."""
+        name = f"{'d' * order}{port}"
+        for known in self.models[block].block.outputs if order else ():
+            if self._as_derivative(block, known.name, 0) == (block, port, order):
+                return f"{block}.{known.name}"
+            if known.name == name:
+                name = f"d{order if order > 1 else ''}({port})/dt"
+        return f"{block}.{name}"
 
     def _projected(self, model: BlockModel, state: str, rate: SX) -> SX:
         declared = next(item for item in model.block.states if item.name == state)
@@ -219,6 +252,17 @@ def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
     fault = AlgebraicLoopError(ports, remedy)
     fault.path = ("blocks", ports[0].partition(".")[0])
     return fault
+
+
+def _is_zero(difference: SX) -> bool:
+    """Does it vanish identically?"""
+    if difference.is_zero():
+        return True
+    symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(difference))
+    try:
+        return zero_test(ca.Function("difference", [symbols], [difference])).zero
+    except ValueFault:
+        return False
 
 
 def _unknown(end: End, like: SX) -> SX:

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from itertools import chain
 from typing import Any, Final, final
 
 import casadi as ca
@@ -23,12 +25,13 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
-from dmframe.formula.laws import POINTS, ReadBlock
+from dmframe.formula.laws import ReadBlock, read_blocks
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
-from dmframe.formula.reading import differs
+from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
+from dmframe.parameter import specs
 
 
 @final
@@ -43,21 +46,63 @@ def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
 
 def check_docstrings(diagram: Diagram) -> None:
     """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
-    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-    faults = [fault for kind in kinds for fault in check_docstring(kind)]
-    raise_all([fault for fault in faults if not isinstance(fault, UnreadError)])
+    raise_all([fault for fault in _faults(diagram) if not isinstance(fault, UnreadError)])
 
 
 def unread(diagram: Diagram) -> list[str]:
-    """Equations of the blocks' docstrings that cannot be read, each with file and line."""
+    """Equations of the blocks' docstrings that are held to nothing, each with file and line."""
+    return [fault.text for fault in _faults(diagram) if isinstance(fault, UnreadError)]
+
+
+def _faults(diagram: Diagram) -> list[DmframeError]:
+    """What is wrong with the docstrings, of block types and of the blocks with the values of this diagram."""
     kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
-    return [fault.text for kind in kinds for fault in check_docstring(kind) if isinstance(fault, UnreadError)]
+    found = [fault for kind in kinds for fault in check_docstring(kind)]
+    if any(not isinstance(fault, UnreadError) for fault in found):
+        return found
+    stated = {kind: list(equations_of(kind)) for kind in kinds}
+    if not any(stated.values()):
+        return found
+    here = list[DmframeError]()
+    for read in read_blocks(diagram).values():
+        equations = stated[type(read.model.block)]
+        if equations:
+            here += _with_these_values(read, equations)
+    known = {fault.text for fault in found}
+    return found + [fault for fault in here if fault.text not in known]
+
+
+def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator[DmframeError]:
+    """What the docstring says that the block with its values does not compute.
+
+    A type that stands alone has been held to it with one option after another. With options together it may have a law
+    that no equation states: that is told, and is no fault of what is stated.
+    """
+    block = read.model.block
+    checker = _Checker(equations)
+    checker.hold(read, plain=True)
+    file, _ = source_of(type(block))
+    alone = [_options(other.model.block) for other, _ in variants(type(block))]
+    if not alone:
+        yield from (kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
+        return
+    fault = BlockError if _options(block) in alone else UnreadError
+    for item in checker.late:
+        text = f"{shown(item.left)}: no equation for it is what {read.name} computes with the values of this diagram"
+        yield fault(f"{file}:{item.line}: {text}")
+
+
+def _options(block: AbstractBlock) -> dict[str, Any]:
+    """The values of a block's options, and which parameters it has."""
+    known = specs(type(block))
+    held = {name: getattr(block, name) for name in type(block).model_fields}
+    return {name: value is not None if name in known else value for name, value in held.items()}
 
 
 @functools.lru_cache(maxsize=256)
 def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     equations = list(equations_of(block))
-    if not any(item.displayed for item in equations):
+    if not equations:
         return ()
     checker = _Checker(equations)
     for read, plain in variants(block):
@@ -113,6 +158,8 @@ class _Point:
             return None
 
 
+_TURNS: Final = re.compile(r"max|min|sgn|clip|[<>]")
+"""What switches in LaTeX that can be read."""
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
 
@@ -134,12 +181,19 @@ def undotted(name: Symbol) -> Symbol | None:
     return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
 
 
-def _point(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> _Point:
-    """All that a docstring of this block may name; a matrix that it inverts is symmetric and positive definite."""
+def _values(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
+    """One point; a matrix that the docstring inverts is symmetric and positive definite."""
     values = read.reading.values(read.signs, seed)
+    values |= {name: number.full() for name, number in read.reading.constants.items()}
     for name, value in values.items():
         if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
-            values[name] = np.asarray(value) @ np.asarray(value).T + np.eye(value.shape[0])
+            most = max(1.0, float(np.max(np.abs(value))) ** 2)
+            values[name] = np.asarray(value) @ np.asarray(value).T + most * np.eye(value.shape[0])
+    return values
+
+
+def _point(read: ReadBlock, values: Mapping[str, Any]) -> _Point:
+    """All that a docstring of this block may name."""
     names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
@@ -189,12 +243,20 @@ class _Verdict(Enum):
     SKIPPED = "is about something else"
 
 
+_BAD: Final = (_Verdict.DIFFERS, _Verdict.UNREADABLE)
+
+
 @final
 class _Trial:
     """A docstring's equations with some options of the block, at one point."""
 
-    def __init__(self, point: _Point, equations: Sequence[Stated]) -> None:
-        self.point, self.used = point, set[Symbol]()
+    def __init__(
+        self, read: ReadBlock, values: Mapping[str, Any], equations: Sequence[Stated], *, is_near: bool = False
+    ) -> None:
+        self._is_near = is_near
+        self.point, self.used = _point(read, values), set[Symbol]()
+        self._read, self._values, self._equations = read, values, equations
+        self.compared = (np.zeros(0), np.zeros(0))
         self._open = dict[Symbol, Stated]()
         self._known = dict[Symbol, Numbers]()
         for item in equations:
@@ -235,11 +297,22 @@ class _Trial:
         """What an equation is, and the sentence about it."""
         try:
             with np.errstate(all="ignore"):  # what is not finite is compared, not warned of
-                return self._verdict(item)
+                self.compared = (np.zeros(0), np.zeros(0))
+                found = self._verdict(item)
+                differ = found[0] is _Verdict.DIFFERS and self.compared[0].size
+                doubted = differ and not (self._is_near and differs_near(*self.compared))
+                return (_Verdict.HOLDS, "") if doubted and is_rounding(*self.compared, self._near(item)) else found
         except UnreadableLatexError as error:
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {error}"
         except Exception as error:  # an author may write anything; it is no fault of the code
             return _Verdict.UNREADABLE, f"{item.source}: it cannot be read: {type(error).__name__}: {error}"
+
+    def _near(self, item: Stated) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """What is compared, at points that differ in their last digits."""
+        for values in jittered(self._values):
+            trial = _Trial(self._read, values, self._equations)
+            trial._verdict(item)
+            yield trial.compared
 
     def _verdict(self, item: Stated) -> tuple[_Verdict, str]:
         left = name_in(item.left)
@@ -279,6 +352,7 @@ class _Trial:
         value = self._value(words)
         if value.shape == (1, 1) != computed.shape:
             value = np.full(computed.shape, value[0, 0])
+        self.compared = computed, value
         text = f"{shown}: the docstring's law is not what the equations compute"
         if shown in ("S", r"\dot{S}"):
             text = f"{shown}: the docstring's law is not what the certificate claims"
@@ -294,20 +368,29 @@ class _Checker:
         self._told = dict[Stated, tuple[_Verdict, str]]()
         self._fine, self._used = set[Stated](), set[str]()
         self._late = dict[str, Stated]()
+        self.late = list[Stated]()
+        self._meant = set[str]()
         self.tried = 0
+        self._turns = any(_TURNS.search("".join(item.right)) for item in equations)
 
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; returns whether nothing is left to be shown."""
-        trials = [_Trial(_point(read, seed, self._equations), self._equations) for seed in range(POINTS)]
+        seeds = range(ALL_SIZES) if self._turns or read.turns else FEW
+        points = [_values(read, seed, self._equations) for seed in seeds]
+        trials = [
+            _Trial(read, item, self._equations, is_near=seed < NEAR) for seed, item in zip(seeds, points, strict=True)
+        ]
         fine = set[Stated]()
         for item in self._equations:
-            found = [trial.verdict(item) for trial in trials]
-            worst = next((one for one in found if one[0] in (_Verdict.DIFFERS, _Verdict.UNREADABLE)), found[0])
+            found = (trial.verdict(item) for trial in trials)
+            first = next(found)
+            worst = next((one for one in chain([first], found) if one[0] in _BAD), first)
             if worst[0] in (_Verdict.HOLDS, _Verdict.DEFINES, _Verdict.SKIPPED):
                 fine.add(item)
             if item not in self._told or (self._told[item][0] is not _Verdict.DIFFERS and worst[0] is _Verdict.DIFFERS):
                 self._told[item] = worst
         self._used |= {said(name) for trial in trials for name in trial.used}
+        self._meant |= {shown(item.left) for item in self._equations if trials[0].is_computed(item)}
         if plain:
             self._late = self._not_yet(fine, trials[0])
         self._fine |= fine
@@ -322,16 +405,19 @@ class _Checker:
         """Left sides of which no equation holds for the defaults, each with the first of them."""
         sides = dict[str, list[Stated]]()
         for item in self._equations:
-            if item.displayed and trial.is_computed(item):
+            if trial.is_computed(item):
                 sides.setdefault(shown(item.left), []).append(item)
-        return {left: items[0] for left, items in sides.items() if not any(item in fine for item in items)}
+        bad = [items for items in sides.values() if not any(item in fine for item in items)]
+        self.late = [items[0] for items in bad if all(self._told[item][0] is _Verdict.DIFFERS for item in items)]
+        return {shown(items[0].left): items[0] for items in bad if any(item.displayed for item in items)}
 
     def faults(self) -> Iterator[tuple[int, str, type[DmframeError]]]:
         """Lines and what is wrong there."""
+        held = {shown(item.left) for item in self._fine}
         for item in self._equations:
             verdict, text = self._told[item]
             if item not in self._fine:
-                if item.displayed or verdict is _Verdict.DIFFERS:
+                if item.displayed or verdict is _Verdict.DIFFERS or shown(item.left) in self._meant - held:
                     yield item.line, text, UnreadError if verdict is _Verdict.UNREADABLE else BlockError
             elif verdict is _Verdict.DEFINES and text not in self._used:
                 text = f"{text}: the block has nothing of this name, and no other equation uses it"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from typing import Any, Final, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -11,6 +13,7 @@ import numpy as np
 from dmframe.certificate import Certificate
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.model import BlockModel, symbols_in
+from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
@@ -18,14 +21,12 @@ from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
+from dmframe.formula.points import MOST, NEAR, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
 from dmframe.formula.read import UnreadableError, read
-from dmframe.formula.reading import Reading, Signs, differs, place_of
+from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
 from dmframe.formula.tree import SCALAR, Name, Node, Unprinted
 from dmframe.naming import as_mx, expression_of
-
-POINTS: Final = 2
-"""Random points at which what prints is compared with what runs."""
 
 
 def printed(diagram: Diagram, name: str) -> PrintedLaw:
@@ -39,14 +40,21 @@ def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
 
 
 def read_blocks(diagram: Diagram) -> dict[str, ReadBlock]:
-    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`."""
+    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`. They are read once for a diagram."""
+    kept = _READ.get(diagram.resolver)
+    if kept is not None and kept[0] is diagram.models and kept[1] is diagram.sources:
+        return kept[2]
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
         block.compare()
+    _READ[diagram.resolver] = diagram.models, diagram.sources, blocks
     return blocks
+
+
+_READ: Final = WeakKeyDictionary[Resolver, tuple[Any, Any, dict[str, "ReadBlock"]]]()
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:
@@ -117,6 +125,7 @@ class ReadBlock:
         self.reading = Reading(model.name, model, truths, functions, zero)
         self.certificate, self.scalars, self.claimed = Certificate(), Certificate(), list[str]()
         self.elements, self.names = Elements({}), dict[Node, Name]()
+        self._points = dict[int, dict[str, Any]]()
         try:
             self._read(ca.MX)
         except (DmframeError, KeyboardInterrupt):
@@ -168,8 +177,13 @@ class ReadBlock:
         stated = self.reading.certificate(signs, self.claimed)
         return stated if stated is not None else Certificate()
 
-    def compare(self) -> None:
-        """Hold what was read to what runs. Raises `BlockError`."""
+    @cached_property
+    def turns(self) -> bool:
+        """Does what runs hold a switch?"""
+        return self.reading.of_running().turns() is not None
+
+    def compare(self, *, near: bool = False) -> None:
+        """Hold what was read to what runs; with `near` at the first points alone. Raises `BlockError`."""
         reading, signs = self.reading, self.signs
         names = [f"the output {name}" for name in self.model.equations.outputs]
         names += [f"the rate of {name}" for name in self.model.equations.rates]
@@ -196,12 +210,39 @@ class ReadBlock:
             first = reading.of_signs(signs, [signs.naming.definitions[name][1] for name in given])
             second = reading.of_signs(signs, [expression for _, expression in again])
             pairs.insert(0, ("equations", [f"{name}, named twice," for name in given], first, second))
-        for seed in range(POINTS):
-            values = reading.values(signs, seed)
-            for method, labels, first, second in pairs:
-                for label, one, two in zip(labels, first.at(values), second.at(values), strict=True):
-                    if differs(one, two):
-                        raise self._fault(method, label)
+        self._points.clear()
+        for method, labels, first, second in pairs:
+            self._compared(method, labels, first, second, near=near)
+
+    def _compared(self, method: str, labels: Sequence[str], first: Evaluated, second: Evaluated, *, near: bool) -> None:
+        """Hold expressions to others: exactly, else at points on both sides of each switch. Raises `BlockError`."""
+        both = None if near else self.reading.exactly(first, second)
+        known = [False] * len(labels)
+        if both is not None:
+            known = equal(both[0].expressions, both[1].expressions)
+            first, second = both[0].only(known), both[1].only(known)
+        if all(known):
+            return
+        turns = [] if near else [found for side in (first, second) if (found := side.turns()) is not None]
+        open_labels = [label for label, done in zip(labels, known, strict=True) if not done]
+        sides = [Sides() for _ in turns]
+        for seed in range(MOST):
+            values = self._values(seed)
+            numbers = first.at(values), second.at(values)
+            for place, (label, one, two) in enumerate(zip(open_labels, *numbers, strict=True)):
+                moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
+                if differs(one, two) and not is_rounding(one, two, moved):
+                    raise self._fault(method, label)
+            for side, found in zip(sides, turns, strict=True):
+                side.see(found.at(values)[0])
+            if seed + 1 >= (NEAR if near else POINTS) and all(side.complete for side in sides):
+                return
+        raise self._unseen(method, open_labels)
+
+    def _values(self, seed: int) -> dict[str, Any]:
+        if seed not in self._points:
+            self._points[seed] = self.reading.values(self.signs, seed)
+        return self._points[seed]
 
     def hold(self, proved: Certificate, seen: View, loop: ClosedLoop) -> None:
         """Hold the certificate that prints to the one that is proved, which sees the whole closed loop.
@@ -223,13 +264,32 @@ class ReadBlock:
         both = loop.joined([*expected, *found])
         functions = self.reading.functions
         constants, values = (ca.SX(0, 1), ca.DM(0, 1)) if functions is None else (functions.constants, functions.values)
+        ones, others = both[: len(mine)], both[len(mine) :]
+        done = equal(ones, others)
+        if all(done):
+            return
         known = symbols_in([constants])  # with others a robot's rotations would be none, and M(q) not one matrix
         leaves = [leaf for leaf in ca.symvar(ca.veccat(*both)) if leaf.element_hash() not in known]
-        function = ca.Function("proved", [ca.veccat(*leaves), constants], both)
-        numbers = function.call([np.random.default_rng(POINTS).uniform(0.5, 1.5, len(leaves)), values])
-        for label, one, two in zip(labels, numbers, numbers[len(mine) :], strict=False):
-            if differs(one.full(), two.full()):
-                raise self._fault("certificate", label)
+        left = [item for side in (ones, others) for item, shown in zip(side, done, strict=True) if not shown]
+        open_labels = [label for label, shown in zip(labels, done, strict=True) if not shown]
+        turns, sides = ca.veccat(ca.SX(0, 1), *switching(left)), Sides()
+        function = ca.Function("proved", [ca.veccat(*leaves), constants], [*left, turns])
+        positive = symbols_in([loop.p])
+        above = np.array([leaf.element_hash() in positive for leaf in leaves], dtype=bool)
+        for seed in range(MOST):
+            draw = Draw(seed)
+            point = np.where(above, draw.numbers(len(leaves), positive=True), draw.numbers(len(leaves), positive=False))
+            *numbers, turned = (item.full() for item in function.call([point, values]))
+            for place, label in enumerate(open_labels):
+                one, two = numbers[place], numbers[place + len(open_labels)]
+                near = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
+                moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in near)
+                if differs(one, two) and not is_rounding(one, two, moved):
+                    raise self._fault("certificate", label)
+            sides.see(turned)
+            if seed + 1 >= POINTS and sides.complete:
+                return
+        raise self._unseen("certificate", open_labels)
 
     def _labelled(self, one: Certificate, other: Certificate) -> tuple[list[str], list[Any]]:
         """The labels and the expressions of a certificate. Raises `BlockError` where another has other terms."""
@@ -241,6 +301,15 @@ class ReadBlock:
     def _fault(self, method: str, label: str) -> BlockError:
         where = place_of(self.type, method)
         text = f"{where}: {label} is not the same when {method}() is called again; what prints would not be what runs"
+        return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
+
+    def _unseen(self, method: str, labels: Sequence[str]) -> BlockError:
+        where = place_of(self.type, method)
+        text = (
+            f"{where}: {', '.join(dict.fromkeys(labels))}: a switch, such as a min or a comparison, takes one side at "
+            f"all of {MOST} points, so that nobody knows whether what prints is what runs on the other side; expected "
+            f"one that turns at sizes from 1e-3 to 1e3"
+        )
         return BlockError(f"{self.name}: {text}", path=("blocks", self.name))
 
     def law(self) -> PrintedLaw:

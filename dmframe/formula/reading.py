@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -18,10 +19,9 @@ from dmframe.certificate import Certificate, Consumed
 from dmframe.diagram.model import BlockModel
 from dmframe.diagram.symmetric import full_gains, lower_triangle
 from dmframe.errors import BlockError
+from dmframe.formula.points import Draw, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
 from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
-
-_CLOSE: Final = 1e-7
 
 
 @final
@@ -139,18 +139,18 @@ class Reading:
         return _as_kind(stated, signs.as_kind) if isinstance(stated, Certificate) else None
 
     def values(self, signs: Signs, seed: int) -> dict[str, Any]:
-        """Random numbers for the names of a reading as MX; parameters are above zero, the robot's numbers its own."""
-        rng, positive = np.random.default_rng(seed), {*self.model.parameters, *self.model.starts}
+        """Random numbers for the names of a reading (see `Draw`); parameters are above zero, the robot's its own."""
+        draw, positive = Draw(seed), {*self.model.parameters, *self.model.starts}
         found = dict[str, Any]()
         for name, symbol in signs.names.items():
             bare = name.replace(START, "_0").removesuffix(GIVEN)
-            found[name] = rng.uniform(0.5 if bare in positive else -1.0, 1.5 if bare in positive else 1.0, symbol.shape)
+            found[name] = draw.numbers(symbol.shape, positive=bare in positive)
         for name in full_gains(self.model.block, self.model.parameters):
             there = ca.DM(self.model.parameters[name].sparsity(), 1).full()
-            found[name] = there * (found[name] + found[name].T) / 2 + there.shape[0] * np.eye(there.shape[0])
+            most = there.shape[0] * max(draw.size, float(np.max(found[name])) / 2)
+            found[name] = there * (found[name] + found[name].T) / 2 + most * np.eye(there.shape[0])
         if signs.robot is not None and self.functions is not None:
-            found |= {CONSTANTS[name]: self.functions.value(name).full() for name in CONSTANTS}
-            found[_CONSTANTS] = self.functions.values.full()
+            found |= _numbers_of(self.functions)
         return found
 
     def of_signs(self, signs: Signs, expressions: Sequence[Expression]) -> Evaluated:
@@ -168,6 +168,24 @@ class Reading:
         equations = self.model.equations
         gains = full_gains(self.model.block, self.model.parameters)
         return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero, gains)
+
+    def exactly(self, first: Evaluated, second: Evaluated) -> tuple[Evaluated, Evaluated] | None:
+        """Both in the same SX symbols; None for a block on a robot, whose dynamics hold for true rotations alone."""
+        if self.functions is not None and self.model.robot is not None:
+            return None
+        gains = full_gains(self.model.block, self.model.parameters)
+        shared = dict[str, Any]()
+        for evaluated in (first, second):
+            for name, symbol in evaluated.symbols.items():
+                if name not in shared:
+                    own = name in gains
+                    shared[name] = self.model.parameters[name] if own else ca.SX.sym(name, *symbol.shape)
+        try:
+            both = first.of(shared), second.of(shared)
+        except RuntimeError:  # a function that has no scalars
+            return None
+        one, other = (Evaluated(shared, side, self.zero, [name for name in gains if name in shared]) for side in both)
+        return one, other
 
     def called(self, parameter: str) -> str:
         """How a parameter prints: by another name where an output of its name is something else, of another shape."""
@@ -194,7 +212,7 @@ class Evaluated:
         zero: Collection[str] = (),
         gains: Collection[str] = (),
     ) -> None:
-        self._symbols, self._zero = symbols, zero
+        self.symbols, self.zero, self.gains, self.expressions = symbols, zero, gains, expressions
         self._lower = {name: lower_triangle(symbols[name]) for name in gains}
         options = {"allow_duplicate_io_names": True}
         inputs = [self._lower[name][0] if name in self._lower else symbol for name, symbol in symbols.items()]
@@ -206,12 +224,38 @@ class Evaluated:
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""
-        given = [ca.DM(*s.shape) if name in self._zero else ca.DM(values[name]) for name, s in self._symbols.items()]
-        for place, name in enumerate(self._symbols):
+        given = [ca.DM(*s.shape) if name in self.zero else values[name] for name, s in self.symbols.items()]
+        for place, name in enumerate(self.symbols):
             if name in self._lower:
                 _, rows, columns = self._lower[name]
-                given[place] = ca.DM(np.asarray(values[name])[rows, columns])
+                given[place] = np.asarray(values[name])[rows, columns]
         return [value.full() for value in self._function.call(given)]
+
+    def of(self, symbols: Mapping[str, Any]) -> list[Any]:
+        """The same expressions in other symbols, SX."""
+        given = [ca.SX(*s.shape) if name in self.zero else symbols[name] for name, s in self.symbols.items()]
+        for place, name in enumerate(self.symbols):
+            if name in self._lower:
+                given[place] = lower_triangle(symbols[name])[0]
+        return list(self._function.call(given))
+
+    def only(self, done: Sequence[bool]) -> Evaluated:
+        """Without the expressions that are done."""
+        left = [item for item, shown in zip(self.expressions, done, strict=True) if not shown]
+        return self if len(left) == len(self.expressions) else Evaluated(self.symbols, left, self.zero, self.gains)
+
+    def turns(self) -> Evaluated | None:
+        """What the switches of the expressions turn at; None where there are none, or none that can be seen, in MX."""
+        if not all(isinstance(item, ca.SX | ca.DM) for item in (*self.symbols.values(), *self.expressions)):
+            return None
+        found = switching(self.expressions)
+        return Evaluated(self.symbols, [ca.vertcat(*found)], self.zero, self.gains) if found else None
+
+
+@functools.lru_cache(maxsize=8)
+def _numbers_of(functions: RobotFunctions) -> dict[str, np.ndarray]:
+    """The numbers of a robot, by how they print, and all of them."""
+    return {CONSTANTS[name]: functions.value(name).full() for name in CONSTANTS} | {_CONSTANTS: functions.values.full()}
 
 
 START: Final = "(0)"
@@ -220,17 +264,6 @@ GIVEN: Final = "_given"
 """What a parameter's name ends with where its output is another thing: the points of a path, and the path."""
 _CONSTANTS: Final = "constants of the robot"
 _KINDS: Final = {"inputs": "an input", "states": "a state", "parameters": "a parameter", "truths": "a truth"}
-
-
-def differs(first: np.ndarray, second: np.ndarray) -> bool:
-    """Do numbers differ by more than rounding? What is not finite must not be so on both sides."""
-    if first.shape != second.shape:
-        return True
-    finite = np.isfinite(first)
-    if np.any(finite != np.isfinite(second)):
-        return True
-    scale = 1.0 + float(np.max(np.abs(first[finite]), initial=0.0))
-    return bool(np.any(np.abs(first - second)[finite] > _CLOSE * scale))
 
 
 def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -> Certificate:

@@ -14,8 +14,8 @@ from typing import Final, final
 from dmframe.block import AbstractBlock
 from dmframe.formula.latex import tokens
 
-_DISPLAYED: Final = re.compile(r"^([ \t]*)\.\. math::[ \t]*(.*)$")
-_INLINE: Final = re.compile(r":math:`([^`]*)`", re.DOTALL)
+_DISPLAYED: Final = re.compile(r"^([ \t]*)\.\.[ \t]+math[ \t]*::[ \t]*(.*)$", re.IGNORECASE)
+_INLINE: Final = re.compile(r":math:`([^`]*)`", re.DOTALL | re.IGNORECASE)
 _TAG: Final = re.compile(r"\\tag\{[^}]*\}")
 
 

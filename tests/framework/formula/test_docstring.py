@@ -10,7 +10,7 @@ import pytest
 
 from dmframe.catalogue import block_types
 from dmframe.errors import BlockError
-from dmframe.formula.docstring import check_docstring, check_docstrings
+from dmframe.formula.docstring import check_docstring, check_docstrings, unread
 from dmframe.formula.laws import laws_of
 
 LAW = r"""
@@ -194,4 +194,62 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
     diagram = Diagram.build({"spring": find_block("spring.py:Spring", tmp_path)()})
     assert laws_of(diagram)["spring"].rates[0].whole.text == "dq/dt = -2 q"
     with pytest.raises(BlockError, match=r"spring\.py:7: \\dot\{q\}: the docstring's law is not what the equations"):
+        check_docstrings(diagram)
+
+
+LIAR = '''
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Side, State
+
+
+@final
+class Liar(AbstractBlock):
+    r"""A state.
+
+    DOC
+    """
+
+    side: ClassVar = Side.PLANT
+    states: ClassVar = (State("x", ""),)
+    k: Scalar = Positive()
+    FIELD
+
+    def equations(self, u, x, p):
+        CODE
+'''
+
+DISPLAYED = ".. math::\n\n        \\dot x = "
+
+
+@pytest.mark.parametrize(
+    ("doc", "field", "code"),
+    [
+        (DISPLAYED + r"-k x + 3 \max(x - 2, 0)", "", "return Equations(rates={'x': -p.k * x.x})"),
+        (DISPLAYED + r"-k x", "", "return Equations(rates={'x': -p.k * x.x * ca.fmin(1, ca.fmax(9 - x.x, 0.5))})"),
+        (r"With :math:`\dot x = -2 x` it falls.", "", "return Equations(rates={'x': -x.x})"),
+        (DISPLAYED.replace("math", "Math") + "-2 x", "", "return Equations(rates={'x': -x.x})"),
+        (DISPLAYED + "-7 x", "label: str = None", "return Equations(rates={'x': -x.x if self.label else -7 * x.x})"),
+        (DISPLAYED + "-7 x", "label: str", "return Equations(rates={'x': -x.x})"),
+        (DISPLAYED + "-9 x", "", "return Equations(rates={'x': -x.x / (self.k > 1.5)})"),
+        (DISPLAYED + "-k x", "", "return Equations(rates={'x': -(5 if self.k > 1.5 else 1) * p.k * x.x})"),
+    ],
+    ids=["far", "code", "inline", "capital", "option", "required", "raises", "value"],
+)
+def test_a_docstring_is_held_to_the_block_of_the_graph_and_far_away(tmp_path, doc, field, code):
+    from dmframe.catalogue import find_block
+    from dmframe.diagram import Diagram
+
+    path = tmp_path / "liar.py"
+    path.write_text(LIAR.replace("DOC", doc).replace("FIELD", field).replace("CODE", code))
+    values = {"label": "hi"} if field else {}
+    diagram = Diagram.build({"liar": find_block("liar.py:Liar", tmp_path)(k=2.0, **values)})
+    if "None" in field:  # an option that no variant has: what is stated for the defaults is not held with it
+        assert any("no equation for it is what liar computes" in text for text in unread(diagram))
+        return
+    with pytest.raises(BlockError, match=r"liar\.py:\d+: \\dot"):
         check_docstrings(diagram)

@@ -272,3 +272,35 @@ def test_a_name_that_cannot_stand_is_refused_with_file_and_line(give, said):
     with pytest.raises(BlockError, match=said) as caught:
         printed(spring(give), "spring")
     assert "test_laws.py:" in caught.value.text
+
+
+@final
+class Far(AbstractBlock):
+    """Prints one law, and runs another where x is large."""
+
+    side: ClassVar = Side.PLANT
+    states: ClassVar = (State("x", ""),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        r = 1 if isinstance(x.x, ca.MX) else ca.fmax(0, ca.fmin(1, 2 - x.x * x.x / 25))
+        return Equations(rates={"x": -x.x * r})
+
+
+@final
+class FarTwice(AbstractBlock):
+    """Gives one name to two things that are the same where x is small."""
+
+    states: ClassVar = (State("x", ""),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(rates={"x": -x.x})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        r = ca.fmax(0, ca.fmin(1, 2 - x.x * x.x / 25))
+        return Certificate(storage=(Square(named("s", x.x)),), dissipation=(Square(named("s", x.x * r)),))
+
+
+@pytest.mark.parametrize("block", [Far(), FarTwice()])
+def test_a_difference_that_lives_far_away_is_seen(block):
+    with pytest.raises(BlockError, match="is not the same when"):
+        laws_of(Diagram.build({"far": block}))

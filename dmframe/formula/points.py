@@ -1,0 +1,201 @@
+"""Where two laws are compared: exactly where that goes, else at points of all sizes, on both sides of every switch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.errors import ValueFault
+from dmframe.exact import zero_test
+
+POINTS: Final = 6
+"""Points at which all is compared that is not shown to be equal exactly."""
+FEW: Final = (0, 2, 3)
+"""The points for a docstring where nothing switches."""
+MOST: Final = 100
+"""Points that are drawn where a switch has taken one side only."""
+ALL_SIZES: Final = 16
+"""Points after which every power of ten of `_POWERS` has been taken, with both signs."""
+
+NEAR: Final = 2
+"""The first points: states in (-1, 1), parameters in (0.5, 1.5)."""
+_POWERS: Final = (2, -2, 3, 1, -1, -3, 0)
+
+_VANISHING: Final = (0.0, 0.0, 0.5, 1.0)
+"""How likely a signal is zero at a point beyond `ALL_SIZES`."""
+_CLOSE: Final = 1e-7
+_ROUNDED: Final = 1e-11
+"""What rounding may leave of the largest element in one that should vanish; of 1 where all are smaller."""
+_JITTERS: Final = 3
+_JITTER: Final = 1e-14
+"""How far numbers are moved, relative to their size, to see whether a difference is rounding."""
+_SPREADS: Final = 10
+"""How many times what both sides move then rounding may leave."""
+_TINY: Final = 1e-300
+
+_EQUALITY: Final = frozenset((ca.OP_EQ, ca.OP_NE))
+_DIFFERENCE: Final = frozenset((ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)) | _EQUALITY
+_ARGUMENT: Final = frozenset((ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER))
+_LAST: Final = frozenset((ca.OP_COPYSIGN,))
+_SWITCHES: Final = _DIFFERENCE | _ARGUMENT | _LAST
+_UNARY: Final = 1
+
+
+@final
+class Draw:
+    """The numbers of one point: elements of one size, each with a factor of its own.
+
+    Points come in pairs that differ in the signs of all that may be negative: what switches in one state, at whatever
+    threshold of these sizes, is seen on both sides. Beyond `ALL_SIZES` each element has a size of its own, and at some
+    points signals are zero: a law may treat an error differently that is none.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._near = seed < NEAR
+        pair = (seed - NEAR) // 2
+        self._rng = np.random.default_rng(seed if self._near else NEAR + pair)
+        self._turn = -1.0 if seed % 2 else 1.0
+        self.size = 10.0 ** _POWERS[pair] if 0 <= pair < len(_POWERS) else 1.0
+        self._mixed = seed >= ALL_SIZES
+        self._zero = _VANISHING[seed % len(_VANISHING)] if self._mixed else 0.0
+
+    def numbers(self, shape: Any, *, positive: bool) -> Any:
+        """The next numbers, an array of this shape."""
+        if self._near:
+            return self._rng.uniform(0.5 if positive else -1.0, 1.5 if positive else 1.0, shape)
+        found = self.size * self._rng.uniform(0.5, 1.5, shape)
+        if self._mixed:
+            found = found * 10.0 ** self._rng.uniform(-3.0, 3.0, shape)
+        if positive:
+            return found
+        there = self._rng.uniform() >= self._zero
+        return self._turn * self._rng.choice((-1.0, 1.0), shape) * found * there
+
+
+def differs(first: np.ndarray, second: np.ndarray) -> bool:
+    """Do numbers differ by more than rounding? What is not finite must not be so on both sides.
+
+    Each element is held to its own size: a large one beside it lends it no more than what rounding may leave.
+    """
+    if first.shape != second.shape:
+        return True
+    finite = np.isfinite(first)
+    if np.any(finite != np.isfinite(second)):
+        return True
+    one, other = np.abs(first[finite]), np.abs(second[finite])
+    allowed = _CLOSE * np.maximum(one, other) + _ROUNDED * np.max(np.maximum(one, other), initial=1.0)
+    return bool(np.any(np.abs(first - second)[finite] > allowed))
+
+
+def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
+    """Do numbers at one of the first points, where no terms are large, differ beyond all that rounding leaves there?"""
+    if first.shape != second.shape:
+        return True
+    largest = np.max(np.abs(first[np.isfinite(first)]), initial=0.0)
+    return bool(np.any(np.abs(np.nan_to_num(first - second)) > _CLOSE * (1.0 + largest)))
+
+
+def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Is a difference what rounding leaves of large terms that cancel?
+
+    `moved` are the same numbers with all on which they depend moved by `jittered`. Where terms are large, both move
+    then by more than rounding leaves of them; a difference beyond that is none of rounding, on whichever side it is.
+    """
+    finite = np.isfinite(first)
+    if first.shape != second.shape or np.any(finite != np.isfinite(second)):
+        return False
+    spreads = np.zeros((2, *first.shape))
+    for pair in moved:
+        for place, (there, here) in enumerate(zip(pair, (first, second), strict=True)):
+            spreads[place] = np.fmax(spreads[place], np.abs(np.nan_to_num(there - here)))
+    allowed = _CLOSE * np.maximum(np.abs(first), np.abs(second)) + _SPREADS * np.min(spreads, axis=0)
+    return bool(np.all(np.abs(first - second)[finite] <= allowed[finite]))
+
+
+def jittered(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """The same point again, its last digits changed."""
+    for seed in range(_JITTERS):
+        rng = np.random.default_rng(seed)
+        moved = {name: np.asarray(value, dtype=float) for name, value in values.items()}
+        yield {name: value * (1.0 + _JITTER * rng.uniform(-1.0, 1.0, np.shape(value))) for name, value in moved.items()}
+
+
+def equal(ones: Sequence[Any], others: Sequence[Any]) -> list[bool]:
+    """Which SX expressions are identically equal, shown in a prime field; False is no proof of a difference."""
+    differences = [
+        ca.vec(ca.densify(one - other)) if one.shape == other.shape else None
+        for one, other in zip(ones, others, strict=True)
+    ]
+    known = [item is not None and _is_zero(item) for item in differences]
+    left = [k for k, item in enumerate(differences) if item is not None and not known[k]]
+    if left and _vanish([differences[k] for k in left]):
+        return [item is not None for item in differences]
+    if len(left) > 1:
+        for k in left:
+            known[k] = _vanish([differences[k]])
+    return known
+
+
+def _is_zero(column: Any) -> bool:
+    return column.numel() == 0 or bool(column.is_zero())
+
+
+def _vanish(columns: Sequence[Any]) -> bool:
+    whole = ca.vertcat(*columns)
+    try:
+        return zero_test(ca.Function("difference", [ca.veccat(ca.SX(0, 1), *ca.symvar(whole))], [whole]), trials=1).zero
+    except ValueFault:  # a constant that is not finite, a denominator that is zero: it has no value to be compared
+        return False
+
+
+def switching(expressions: Sequence[Any]) -> list[Any]:
+    """What the switches in SX expressions turn at: each has been seen once its sign has been seen as + and as -."""
+    whole = ca.veccat(ca.SX(0, 1), *expressions)
+    symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(whole))
+    function = ca.Function("switching", [symbols], [whole])
+    codes = [function.instruction_id(k) for k in range(function.n_instructions())]
+    if _SWITCHES.isdisjoint(codes):
+        return []
+    found, register = list[Any](), dict[int, Any]()
+    inputs = symbols.nonzeros()
+    for k, code in enumerate(codes):
+        targets, arguments = function.instruction_output(k), function.instruction_input(k)
+        if code == ca.OP_INPUT:
+            register[targets[0]] = inputs[arguments[1]]
+        elif code == ca.OP_CONST:
+            register[targets[0]] = ca.SX(function.instruction_constant(k))
+        elif code == ca.OP_CALL:  # a function kept whole: what turns in it or by it is met by the points alone
+            register |= dict.fromkeys(targets)
+        elif code != ca.OP_OUTPUT:
+            values = [register[argument] for argument in arguments]
+            if any(value is None for value in values):
+                register[targets[0]] = None
+                continue
+            if code in _SWITCHES:
+                turns = values[0] - values[1] if code in _DIFFERENCE else values[-1 if code in _LAST else 0]
+                found.append(ca.fabs(turns) - _TINY if code in _EQUALITY else turns)
+            register[targets[0]] = ca.SX.unary(code, *values) if len(values) == _UNARY else ca.SX.binary(code, *values)
+    return [item for item in found if not item.is_constant()]
+
+
+@final
+class Sides:
+    """Which sides of their switches points have seen."""
+
+    def __init__(self) -> None:
+        self._plus: Any = None
+        self._minus: Any = None
+
+    def see(self, turns: np.ndarray) -> None:
+        """One point."""
+        plus, minus = turns > 0, turns < 0
+        self._plus = plus if self._plus is None else self._plus | plus
+        self._minus = minus if self._minus is None else self._minus | minus
+
+    @property
+    def complete(self) -> bool:
+        """Has every switch been on both sides?"""
+        return self._plus is None or bool(np.all(self._plus & self._minus))

@@ -1,0 +1,82 @@
+"""A source that states a signal and its derivative: held to each other, and one leaf."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.certify import verify
+from dmframe.diagram import Diagram
+from dmframe.errors import DerivativeError
+from dmframe.port import TIME, Port, Side, State
+
+
+@final
+class Both(AbstractBlock):
+    """A path and its derivative."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar = (TIME,)
+    outputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s", derivative_of="r"))
+    factor: int = 1
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"r": ca.sin(u.t) ** 2, "dr": self.factor * 2 * ca.cos(u.t) * ca.sin(u.t)})
+
+
+@final
+class Track(AbstractBlock):
+    """Follows."""
+
+    inputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s", derivative_of="r"))
+    states: ClassVar = (State("x", ""),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(rates={"x": u.dr - (x.x - u.r)})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(x.x - u.r),), dissipation=(Square(x.x - u.r),))
+
+
+@final
+class Two(AbstractBlock):
+    """A path, and another signal by the name of its derivative."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar = (TIME,)
+    outputs: ClassVar = (Port("r", ""), Port("dr", "", "1/s"))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"r": ca.sin(u.t), "dr": 2 + ca.cos(u.t)})
+
+
+@final
+class Reader(AbstractBlock):
+    """Reads both."""
+
+    inputs: ClassVar = (Port("r", ""), Port("rate", "", "1/s", derivative_of="r"), Port("dr", "", "1/s"))
+    states: ClassVar = (State("q", ""),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(rates={"q": u.dr - u.rate})
+
+
+def test_a_stated_derivative_is_the_derivative():
+    diagram = Diagram.build({"path": Both(), "track": Track()})
+    assert [leaf.name for leaf in diagram.loop.trajectories] == ["path.r", "path.dr"]
+    assert verify(diagram).outcome == "proved"
+
+
+def test_a_stated_derivative_that_is_another_signal_is_refused():
+    with pytest.raises(DerivativeError, match=r"path\.dr: expected the time derivative of path\.r"):
+        Diagram.build({"path": Both(factor=2), "track": Track()})
+
+
+def test_leaves_have_names_of_their_own():
+    diagram = Diagram.build({"path": Two(), "reader": Reader()})
+    names = [leaf.name for leaf in diagram.loop.trajectories]
+    assert sorted(names) == ["path.d(r)/dt", "path.dr", "path.r"]
