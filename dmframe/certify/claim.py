@@ -99,6 +99,8 @@ class Claim:
         The blocks with a certificate, in the order of the graph.
     kappa
         The weight of the servo level: a symbol, or 1 without a cascade.
+    notices
+        Equations of docstrings that are held to nothing.
     truths
         True values of estimates that certificates state, by block and name.
     """
@@ -109,6 +111,7 @@ class Claim:
     kappa: SX
     truths: Stated
     laws: Mapping[str, PrintedLaw]
+    notices: tuple[str, ...] = ()
 
     @property
     def cascaded(self) -> bool:
@@ -159,14 +162,16 @@ class Claim:
         return total(own) - self.consumption
 
 
-def _laws(diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated) -> Mapping[str, PrintedLaw]:
+def _laws(
+    diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated
+) -> tuple[Mapping[str, PrintedLaw], tuple[str, ...]]:
     """The printed laws; one that is not what runs, or not what is proved, is a claim that nobody can read."""
     try:
-        check_docstrings(diagram)
         blocks = read_blocks(diagram)
+        notices = check_docstrings(blocks)
         for name, certificate in certificates.items():
             blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop)
-        return {name: block.law() for name, block in blocks.items()}
+        return {name: block.law() for name, block in blocks.items()}, tuple(notices)
     except DmframeError as error:
         raise NotApplicableError(error.text) from None
 
@@ -184,7 +189,7 @@ def claim_of(diagram: Diagram) -> Claim:
     """
     stated, truths = _certificates(diagram)
     loop = diagram.loop
-    laws = _laws(diagram, stated, truths)
+    laws, notices = _laws(diagram, stated, truths)
     field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())
@@ -192,7 +197,7 @@ def claim_of(diagram: Diagram) -> Claim:
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths, laws)
+    return Claim(diagram, loop, parts, kappa, truths, laws, notices)
 
 
 @final

@@ -109,6 +109,9 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
 
 
 def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[str]:
+    asked = [(k, text) for node in tape.nodes for k, text in _asked(node) if values[k] not in listed]
+    if not asked:
+        return
     owners = [group.label for group in groups for _ in range(group.symbol.numel())]
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
     made, signs = list[frozenset[str]](), list[_Sign]()
@@ -116,10 +119,10 @@ def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed
         of = [made[k] for k in node.operands]
         made.append(frozenset().union(*of) if node.code != ca.OP_INPUT else frozenset({owners[node.a]}))
         signs.append(_sign(node, [signs[k] for k in node.operands]))
-        for k, text in _asked(node):
-            moving = sorted(made[k] - fixed)
-            if moving and signs[k] is not _Sign.ABOVE and values[k] not in listed:
-                yield text.format(f"something made of {', '.join(moving[:4])}")
+    for k, text in asked:
+        moving = sorted(made[k] - fixed)
+        if moving and signs[k] is not _Sign.ABOVE:
+            yield text.format(f"something made of {', '.join(moving[:4])}")
 
 
 def _asked(node: Any) -> Iterator[tuple[int, str]]:

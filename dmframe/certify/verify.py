@@ -28,7 +28,6 @@ from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval, as_float
-from dmframe.formula.docstring import unread
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
 
@@ -207,7 +206,7 @@ def _verified(
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
         bounds=tuple(bounds),
         uncertain=tuple(uncertain),
-        notices=tuple(unread(diagram)),
+        notices=claim.notices,
         build=clock.build,
         check=clock.check,
     )

@@ -21,11 +21,10 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
-from dmframe.diagram import Diagram
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
-from dmframe.formula.laws import ReadBlock, read_blocks
+from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
@@ -44,19 +43,19 @@ def check_docstring(block: type[AbstractBlock]) -> list[DmframeError]:
     return list(_checked(block))
 
 
-def check_docstrings(diagram: Diagram) -> None:
-    """Raise what the docstrings of a diagram's blocks say that their code does not compute."""
-    raise_all([fault for fault in _faults(diagram) if not isinstance(fault, UnreadError)])
+def check_docstrings(blocks: Mapping[str, ReadBlock]) -> list[str]:
+    """Raise what the docstrings of a diagram's blocks say that their code does not compute.
+
+    Returns the equations that are held to nothing, each with file and line.
+    """
+    found = _faults(blocks)
+    raise_all([fault for fault in found if not isinstance(fault, UnreadError)])
+    return [fault.text for fault in found]
 
 
-def unread(diagram: Diagram) -> list[str]:
-    """Equations of the blocks' docstrings that are held to nothing, each with file and line."""
-    return [fault.text for fault in _faults(diagram) if isinstance(fault, UnreadError)]
-
-
-def _faults(diagram: Diagram) -> list[DmframeError]:
+def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
     """What is wrong with the docstrings, of block types and of the blocks with the values of this diagram."""
-    kinds = dict.fromkeys(type(block) for block in diagram.blocks.values())
+    kinds = dict.fromkeys(type(read.model.block) for read in blocks.values())
     found = [fault for kind in kinds for fault in check_docstring(kind)]
     if any(not isinstance(fault, UnreadError) for fault in found):
         return found
@@ -64,7 +63,7 @@ def _faults(diagram: Diagram) -> list[DmframeError]:
     if not any(stated.values()):
         return found
     here = list[DmframeError]()
-    for read in read_blocks(diagram).values():
+    for read in blocks.values():
         equations = stated[type(read.model.block)]
         if equations:
             here += _with_these_values(read, equations)

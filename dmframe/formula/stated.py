@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -61,11 +62,17 @@ def equations_of(block: type[AbstractBlock]) -> Iterator[Stated]:
 def source_of(block: type[AbstractBlock]) -> tuple[str, int]:
     """The file of a block, and the line on which its docstring begins; 0 where the file cannot be read."""
     file = Path(inspect.unwrap(block.equations).__code__.co_filename)
+    return file.name, _lines(file).get(block.__name__, 0)
+
+
+@functools.lru_cache(maxsize=256)
+def _lines(file: Path) -> Mapping[str, int]:
+    """The classes of a file, with the lines of their docstrings; a module is loaded once, and so is its text."""
     try:
         classes = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.ClassDef)]
-    except (OSError, SyntaxError, UnicodeDecodeError):
-        return file.name, 0
-    return file.name, next((node.body[0].lineno for node in classes if node.name == block.__name__), 0)
+    except (OSError, SyntaxError, UnicodeDecodeError, ValueError):
+        return {}
+    return {node.name: node.body[0].lineno for node in reversed(classes)}
 
 
 def _rows(body: Sequence[tuple[int, str]]) -> Iterator[Stated]:

@@ -10,8 +10,8 @@ import pytest
 
 from dmframe.catalogue import block_types
 from dmframe.errors import BlockError
-from dmframe.formula.docstring import check_docstring, check_docstrings, unread
-from dmframe.formula.laws import laws_of
+from dmframe.formula.docstring import check_docstring, check_docstrings
+from dmframe.formula.laws import laws_of, read_blocks
 
 LAW = r"""
     With :math:`e = q - q_r`, :math:`\tilde w = w - 1/K_\star` and :math:`K_\star = K K_D`:
@@ -194,7 +194,7 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
     diagram = Diagram.build({"spring": find_block("spring.py:Spring", tmp_path)()})
     assert laws_of(diagram)["spring"].rates[0].whole.text == "dq/dt = -2 q"
     with pytest.raises(BlockError, match=r"spring\.py:7: \\dot\{q\}: the docstring's law is not what the equations"):
-        check_docstrings(diagram)
+        check_docstrings(read_blocks(diagram))
 
 
 LIAR = '''
@@ -249,7 +249,7 @@ def test_a_docstring_is_held_to_the_block_of_the_graph_and_far_away(tmp_path, do
     values = {"label": "hi"} if field else {}
     diagram = Diagram.build({"liar": find_block("liar.py:Liar", tmp_path)(k=2.0, **values)})
     if "None" in field:  # an option that no variant has: what is stated for the defaults is not held with it
-        assert any("no equation for it is what liar computes" in text for text in unread(diagram))
+        assert any("no equation for it is what liar computes" in text for text in check_docstrings(read_blocks(diagram)))
         return
     with pytest.raises(BlockError, match=r"liar\.py:\d+: \\dot"):
-        check_docstrings(diagram)
+        check_docstrings(read_blocks(diagram))
