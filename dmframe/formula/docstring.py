@@ -81,10 +81,12 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
     checker = _Checker(equations)
     checker.hold(read, plain=True)
     file, _ = source_of(type(block))
-    alone = [_options(other.model.block) for other, _ in variants(type(block))]
-    if not alone:
+    if next(variants(type(block)), None) is None:
         yield from (kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
         return
+    if not checker.late:  # to read the block with all its options takes long
+        return
+    alone = [_options(other.model.block) for other, _ in variants(type(block))]
     fault = BlockError if _options(block) in alone else UnreadError
     for item in checker.late:
         text = f"{shown(item.left)}: no equation for it is what {read.name} computes with the values of this diagram"
