@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any, Final, final
-from weakref import WeakKeyDictionary
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -13,7 +12,6 @@ import numpy as np
 from dmframe.certificate import Certificate
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.model import BlockModel, symbols_in
-from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError
@@ -40,21 +38,14 @@ def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
 
 
 def read_blocks(diagram: Diagram) -> dict[str, ReadBlock]:
-    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`. They are read once for a diagram."""
-    kept = _READ.get(diagram.resolver)
-    if kept is not None and kept[0] is diagram.models and kept[1] is diagram.sources:
-        return kept[2]
+    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`."""
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
         block.compare()
-    _READ[diagram.resolver] = diagram.models, diagram.sources, blocks
     return blocks
-
-
-_READ: Final = WeakKeyDictionary[Resolver, tuple[Any, Any, dict[str, "ReadBlock"]]]()
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:

@@ -249,7 +249,9 @@ def test_a_docstring_is_held_to_the_block_of_the_graph_and_far_away(tmp_path, do
     values = {"label": "hi"} if field else {}
     diagram = Diagram.build({"liar": find_block("liar.py:Liar", tmp_path)(k=2.0, **values)})
     if "None" in field:  # an option that no variant has: what is stated for the defaults is not held with it
-        assert any("no equation for it is what liar computes" in text for text in check_docstrings(read_blocks(diagram)))
+        assert any(
+            "no equation for it is what liar computes" in text for text in check_docstrings(read_blocks(diagram))
+        )
         return
     with pytest.raises(BlockError, match=r"liar\.py:\d+: \\dot"):
         check_docstrings(read_blocks(diagram))
