@@ -21,6 +21,7 @@ import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Certificate
+from dmframe.diagram.symmetric import full_gains
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
 from dmframe.formula.latex import evaluate, name_in, said, tokens
@@ -74,10 +75,12 @@ def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
 def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator[DmframeError]:
     """What the docstring says that the block with its values does not compute.
 
-    A type that stands alone has been held to it with one option after another. With options together it may have a law
-    that no equation states: that is told, and is no fault of what is stated.
+    A type that stands alone has been held to it with one option after another, and may have a law that no equation
+    states with one that is not its default. With several together that is told, and is no fault of what is stated.
     """
     block = read.model.block
+    if full_gains(block, read.model.parameters):  # a diagonal's law, element by element, says less than a matrix's
+        return
     checker = _Checker(equations)
     checker.hold(read, plain=True)
     file, _ = source_of(type(block))
@@ -86,8 +89,10 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
         return
     if not checker.late:  # to read the block with all its options takes long
         return
-    alone = [_options(other.model.block) for other, _ in variants(type(block))]
-    fault = BlockError if _options(block) in alone else UnreadError
+    known = [(_options(other.model.block), plain) for other, plain in variants(type(block))]
+    if (_options(block), False) in known:  # an option whose law the docstring leaves out
+        return
+    fault = BlockError if (_options(block), True) in known else UnreadError
     for item in checker.late:
         text = f"{shown(item.left)}: no equation for it is what {read.name} computes with the values of this diagram"
         yield fault(f"{file}:{item.line}: {text}")

@@ -151,6 +151,14 @@ def _vanish(columns: Sequence[Any]) -> bool:
         return False
 
 
+_FLOORS: Final = (ca.OP_FMAX, ca.OP_FMIN)
+
+
+def _is_tiny(value: Any) -> bool:
+    """Is it the floor under a root of squares, which no point can be on both sides of?"""
+    return bool(value.is_constant()) and 0 < abs(float(value)) < 1e-20
+
+
 def switching(expressions: Sequence[Any]) -> list[Any]:
     """What the switches in SX expressions turn at: each has been seen once its sign has been seen as + and as -."""
     whole = ca.veccat(ca.SX(0, 1), *expressions)
@@ -174,7 +182,7 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
             if any(value is None for value in values):
                 register[targets[0]] = None
                 continue
-            if code in _SWITCHES:
+            if code in _SWITCHES and not (code in _FLOORS and any(map(_is_tiny, values))):
                 turns = values[0] - values[1] if code in _DIFFERENCE else values[-1 if code in _LAST else 0]
                 found.append(ca.fabs(turns) - _TINY if code in _EQUALITY else turns)
             register[targets[0]] = ca.SX.unary(code, *values) if len(values) == _UNARY else ca.SX.binary(code, *values)
