@@ -69,7 +69,7 @@ def test_a_column_for_each_friction_is_enough_and_one_too_many_does_no_harm(over
 
 def test_the_condition_reads_as_one_where_it_holds() -> None:
     held = {item.name for item in proof("arm2_joint").conditions if item.name.startswith("model")}
-    assert held == {"model: the plant has no Coulomb friction: arm.coulomb is zero"}
+    assert held == {"model: the plant has no Coulomb friction: arm.coulomb is zero [-arm.coulomb^2 >= 0]"}
 
 
 def test_a_friction_that_may_be_there_is_blamed_too() -> None:

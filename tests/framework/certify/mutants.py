@@ -280,9 +280,8 @@ def unlabelled(stated: Mapping[str, Certificate], laws: Any) -> dict[str, Certif
 def nothing_printed() -> Iterator[None]:
     """Leave a fault to the exact test, before which the printed laws would tell of some; nor ask what follows."""
     with (
-        mock.patch("dmframe.certify.claim._laws", return_value={}),
+        mock.patch("dmframe.certify.claim._laws", return_value=({}, ())),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
-        mock.patch("dmframe.certify.verify.unread", return_value=[]),
         mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
         mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
     ):
