@@ -168,7 +168,7 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
     for (block, port), order in orders.items():
         name = f"{block}.{port}"
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
-            yield Assumption(f"{name} is constant", "Theorems 1, 2 and 4")
+            yield Assumption(f"{name} is constant", "it does not read the time")
             continue
         count = ORDERS[order] if order < len(ORDERS) else f"first {order} "
         rates = f" and its {count}derivative{'s' * (order > 1)}" if order else ""
