@@ -8,28 +8,23 @@ laws of several options: each has to hold for one, and each output and rate that
 from __future__ import annotations
 
 import functools
-import inspect
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import chain
 from typing import Any, Final, final
 
-import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock
-from dmframe.certificate import Certificate
-from dmframe.diagram.symmetric import full_gains
 from dmframe.errors import BlockError, DmframeError, raise_all
 from dmframe.formula.alone import variants
-from dmframe.formula.latex import evaluate, name_in, said, tokens
+from dmframe.formula.latex import evaluate, name_in, said
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
-from dmframe.formula.names import Symbol, latex_name, symbol
+from dmframe.formula.meanings import point_of, undotted, values_at
+from dmframe.formula.names import Symbol
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
-from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
 from dmframe.parameter import specs
 
@@ -66,10 +61,25 @@ def _faults(blocks: Mapping[str, ReadBlock]) -> list[DmframeError]:
     here = list[DmframeError]()
     for read in blocks.values():
         equations = stated[type(read.model.block)]
-        if equations:
-            here += _with_these_values(read, equations)
+        if equations and (seen := _seen(read)) not in _FINE:
+            told = list(_with_these_values(read, equations))
+            here += told
+            if not told:
+                _FINE.add(seen)
     known = {fault.text for fault in found}
     return found + [fault for fault in here if fault.text not in known]
+
+
+_FINE: Final = set[tuple[Any, ...]]()
+"""Blocks whose docstrings hold, so that a sweep or a second look at a graph does not read them again."""
+
+
+def _seen(read: ReadBlock) -> tuple[Any, ...]:
+    """A block with its values, and with the sizes and truths that a diagram gives it."""
+    model = read.model
+    symbols = (*model.inputs.items(), *model.states.items(), *model.parameters.items())
+    sizes = tuple((name, symbol.shape) for name, symbol in symbols)
+    return type(model.block), repr(model.block), sizes, read.reading.zero, tuple(read.claimed)
 
 
 def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator[DmframeError]:
@@ -79,8 +89,6 @@ def _with_these_values(read: ReadBlock, equations: Sequence[Stated]) -> Iterator
     states with one that is not its default. With several together that is told, and is no fault of what is stated.
     """
     block = read.model.block
-    if full_gains(block, read.model.parameters):  # a diagonal's law, element by element, says less than a matrix's
-        return
     checker = _Checker(equations)
     checker.hold(read, plain=True)
     file, _ = source_of(type(block))
@@ -120,115 +128,8 @@ def _checked(block: type[AbstractBlock]) -> tuple[DmframeError, ...]:
     return tuple(kind(f"{file}:{line}: {text}") for line, text, kind in checker.faults())
 
 
-@final
-@dataclass(frozen=True)
-class _Point:
-    """What the names of a docstring are at one random point, with some options of the block.
-
-    Parameters
-    ----------
-    names
-        All that may be named.
-    computed
-        What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
-    rates
-        Of states, and of S.
-    """
-
-    names: Mapping[Symbol, Numbers]
-    computed: Mapping[Symbol, Numbers]
-    rates: Mapping[Symbol, Numbers]
-    read: ReadBlock
-
-    def look(self, name: Symbol) -> Numbers | None:
-        """The numbers of a name, or of the rate that a dotted name is."""
-        for known in (self.computed, self.names):
-            if name in known:
-                return known[name]
-        bare = undotted(name)
-        return self.rates.get(bare) if bare is not None else None
-
-    def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
-        """A function of the robot, J(q)."""
-        robot, functions = self.read.signs.robot, self.read.reading.functions
-        methods = [method for method, sign in (*SIGNS.items(), *_PAPER) if symbol(sign) == name]
-        if robot is None or functions is None or not methods:
-            return None
-        parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
-        try:
-            function = functions.of_method(methods[0], tuple(parameters))
-            # inertial parameters come first in a_d, whatever else it holds
-            given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
-            return np.array(function(*given, functions.values).full())
-        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
-            return None
-
-
 _TURNS: Final = re.compile(r"max|min|sgn|clip|[<>]")
 """What switches in LaTeX that can be read."""
-_PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
-
-
-def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
-    """Does an equation hold ``name^{-1}``?"""
-    wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
-    return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
-
-
-def _bare(words: Sequence[str]) -> list[str]:
-    return [word for word in words if word not in "{}"]
-
-
-def undotted(name: Symbol) -> Symbol | None:
-    """The name whose rate this one is; None without a dot on top."""
-    last = name.accents[-1:]
-    if last == ("dot",):
-        return replace(name, accents=name.accents[:-1])
-    return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
-
-
-def _values(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
-    """One point; a matrix that the docstring inverts is symmetric and positive definite."""
-    values = read.reading.values(read.signs, seed)
-    values |= {name: number.full() for name, number in read.reading.constants.items()}
-    for name, value in values.items():
-        if np.ndim(value) == 2 and value.shape[0] == value.shape[1] > 1 and _is_inverted(name, equations):
-            most = max(1.0, float(np.max(np.abs(value))) ** 2)
-            values[name] = np.asarray(value) @ np.asarray(value).T + most * np.eye(value.shape[0])
-    return values
-
-
-def _point(read: ReadBlock, values: Mapping[str, Any]) -> _Point:
-    """All that a docstring of this block may name."""
-    names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
-    names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
-    definitions = read.signs.naming.definitions
-    defined = read.reading.of_signs(read.signs, [expression for _, expression in definitions.values()]).at(values)
-    outputs, rates = read.model.equations.outputs, read.model.equations.rates
-    run = read.reading.of_running().at(values)
-    computed = dict(zip(map(symbol, definitions), defined, strict=True))
-    computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
-    truths = read.certificate.truth
-    true = read.reading.of_signs(read.signs, list(truths.values())).at(values)
-    computed |= {symbol(name): value for name, value in zip(truths, true, strict=True)}
-    moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
-    stated = read.scalars
-    if stated.storage or stated.dissipation:
-        S, dS = read.reading.of_signs(read.scalar_signs, energies(stated)).at(values)
-        computed, moving = {Symbol("S"): S, **computed}, {Symbol("S"): dS, **moving}
-    return _Point(names, {key: value for key, value in computed.items() if key not in names}, moving, read)
-
-
-def energies(stated: Certificate) -> list[Any]:
-    """S, and what the certificate claims of its rate."""
-
-    def total(terms: Sequence[Any]) -> Any:
-        return sum((ca.SX(term.value) for term in terms), ca.SX(0))
-
-    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
-    if stated.consumes is not None:
-        claimed += stated.consumes.value
-    return [total(stated.storage) / 2, claimed]
 
 
 def _name_of(item: Stated) -> tuple[Symbol, bool] | None:
@@ -260,7 +161,7 @@ class _Trial:
         self, read: ReadBlock, values: Mapping[str, Any], equations: Sequence[Stated], *, is_near: bool = False
     ) -> None:
         self._is_near = is_near
-        self.point, self.used = _point(read, values), set[Symbol]()
+        self.point, self.used = point_of(read, values), set[Symbol]()
         self._read, self._values, self._equations = read, values, equations
         self.compared = (np.zeros(0), np.zeros(0))
         self._open = dict[Symbol, Stated]()
@@ -382,7 +283,7 @@ class _Checker:
     def hold(self, read: ReadBlock, *, plain: bool) -> bool:
         """Hold all equations to a block; returns whether nothing is left to be shown."""
         seeds = range(ALL_SIZES) if self._turns or read.turns else FEW
-        points = [_values(read, seed, self._equations) for seed in seeds]
+        points = [values_at(read, seed, self._equations) for seed in seeds]
         trials = [
             _Trial(read, item, self._equations, is_near=seed < NEAR) for seed, item in zip(seeds, points, strict=True)
         ]

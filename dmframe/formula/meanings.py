@@ -1,0 +1,133 @@
+"""What the names of a docstring mean: numbers of one point, given to the block or computed by it."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certificate import Certificate
+from dmframe.diagram.symmetric import full_gains
+from dmframe.formula.latex import tokens
+from dmframe.formula.laws import ReadBlock
+from dmframe.formula.matrices import Numbers
+from dmframe.formula.names import Symbol, latex_name, symbol
+from dmframe.formula.robot import PAPER, SIGNS
+from dmframe.formula.stated import Stated
+
+_PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
+
+
+@final
+@dataclass(frozen=True)
+class Point:
+    """What the names of a docstring are at one random point, with some options of the block.
+
+    Parameters
+    ----------
+    names
+        All that may be named.
+    computed
+        What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
+    rates
+        Of states, and of S.
+    """
+
+    names: Mapping[Symbol, Numbers]
+    computed: Mapping[Symbol, Numbers]
+    rates: Mapping[Symbol, Numbers]
+    read: ReadBlock
+
+    def look(self, name: Symbol) -> Numbers | None:
+        """The numbers of a name, or of the rate that a dotted name is."""
+        for known in (self.computed, self.names):
+            if name in known:
+                return known[name]
+        bare = undotted(name)
+        return self.rates.get(bare) if bare is not None else None
+
+    def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
+        """A function of the robot, J(q)."""
+        robot, functions = self.read.signs.robot, self.read.reading.functions
+        methods = [method for method, sign in (*SIGNS.items(), *_PAPER) if symbol(sign) == name]
+        if robot is None or functions is None or not methods:
+            return None
+        parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
+        try:
+            function = functions.of_method(methods[0], tuple(parameters))
+            # inertial parameters come first in a_d, whatever else it holds
+            given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
+            return np.array(function(*given, functions.values).full())
+        except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
+            return None
+
+
+def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
+    """Does an equation hold ``name^{-1}``?"""
+    wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
+    return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
+
+
+def _bare(words: Sequence[str]) -> list[str]:
+    return [word for word in words if word not in "{}"]
+
+
+def undotted(name: Symbol) -> Symbol | None:
+    """The name whose rate this one is; None without a dot on top."""
+    last = name.accents[-1:]
+    if last == ("dot",):
+        return replace(name, accents=name.accents[:-1])
+    return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
+
+
+def values_at(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
+    """One point; a matrix that the docstring inverts is symmetric and positive definite, as full gains are anyway."""
+    values, gains = read.reading.values(read.signs, seed), full_gains(read.model.block, read.model.parameters)
+    values |= {name: number.full() for name, number in read.reading.constants.items()}
+    for name, value in values.items():
+        if (
+            name not in gains
+            and np.ndim(value) == 2
+            and value.shape[0] == value.shape[1] > 1
+            and _is_inverted(name, equations)
+        ):
+            most = max(1.0, float(np.max(np.abs(value))) ** 2)
+            values[name] = np.asarray(value) @ np.asarray(value).T + most * np.eye(value.shape[0])
+    return values
+
+
+def point_of(read: ReadBlock, values: Mapping[str, Any]) -> Point:
+    """All that a docstring of this block may name."""
+    names = {symbol(name): np.array(ca.DM(value)) for name, value in values.items()}
+    names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
+    definitions = read.signs.naming.definitions
+    defined = read.reading.of_signs(read.signs, [expression for _, expression in definitions.values()]).at(values)
+    outputs, rates = read.model.equations.outputs, read.model.equations.rates
+    run = read.reading.of_running().at(values)
+    computed = dict(zip(map(symbol, definitions), defined, strict=True))
+    computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
+    truths = read.certificate.truth
+    true = read.reading.of_signs(read.signs, list(truths.values())).at(values)
+    computed |= {symbol(name): value for name, value in zip(truths, true, strict=True)}
+    moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
+    stated = read.scalars
+    if stated.storage or stated.dissipation:
+        S, dS = read.reading.of_signs(read.scalar_signs, energies(stated)).at(values)
+        computed, moving = {Symbol("S"): S, **computed}, {Symbol("S"): dS, **moving}
+    return Point(names, {key: value for key, value in computed.items() if key not in names}, moving, read)
+
+
+def energies(stated: Certificate) -> list[Any]:
+    """S, and what the certificate claims of its rate."""
+
+    def total(terms: Sequence[Any]) -> Any:
+        return sum((ca.SX(term.value) for term in terms), ca.SX(0))
+
+    claimed = total(stated.excess) - total(stated.dissipation) + ca.SX(stated.supply)
+    if stated.consumes is not None:
+        claimed += stated.consumes.value
+    return [total(stated.storage) / 2, claimed]
