@@ -2,19 +2,81 @@
 
 A controller is a graph of typed blocks in a short YAML file. A block states its equations once, together with its
 storage function; from that single statement come the simulation, the C code and the exact certificate of stability.
-The framework knows no block and no robot by name: they come from packages that register themselves under the
-entry-point groups ``dmframe.blocks`` and ``dmframe.robots``.
+
+>>> import dmframe as dm
+>>> g = dm.load("pendulum").set(duration="2 s")
+>>> g.run().plot()                          # doctest: +SKIP
+>>> print(g.verify().headline)
+proved
+
+These names are the public interface. Those who write blocks import `dmframe.block`, `dmframe.certificate`,
+`dmframe.parameter`, `dmframe.port`, `dmframe.linalg` and `dmframe.naming` too; all else is the inside of the house. The
+framework knows no block and no robot by name: they come from packages that register themselves under the entry-point
+groups ``dmframe.blocks`` and ``dmframe.robots``.
 """
 
 from __future__ import annotations
 
-__all__ = ["__version__"]
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from dmframe.errors import DmframeError
+    from dmframe.graph.graph import Graph, load
+    from dmframe.graph.runs import Runs, compare, sweep
+    from dmframe.graph.shelf import blocks, graphs, robots
+    from dmframe.graph.shortcuts import analyse, draw, run, verify
+    from dmframe.results.run import Run
+
+    __version__: str
+
+_HOMES: Final = {
+    "DmframeError": "errors",
+    "Graph": "graph.graph",
+    "Run": "results.run",
+    "Runs": "graph.runs",
+    "analyse": "graph.shortcuts",
+    "blocks": "graph.shelf",
+    "compare": "graph.runs",
+    "draw": "graph.shortcuts",
+    "graphs": "graph.shelf",
+    "load": "graph.graph",
+    "robots": "graph.shelf",
+    "run": "graph.shortcuts",
+    "sweep": "graph.runs",
+    "verify": "graph.shortcuts",
+}
+"""Where each name lives: it is imported when someone asks for it, for some take a second."""
+
+__all__ = [
+    "DmframeError",
+    "Graph",
+    "Run",
+    "Runs",
+    "__version__",
+    "analyse",
+    "blocks",
+    "compare",
+    "draw",
+    "graphs",
+    "load",
+    "robots",
+    "run",
+    "sweep",
+    "verify",
+]
 
 
-def __getattr__(name: str) -> str:
-    """Read the version when someone asks for it: `importlib.metadata` is slow to import."""
-    if name != "__version__":
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from dmframe.version import version
+
+        return version()
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib.metadata import version
+    from importlib import import_module
 
-    return version("dmframe")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)

@@ -29,6 +29,12 @@ def _alike(name: str, other: str) -> bool:
     return not head or tail != end or difflib.SequenceMatcher(None, head, start).ratio() >= 0.6
 
 
+def listed(names: Sequence[str]) -> str:
+    """As a sentence lists them: "a", "a and b", "a, b and c"."""
+    *most, last = names or [""]
+    return f"{', '.join(most)} and {last}" if most else last
+
+
 class DmframeError(Exception):
     """The base of every fault; catch this one to catch them all."""
 

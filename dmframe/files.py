@@ -68,6 +68,11 @@ def is_file(path: str | Path) -> bool:
 
 
 def write_text(path: str | Path, text: str, *, new: bool = False) -> None:
+    """Write a text; see `write_bytes`."""
+    write_bytes(path, encoded(text), new=new)
+
+
+def write_bytes(path: str | Path, content: bytes, *, new: bool = False) -> None:
     """Write a file in one step, so that there is never half a one, and the old one stays where writing fails.
 
     A link is followed, and a file that was there keeps its mode. What is no regular file, such as a device or a pipe,
@@ -87,10 +92,10 @@ def write_text(path: str | Path, text: str, *, new: bool = False) -> None:
     check_place(path)
     with _claimed(path) if new else nullcontext(), writing(path):
         if path.is_file() or not path.exists():
-            _replace(Path(os.path.realpath(path)), encoded(text))
+            _replace(Path(os.path.realpath(path)), content)
         else:
             with path.open("wb") as device:
-                device.write(encoded(text))
+                device.write(content)
 
 
 def _replace(target: Path, content: bytes) -> None:

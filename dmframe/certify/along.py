@@ -11,7 +11,7 @@ import numpy as np
 from dmframe.certify.claim import Claim
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
-from dmframe.simulate import Run
+from dmframe.simulate import Recording
 from dmframe.simulate.start import loop_trajectories
 
 CHUNK = 2048
@@ -69,7 +69,7 @@ class Along:
         return int(np.count_nonzero(self.steps > 0))
 
 
-def along(claim: Claim, run: Run, kappa: float = 1.0) -> Along:
+def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
     r"""Evaluate :math:`V = \kappa (S_1 + S_2 + \dots) + S_{cascade}` along a run.
 
     Parameters
@@ -93,7 +93,7 @@ def along(claim: Claim, run: Run, kappa: float = 1.0) -> Along:
     return Along(run.time, kappa, total, terms)
 
 
-def _check_same(claim: Claim, run: Run) -> None:
+def _check_same(claim: Claim, run: Recording) -> None:
     """The run has the states and parameters of the claim, each of its size."""
     variables = (*claim.loop.controller, *claim.loop.plant)
     wanted = {variable.label: variable.symbol.numel() for variable in variables}
@@ -108,7 +108,7 @@ def _check_same(claim: Claim, run: Run) -> None:
             )
 
 
-def _evaluated(claim: Claim, run: Run, expressions: list[Any], kappa: float) -> np.ndarray:
+def _evaluated(claim: Claim, run: Recording, expressions: list[Any], kappa: float) -> np.ndarray:
     """Each expression at every sample, (terms, N), with the trajectories as the functions of time that they are."""
     loop, count = claim.loop, run.time.size
     column = loop_trajectories(loop, stack(expressions))

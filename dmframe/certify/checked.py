@@ -10,12 +10,12 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import symbols_in
 from dmframe.errors import ValueFault
 from dmframe.exact.rational import Interval, as_float, evaluate
 

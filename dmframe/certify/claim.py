@@ -21,12 +21,13 @@ from typing import final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Certificate, Dissipated
 from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.certify.labels import labelled
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view

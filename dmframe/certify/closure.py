@@ -26,6 +26,7 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Condition, Driven
 from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Field
@@ -33,7 +34,6 @@ from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
-from dmframe.diagram.model import symbols_in
 from dmframe.diagram.projection import Box
 from dmframe.errors import ValueFault
 from dmframe.exact import Tape, random_prime

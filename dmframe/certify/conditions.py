@@ -10,6 +10,8 @@ from typing import Any
 
 import casadi as ca
 
+from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
 from dmframe.certificate import (
     SX,
     Assumption,
@@ -31,7 +33,6 @@ from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
 from dmframe.certify.wording import worded
-from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float

@@ -9,12 +9,12 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, Field, total
 from dmframe.certify.identity import ATTEMPTS, residues
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import symbols_in
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
 

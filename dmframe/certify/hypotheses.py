@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import casadi as ca
 
+from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX, Assumption
 from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
@@ -15,9 +16,8 @@ from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.divisors import DEFINED, DIVISIONS, brought_in, risky, written
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
-from dmframe.diagram.model import BlockModel, symbols_in
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import ValueFault
+from dmframe.errors import ValueFault, listed
 from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
 
@@ -154,7 +154,7 @@ def _open(closure: Closure) -> Iterator[Assumption]:
     left = [variable.label for variable in closure.open_states()] or ["the time t"]
     if closure.turning():
         return
-    names, felt = _listed(left), _listed([v.label for v in closure.felt()])
+    names, felt = listed(left), listed([v.label for v in closure.felt()])
     yield Assumption(
         f"a solution exists for all time: V does not weigh all of {names}, and the rates of {felt} depend on them",
         "not shown",
@@ -191,7 +191,3 @@ def _measured(diagram: Diagram) -> Iterator[Assumption]:
         yield Assumption(
             f"what is measured is exact and without delay: {', '.join(sorted(found))}{frame}", "Section II"
         )
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"

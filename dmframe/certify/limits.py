@@ -23,6 +23,7 @@ from dmframe.certificate import SX, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.symbols import Symbols, exact_values, symbols_of
+from dmframe.errors import listed
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
@@ -96,18 +97,18 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 return Made(
-                    f"a stable linear equation drives it, and its input, made of {_listed(list(names))}, vanishes"
+                    f"a stable linear equation drives it, and its input, made of {listed(list(names))}, vanishes"
                 )
     used = _made_of(own, symbols, goal.vector, vanishing)
     if used is not None:
-        return Made(f"it is made of {_listed(used)}")
+        return Made(f"it is made of {listed(used)}")
     for name, R in full_rank(claim):
         if R.shape[0] == goal.vector.shape[0]:
             seen = R.T @ goal.vector
             used = _made_of(own, symbols, seen, vanishing)
             if used is not None:
                 whole = f"{name}'({goal.of})"
-                made = "goes to zero" if used == [whole] else f"is made of {_listed(used)}"
+                made = "goes to zero" if used == [whole] else f"is made of {listed(used)}"
                 step = f"{whole} {made}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
@@ -178,7 +179,3 @@ def _sampled(own: Own, symbols: Symbols, expressions: Sequence[SX], count: int) 
         if len(points) == count:
             return shift.prime, points
     return None
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else ", ".join(names[:-1]) + f" and {names[-1]}"

@@ -7,11 +7,11 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 
+from dmframe.block.faults import told_by
 from dmframe.certificate import SX, Gathered
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_semidefinite
-from dmframe.diagram.model import told_by
 from dmframe.diagram.view import view
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.robot.rational import decimal

@@ -21,6 +21,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
@@ -28,7 +30,6 @@ from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import symbols_in, told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, ValueFault

@@ -14,12 +14,12 @@ from typing import Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import symbols_in
 from dmframe.diagram.resolve import Leaf
 from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape

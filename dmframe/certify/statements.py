@@ -9,6 +9,7 @@ from typing import final
 import casadi as ca
 
 from dmframe.block import names_of
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, NormSquare, Square
 from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.closure import Bases, Closure
@@ -17,7 +18,6 @@ from dmframe.certify.positive import Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
-from dmframe.diagram.model import symbols_in
 from dmframe.exact import zero_test
 from dmframe.formula.names import symbol
 

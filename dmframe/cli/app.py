@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from dmframe.cli.streams import tell
-from dmframe.errors import OutputError, UnknownNameError
+from dmframe.errors import UnknownNameError
 from dmframe.files import check_place, write_text
 
 app = typer.Typer(
@@ -33,9 +33,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a l
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from dmframe.version import version as installed
 
-        tell(f"dmframe {version('dmframe')}")
+        tell(f"dmframe {installed()}")
         raise typer.Exit
 
 
@@ -51,10 +51,17 @@ def common(
 @app.command()
 def graphs() -> None:
     """List the packaged graphs."""
-    from dmframe.catalogue import graphs as packaged
-    from dmframe.cli.show import graph_list
+    from dmframe.graph import graphs as shelf
 
-    tell(graph_list(packaged()))
+    tell(str(shelf()))
+
+
+@app.command()
+def robots() -> None:
+    """List the robots that come with the installed packages."""
+    from dmframe.graph import robots as shelf
+
+    tell(str(shelf()))
 
 
 @app.command()
@@ -76,13 +83,11 @@ def new(
 @app.command()
 def check(graph: OneGraph, overrides: Overrides = []) -> None:  # noqa: B006 - typer reads it, nobody changes it
     """Build a graph and print its blocks, wires, shapes, units and clock."""
-    from dmframe.cli.show import check_page
-    from dmframe.config import load_graph
+    from dmframe.cli.graphs import one_graph
 
-    loaded = load_graph(graph, overrides)
-    diagram = loaded.diagram()
-    loaded.intervals(diagram)
-    tell(check_page(loaded, diagram))
+    loaded = one_graph(graph, overrides)
+    loaded.experiment.intervals(loaded.diagram)
+    tell(str(loaded))
 
 
 @app.command()
@@ -99,11 +104,11 @@ def run(
     as_json: AsJson = False,
 ) -> int:
     """Simulate graphs and write signals, figures and a summary; several graphs are overlaid in one figure."""
+    from dmframe.cli.graphs import graphs_of
     from dmframe.cli.run import run_graphs
 
     return run_graphs(
-        graph,
-        overrides,
+        graphs_of(graph, overrides),
         until=until,
         out=out,
         engine=engine,
@@ -122,10 +127,13 @@ def verify(
     as_json: AsJson = False,
 ) -> int:
     """Prove dV/dt of graphs exactly, for all gains and parameters, and check the conditions."""
+    from dmframe.cli.graphs import graphs_of
     from dmframe.cli.options import whole
     from dmframe.cli.verify import verify_graphs
 
-    return verify_graphs(graph, overrides, report=report, seed=whole("--seed", seed), as_json=as_json)
+    replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
+    found = graphs_of(graph, overrides)
+    return verify_graphs(found, report=report, replay=replay, seed=whole("--seed", seed), as_json=as_json)
 
 
 @app.command()
@@ -167,6 +175,7 @@ def analyse(
     as_json: AsJson = False,
 ) -> int:
     """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
+    from dmframe.cli.graphs import one_graph
     from dmframe.cli.options import quantity, refuse, whole
 
     words = {"shape": shape, "centre": centre, "scale": scale}
@@ -179,12 +188,13 @@ def analyse(
             options["least"] = quantity("--least", least, "")
         if boxes is not None:
             options["boxes"] = whole("--boxes", boxes)
-        return rank_of(graph, overrides, tube=quantity("--tube", tube or TUBE, "rad"), as_json=as_json, **options)
+        options["tube"] = quantity("--tube", tube or TUBE, "rad")
+        return rank_of(one_graph(graph, overrides), as_json=as_json, **options)
     from dmframe.cli.analyse import analyse_graph
 
     given = {"tube": tube, "least": least, **words, "boxes": boxes}
     refuse({f"--{key}": value for key, value in given.items()}, "it does nothing without --rank; add that")
-    analyse_graph(graph, overrides, horizon=quantity("--horizon", horizon or HORIZON, "s"), as_json=as_json)
+    analyse_graph(one_graph(graph, overrides), horizon=quantity("--horizon", horizon or HORIZON, "s"), as_json=as_json)
     return 0
 
 
@@ -192,24 +202,23 @@ def analyse(
 def draw(
     graph: OneGraph,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FILE", help=".svg or .mmd; Mermaid text without it.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help=".svg, .png, .pdf, .mmd; Mermaid text without it."),
     ] = None,
+    overrides: Overrides = [],  # noqa: B006 - as above
 ) -> None:
     """Draw the block diagram of a graph."""
-    from dmframe.config import load_graph
-    from dmframe.draw import mermaid, svg
+    from dmframe.cli.graphs import one_graph
+    from dmframe.drawing import check_ending
 
-    loaded = load_graph(graph)
-    makers = {".svg": svg, ".mmd": mermaid}
-    if out is not None and out.suffix not in makers:
-        raise OutputError(f"{out}: expected a name that ends in .svg or .mmd, found {out.suffix or 'no ending'}")
     if out is not None:
+        check_ending(out)
         check_place(out)
-    text = makers[out.suffix if out else ".mmd"](loaded.diagram(), loaded.file.title)
+    drawing = one_graph(graph, overrides).draw()
     if out is None:
-        tell(text.rstrip())
+        tell(drawing.mermaid.rstrip())
         return
-    write_text(out, text)
+    drawing.save(out)
     tell(f"wrote {out}")
 
 
@@ -217,7 +226,7 @@ def draw(
 def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Print this block's page.")] = None) -> None:
     """List the block types, or print one block's page."""
     from dmframe.catalogue import block_types, find_block
-    from dmframe.cli.show import block_list, block_page
+    from dmframe.graph.pages import block_list, block_page
 
     tell(block_list(block_types()) if kind is None else block_page(find_block(kind, Path(), "blocks")))
 

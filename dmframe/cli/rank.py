@@ -5,32 +5,30 @@ from __future__ import annotations
 import json
 import sys
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from rich.text import Text
 
-from dmframe.analyse.rank_region import RankRegion, rank_region
-from dmframe.analyse.rank_report import KEPT, MODEL, PROVED, option_value, rank_summary
-from dmframe.cli.show import columns
+from dmframe.analysis.rank_region import RankRegion, rank_region
+from dmframe.analysis.rank_report import KEPT, MODEL, PROVED, option_value, rank_summary
 from dmframe.cli.streams import tell
 from dmframe.cli.terminal import console
-from dmframe.config import Graph, load_graph
+from dmframe.columns import columns
+from dmframe.graph import Graph
 from dmframe.units import plain
 
 NO_REGION = 1
 
 
-def rank_of(name: str, overrides: Sequence[str], *, tube: float, as_json: bool, **options: Any) -> int:
+def rank_of(graph: Graph, *, tube: float, as_json: bool, **options: Any) -> int:
     """Find the region of one graph and print it; returns the exit status."""
-    graph = load_graph(name, overrides)
-    diagram = graph.diagram()
     with console(aside=True).status(Text(f"{graph.name}: rank")) as status:
         quiet = as_json or not sys.stderr.isatty()
         region = rank_region(
-            diagram,
-            graph.start,
-            duration=graph.file.duration,
+            graph.diagram,
+            graph.experiment.start,
+            duration=graph.duration,
             tube=tube,
             progress=None if quiet else lambda text: status.update(Text(f"{graph.name}: {text}")),
             **options,
@@ -41,7 +39,7 @@ def rank_of(name: str, overrides: Sequence[str], *, tube: float, as_json: bool, 
 
 def page(graph: Graph, region: RankRegion) -> str:
     """A region for the terminal."""
-    parts = [f"{graph.name}: {graph.file.title}".rstrip(": "), ""]
+    parts = [f"{graph.name}: {graph.title}".rstrip(": "), ""]
     if region.loss is not None:
         return "\n".join([*parts, f"no region: {region.loss.text}"])
     J = region.matrix

@@ -1,5 +1,5 @@
 """From the text of a graph file to checked data."""
 
-from dmframe.config.graph import Graph, load_graph
+from dmframe.config.experiment import Experiment, load_experiment
 
-__all__ = ["Graph", "load_graph"]
+__all__ = ["Experiment", "load_experiment"]

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
@@ -50,7 +52,7 @@ _UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U000100
 @final
 @dataclass(frozen=True)
 class Node:
-    """A value and where it stands; `size` counts what it holds, each alias in full.
+    """A value and where it stands, line 0 where there is no text; `size` counts what it holds, each alias in full.
 
     `said` is what put it there instead of the file, ``--set task.gamma=2``.
     """
@@ -63,7 +65,7 @@ class Node:
 
     def place(self, name: str) -> str:
         """Where it stands in the text of that name, or what put it there."""
-        return self.said or f"{name}:{self.line}:{self.column}"
+        return self.said or (f"{name}:{self.line}:{self.column}" if self.line else name)
 
 
 @final
@@ -82,6 +84,11 @@ class Document:
         """
         node, named, exact = self._at(path)
         return (named if key or not exact else node).place(self.name)
+
+    def is_said(self, path: Sequence[str | int], key: bool = False) -> bool:
+        """Did an override put there what `locate` finds?"""
+        node, named, exact = self._at(path)
+        return bool((named if key or not exact else node).said)
 
     def said_below(self, path: Sequence[str | int]) -> list[str]:
         """Which overrides stand in what `locate` finds."""
@@ -159,6 +166,48 @@ def read_document(text: str, name: str) -> Document:
             location=f"{name}:{root.line}:{root.column}",
         )
     return Document(name, mapping_of(root), root)
+
+
+def document_of(data: Mapping[Any, Any], name: str) -> Document:
+    """A graph given as data, with NumPy's arrays and numbers where it likes; `name` is what messages call it.
+
+    Raises `DocumentError` for what no graph file could say, and `ValueFault` for a number that is not finite.
+    """
+    root = node_of(data, ())
+    if not isinstance(root.value, dict) or not root.value:
+        raise DocumentError("expected a graph, found no keys; a graph begins with dmframe: 1", location=name)
+    return Document(name, mapping_of(root), root)
+
+
+def node_of(value: Any, path: Steps, said: str = "") -> Node:
+    """A value that a program gives, as if a file had said it.
+
+    Raises `DocumentError` for what no file could say, and `ValueFault` for a number that is not finite.
+    """
+    where = ".".join(map(str, path)) or "graph"
+    if len(path) > _DEEPEST:
+        raise DocumentError(f"nested deeper than {_DEEPEST} levels; a graph needs about four", location=said)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        entries = dict[str, tuple[Node, Node]]()
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=said)
+            entries[key] = (Node(0, 0, key, said=said), node_of(item, (*path, key), said))
+        return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), said)
+    if isinstance(value, list | tuple):
+        items = [node_of(item, (*path, place), said) for place, item in enumerate(value)]
+        return Node(0, 0, items, 1 + sum(node.size for node in items), said)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=said)
+    if value is None or isinstance(value, str | int | float):
+        return Node(0, 0, value, said=said)
+    if isinstance(value, os.PathLike):
+        return Node(0, 0, os.fspath(value), said=said)
+    raise DocumentError(
+        f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
+    )
 
 
 def visible(text: str) -> str:

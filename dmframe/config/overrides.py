@@ -1,17 +1,18 @@
-"""Values given on the command line that go before those of a graph file: ``--set task.gamma=2``.
+"""Values that go before those of a graph file: ``--set task.gamma=2``, or ``graph.set({"task.gamma": 2})``.
 
 They are put into the document itself, so that all that reads it later, old names included, reads one text; each says
-of itself that it came by ``--set``, and so does a fault in it.
+of itself how it came, and so does a fault in it.
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from dmframe.config.document import Document, Node, mapping_of, read_document, visible
+from dmframe.config.document import Document, Node, mapping_of, node_of, read_document, visible
 from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
 from dmframe.units import shorten
 
@@ -28,6 +29,22 @@ def overridden(document: Document, overrides: Sequence[str], known: Sequence[str
         root = _put(document.root, keys, _value(text, said), said)
         document = Document(document.name, mapping_of(root), root)
     return document
+
+
+def changed(document: Document, values: Mapping[str, Any], known: Sequence[str]) -> tuple[Document, tuple[str, ...]]:
+    """The document with a program's values put in, and each as ``--set`` would have it."""
+    texts = list[str]()
+    for label, value in values.items():
+        if not isinstance(label, str):
+            raise ValueFault(f"set: expected a text such as 'task.gamma' as the name, found {shorten(repr(label), 30)}")
+        said = f"set {shorten(visible(label), 60)}"
+        node = node_of(value, (label,), said)
+        texts.append(f"{label}={json.dumps(mapping_of(Node(0, 0, {'value': (node, node)}))['value'])}")
+        said = f"set {shorten(visible(texts[-1]), 200)}"
+        keys = _target(f"{label}=", said, document.data, known)
+        root = _put(document.root, keys, _by(node, said), said)
+        document = Document(document.name, mapping_of(root), root)
+    return document, tuple(texts)
 
 
 def put(document: Document, key: str, value: float, said: str) -> Document:

@@ -7,8 +7,8 @@ from typing import Any
 
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
+from dmframe.config.experiment import NAME
 from dmframe.config.grammar import GraphFile
-from dmframe.config.graph import NAME
 from dmframe.parameter import Spec, spec_of
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"

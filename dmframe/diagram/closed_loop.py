@@ -10,8 +10,8 @@ from typing import final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram.model import BlockModel, symbols_in
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
 from dmframe.diagram.wiring import End

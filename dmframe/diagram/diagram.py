@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.model import BlockModel, model_block
+from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
+from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter, flatten
 from dmframe.diagram.fingerprint import fingerprint
-from dmframe.diagram.model import BlockModel, model_block
 from dmframe.diagram.resolve import Resolver
-from dmframe.diagram.sizes import Sizes, bind_sizes, parameter_arrays
-from dmframe.diagram.symmetric import unique
 from dmframe.diagram.wiring import End, Outputs, Source, check_truths, check_wires, wire_blocks
 from dmframe.errors import DmframeError, MissingError, WiringError, raise_all
 from dmframe.port import Port

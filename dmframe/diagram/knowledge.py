@@ -24,11 +24,11 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.block.model import BlockModel, same_expression, signals_of, stated_by, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.model import BlockModel, same_expression, signals_of, stated_by, symbols_in
 from dmframe.diagram.wiring import Derived, End, Wire
-from dmframe.errors import DmframeError
+from dmframe.errors import DmframeError, listed
 from dmframe.port import Side
 
 WORDS: Final[Mapping[str, str]] = {
@@ -65,8 +65,7 @@ class Known:
     @property
     def words(self) -> str:
         """``the link lengths, the joint axes and gravity``."""
-        named = [WORDS.get(group, group) for group in self.groups]
-        return named[0] if len(named) == 1 else f"{', '.join(named[:-1])} and {named[-1]}"
+        return listed([WORDS.get(group, group) for group in self.groups])
 
 
 def known_truths(diagram: Diagram) -> tuple[Known, ...]:

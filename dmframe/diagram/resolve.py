@@ -14,8 +14,8 @@ from typing import final
 
 import casadi as ca
 
+from dmframe.block.model import BlockModel, symbol, symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram.model import BlockModel, symbol, symbols_in
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault

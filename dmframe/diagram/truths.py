@@ -12,9 +12,9 @@ from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
 
+from dmframe.block.model import same_expression
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.model import same_expression
 from dmframe.diagram.wiring import Wire, same_unit
 from dmframe.errors import BlockError
 from dmframe.port import Port, Side

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from dmframe.block.model import BlockModel
+from dmframe.block.sizes import parameter_arrays
+from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
-from dmframe.diagram.model import BlockModel
-from dmframe.diagram.sizes import parameter_arrays
-from dmframe.diagram.symmetric import unique
 from dmframe.errors import DmframeError, Faults, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.parameter import specs
 

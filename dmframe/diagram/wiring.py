@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.diagram.sizes import Sizes
+from dmframe.block.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
 from dmframe.port import ANY, TIME, Access, Port, Side
 from dmframe.units import compatible

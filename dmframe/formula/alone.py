@@ -8,8 +8,8 @@ from fractions import Fraction
 from typing import Any, Final, Literal, get_args, get_origin
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.diagram.model import model_block
-from dmframe.diagram.sizes import Sizes, parameter_arrays
+from dmframe.block.model import model_block
+from dmframe.block.sizes import Sizes, parameter_arrays
 from dmframe.errors import DmframeError
 from dmframe.formula.law import Line, PrintedLaw
 from dmframe.formula.laws import ReadBlock, certify

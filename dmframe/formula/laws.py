@@ -9,9 +9,9 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import Certificate
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.diagram.model import BlockModel, symbols_in
 from dmframe.diagram.view import View
 from dmframe.diagram.wiring import Zero, same_unit
 from dmframe.errors import BlockError, DmframeError

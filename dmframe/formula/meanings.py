@@ -10,8 +10,8 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
+from dmframe.block.symmetric import full_gains
 from dmframe.certificate import Certificate
-from dmframe.diagram.symmetric import full_gains
 from dmframe.formula.latex import tokens
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers

@@ -15,9 +15,9 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.block.model import BlockModel
+from dmframe.block.symmetric import full_gains, lower_triangle
 from dmframe.certificate import Certificate, Consumed
-from dmframe.diagram.model import BlockModel
-from dmframe.diagram.symmetric import full_gains, lower_triangle
 from dmframe.errors import BlockError
 from dmframe.formula.points import Draw, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions

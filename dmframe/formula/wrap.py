@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import re
-import unicodedata
 from typing import Final
+
+from dmframe.columns import width
 
 _SIGNS: Final = ("+", "-", "−", "=")
 _NORM: Final = 10
 """How much worse a break inside a norm is than inside of brackets."""
-
-
-def width(text: str) -> int:
-    """How many places a text takes: accents stand above their letters."""
-    return sum(not unicodedata.combining(letter) for letter in text)
 
 
 def wrapped(text: str, wide: int) -> list[str]:

@@ -17,6 +17,7 @@ from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.full import KINEMATIC_SIGNALS, SIGNALS, full_regressor
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.version import version
 
 # A fixed name of our own: a function called y0, exp or read would collide with the C library's.
 _INNER: Final = "dmframe_regressor_casadi"
@@ -148,7 +149,7 @@ def _source(function: ca.Function, n: int, p: int) -> str:
 def _dynamic_about(robot: str, n: int, p: int) -> list[str]:
     return [
         f"Dynamic regressor Y_d(q, dq, dq_ref, ddq_ref) of {_plain(robot) or 'a robot'}, written by dmframe "
-        f"{_version()}.",
+        f"{version()}.",
         "",
         "M(q) ddq_ref + C(q, dq) dq_ref + g(q) [+ friction] = Y_d a_d, C the Christoffel matrix.",
         f"q, dq, dq_ref, ddq_ref: {n} doubles each, joints from the base to the tool; rad, rad/s, rad/s^2, N m.",
@@ -159,19 +160,13 @@ def _dynamic_about(robot: str, n: int, p: int) -> list[str]:
 
 def _kinematic_about(robot: str, n: int, m: int, k: int) -> list[str]:
     return [
-        f"Kinematic regressor Y_k(q, psi) of {_plain(robot) or 'a robot'}, written by dmframe {_version()}.",
+        f"Kinematic regressor Y_k(q, psi) of {_plain(robot) or 'a robot'}, written by dmframe {version()}.",
         "",
         "J(q) psi = Y_k a_k, and what no parameter scales: the travel of prismatic joints.",
         f"q, psi: {n} doubles each, joints from the base to the tool; rad, rad/s.",
         f"Y_k: {m} x {k} doubles, row-major.",
         "Compile as C99 and link the mathematics library (-lm).",
     ]
-
-
-def _version() -> str:
-    from dmframe import __version__
-
-    return __version__
 
 
 def _header(about: Sequence[str], parameters: Sequence[str]) -> str:

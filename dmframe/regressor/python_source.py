@@ -24,6 +24,7 @@ from dmframe.regressor.export import (
 )
 from dmframe.regressor.full import parameter_names, parameter_values
 from dmframe.robot.chain import SerialChain
+from dmframe.version import version
 
 _OPERATIONS: Final = {
     ca.OP_ADD: "{0} + {1}",
@@ -83,8 +84,6 @@ def python_source(
 
     Raises `UnknownNameError` for another kind of friction.
     """
-    from dmframe import __version__
-
     names: Sequence[str]
     numbers: Sequence[float]
     if kinematic:
@@ -102,7 +101,7 @@ def python_source(
     return _TEMPLATE.format(
         title=title,
         law=law,
-        version=__version__,
+        version=version(),
         name=function.name_out(0),
         arguments=", ".join(function.name_in()),
         joints=chain.n,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
@@ -11,7 +11,7 @@ from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
 from dmframe.certify.summary import summary
-from dmframe.config import Graph
+from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
@@ -92,6 +92,19 @@ class Witness:
 
 @final
 @dataclass(frozen=True)
+class Opening:
+    """A report's first page: the verdict, what it means, what follows in the end, and what is assumed."""
+
+    name: str
+    title: str
+    outcome: str
+    meaning: Meaning
+    follows: tuple[Follows, ...]
+    assumptions: tuple[tuple[str, str], ...]
+
+
+@final
+@dataclass(frozen=True)
 class Content:
     """One graph's report.
 
@@ -136,43 +149,61 @@ class Content:
     resolved: str
 
 
-def gather(graph: Graph, diagram: Diagram, verdict: Verdict, *, command: list[str], seed: int) -> Content:
+def opening(experiment: Experiment, verdict: Verdict) -> Opening:
+    """The first page alone; nothing is simulated for it."""
+    laws = verdict.claim.laws if verdict.claim is not None else {}
+    last = [item for item in verdict.statements if item.concludes]
+    return Opening(
+        name=experiment.name,
+        title=experiment.file.title,
+        outcome=verdict.outcome,
+        meaning=meaning_of(verdict, experiment.file.clock),
+        follows=tuple(_follows(last, laws)) if verdict.outcome == "proved" else (),
+        assumptions=_assumptions(verdict),
+    )
+
+
+def gather(experiment: Experiment, diagram: Diagram, verdict: Verdict, *, command: list[str], seed: int) -> Content:
     """Everything about one graph; it is simulated for this."""
-    from dmframe.draw import mermaid, svg
+    from dmframe.drawing import mermaid, svg
     from dmframe.results.folder import provenance
     from dmframe.results.resolved import resolved_text
 
-    resolved = resolved_text(graph)
+    resolved = resolved_text(experiment)
     laws = verdict.claim.laws if verdict.claim is not None else laws_of(diagram)
     return Content(
-        name=graph.name,
-        title=graph.file.title,
+        name=experiment.name,
+        title=experiment.file.title,
         outcome=verdict.outcome,
-        meaning=meaning_of(verdict, graph.file.clock),
-        facts=tuple(_facts(graph, diagram)),
+        meaning=meaning_of(verdict, experiment.file.clock),
+        facts=tuple(_facts(experiment, diagram)),
         picture=svg(diagram),
         mermaid=mermaid(diagram),
         laws=tuple(_law(diagram, name, law) for name, law in laws.items()),
         signs=where(line for law in laws.values() for line in law.lines),
         terms=terms_of(verdict.claim) if verdict.claim is not None else None,
         conditions=tuple(map(_condition, verdict.conditions)),
-        assumptions=tuple((marked(item.text), item.source) for item in verdict.assumptions),
+        assumptions=_assumptions(verdict),
         follows=tuple(_follows(verdict.statements, laws)) if verdict.outcome == "proved" else (),
         controls=tuple((marked(control.fault), control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
-        uncertain=tuple((label, str(ends)) for label, ends in graph.file.uncertain.items()),
-        measured=measure(graph, diagram, verdict),
-        linear=linear_view(graph, diagram),
+        uncertain=tuple((label, str(ends)) for label, ends in experiment.file.uncertain.items()),
+        measured=measure(experiment, diagram, verdict),
+        linear=linear_view(experiment, diagram),
         model=robot_model(diagram.robot),
-        summary=summary(graph.name, verdict),
-        provenance=provenance(graph, resolved, seed=seed, command=command),
+        summary=summary(experiment.name, verdict),
+        provenance=provenance(experiment, resolved, seed=seed, command=command),
         replay=shlex.join(command),
         resolved=resolved,
     )
 
 
-def _facts(graph: Graph, diagram: Diagram) -> list[tuple[str, str]]:
-    clock = graph.file.clock
+def _assumptions(verdict: Verdict) -> tuple[tuple[str, str], ...]:
+    return tuple((marked(item.text), item.source) for item in verdict.assumptions)
+
+
+def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
+    clock = experiment.file.clock
     own = sum(variable.symbol.numel() for variable in diagram.loop.controller)
     facts = [
         ("controller", "in continuous time" if clock is None else f"sampled every {plain(clock, 's')}"),
@@ -211,7 +242,7 @@ def _condition(checked: Checked) -> Condition:
     return Condition(marked(checked.name + said), margin, checked.holds, checked.how, marked(checked.source))
 
 
-def _follows(statements: tuple[Statement, ...], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
+def _follows(statements: Sequence[Statement], laws: Mapping[str, PrintedLaw]) -> list[Follows]:
     """Statements that say the same by the same step, together; conclusions last."""
     grouped = dict[tuple[str, str, bool], list[Statement]]()
     for item in sorted(statements, key=lambda item: item.concludes):

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.config import Graph
+from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.units import plain
 
 if TYPE_CHECKING:
-    from dmframe.analyse import Analysis, Bracket, JointLoop, Linear
+    from dmframe.analysis import Bracket, JointLoop, Linear, LoopAnalysis
 
 LONGEST: Final = 20.0
 """Each simulation that looks for the largest sampling period lasts this long, or as long as the graph [s]."""
@@ -47,17 +47,29 @@ class LinearView:
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
-def linear_view(graph: Graph, diagram: Diagram) -> LinearView:
+def linear_view(experiment: Experiment, diagram: Diagram) -> LinearView:
     """Linearise at the set-point where the path begins; a fault of the analysis is told, not raised."""
-    from dmframe.analyse import analyse, bode_svg, nyquist_svg, summary
+    from dmframe.analysis import analyse, bode_svg, nyquist_svg
 
-    clock = graph.file.clock
+    clock = experiment.file.clock
     try:
         found = analyse(
-            diagram, clock, solver=graph.solver, start=graph.start, horizon=min(LONGEST, graph.file.duration)
+            diagram,
+            clock,
+            solver=experiment.solver,
+            start=experiment.start,
+            horizon=min(LONGEST, experiment.file.duration),
         )
     except DmframeError as error:
         return LinearView(f"This loop has no linear analysis: {error.text}.")
+    view = rows_of(experiment.name, found)
+    return replace(view, bode=bode_svg(found.joints), nyquist=nyquist_svg(found.joints))
+
+
+def rows_of(name: str, found: LoopAnalysis) -> LinearView:
+    """The tables alone, without pictures; `name` is the graph's."""
+    from dmframe.analysis import summary
+
     return LinearView(
         sentence=(
             "Near the set-point at which the path begins, with every estimate at its true value, the loop was "
@@ -66,9 +78,7 @@ def linear_view(graph: Graph, diagram: Diagram) -> LinearView:
         joints=tuple(_joint(joint) for joint in found.joints),
         loop=tuple(_loop(found)),
         periods=tuple(_periods(found)),
-        bode=bode_svg(found.joints),
-        nyquist=nyquist_svg(found.joints),
-        numbers=summary(graph.name, found),
+        numbers=summary(name, found),
     )
 
 
@@ -90,7 +100,7 @@ def _passive(holds: bool) -> str:
     return "passive" if holds else "not passive"
 
 
-def _loop(found: Analysis) -> Iterator[tuple[str, str, str]]:
+def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     both = (found.at_rest, found.moving)
     for name, place in (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
         slow, fast = (_pole(linear, place) for linear in both)
@@ -108,7 +118,7 @@ def _pole(linear: Linear, place: int) -> str:
     return f"{pole.real:.4g}" + (f" ± {abs(pole.imag):.4g} j" if pole.imag else "")
 
 
-def _periods(found: Analysis) -> Iterator[tuple[str, str, str]]:
+def _periods(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     periods = found.periods
     yield "linearised, at rest", _bracket(periods.at_rest), periods.at_rest.meaning
     yield "linearised, moving", _bracket(periods.moving), "the same without the slope of Coulomb friction at rest"

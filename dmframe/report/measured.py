@@ -10,14 +10,14 @@ import numpy as np
 
 from dmframe.certify import Verdict
 from dmframe.certify.along import Along, along
-from dmframe.config import Graph
+from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
-from dmframe.report.embed import figure_svg
+from dmframe.plotting import figure_svg
 from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Run, simulate
+from dmframe.simulate import Recording, simulate
 from dmframe.units import plain
 
 ROUNDING = 1e-6
@@ -56,11 +56,11 @@ class Measured:
     table: tuple[tuple[float, float], ...] = ()
 
 
-def measure(graph: Graph, diagram: Diagram, verdict: Verdict) -> Measured:
+def measure(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> Measured:
     """Simulate the graph as its file says, and evaluate V along it where V means something."""
-    clock = graph.file.clock
+    clock = experiment.file.clock
     try:
-        run = simulate(diagram, graph.file.duration, clock=clock, solver=graph.solver, start=graph.start)
+        run = simulate(diagram, experiment.file.duration, clock=clock, solver=experiment.solver, start=experiment.start)
     except DmframeError as error:
         return Measured(f"{_sentence(clock)} The graph could not be simulated: {error.text}.")
     facts, numbers = _run_facts(run)
@@ -110,7 +110,7 @@ def _judged(found: Along, clock: float | None) -> str:
     )
 
 
-def _run_facts(run: Run) -> tuple[list[tuple[str, str]], dict[str, Any]]:
+def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     told, error = "reached its end", tracking_error(run)
     if run.divergence is not None:
         told = f"diverged: `{run.divergence.block}.{run.divergence.state}` {run.divergence.how}"
@@ -124,7 +124,7 @@ def _run_facts(run: Run) -> tuple[list[tuple[str, str]], dict[str, Any]]:
     return facts, numbers
 
 
-def _along(verdict: Verdict, run: Run) -> tuple[Along | None, str]:
+def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
     if verdict.claim is None:
         return None, "Without a certificate there is no $V$ to show."
     if verdict.outcome == "refuted":
@@ -164,7 +164,7 @@ def _increase(found: Along) -> str:
 
 def _figure(found: Along, diverged: bool) -> Any:
     """V above, its largest terms on a logarithmic axis below."""
-    from dmframe.results.plotting import draw_curve, frame, look, new_figure, span, styled, tame
+    from dmframe.plotting import draw_curve, frame, look, new_figure, span, styled, tame
 
     tops = {id(term): span(tame(term.values), diverged)[1] for term in found.terms}
     largest = sorted(found.terms, key=lambda term: -tops[id(term)])[:CURVES]

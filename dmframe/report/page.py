@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
-from dmframe.report.content import Content
-from dmframe.report.embed import embedded
+from dmframe.notebook import embedded
+from dmframe.report.content import Content, Opening
 from dmframe.report.laws import Row
 from dmframe.report.linear import JOINT_HEADS
 from dmframe.report.mathml import breakable, mathml, terms
@@ -30,7 +30,17 @@ def as_markdown(contents: Sequence[Content]) -> str:
     return re.sub(r"\n{3,}", "\n\n", _rendered("report.md.jinja", contents, _markdown_filters(), escaped=False))
 
 
+def first_page(opening: Opening) -> str:
+    """The verdict, what it means and what follows, as a part of a page: for a notebook."""
+    return str(_template("first_page.html.jinja", _html_filters(), escaped=True).render(r=opening))
+
+
 def _rendered(template: str, contents: Sequence[Content], filters: dict[str, Callable[..., Any]], escaped: bool) -> str:
+    page = _template(template, filters, escaped)
+    return str(page.render(reports=contents, references=_cited(contents), style=_style(), heads=JOINT_HEADS))
+
+
+def _template(name: str, filters: dict[str, Callable[..., Any]], escaped: bool) -> Any:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -42,8 +52,7 @@ def _rendered(template: str, contents: Sequence[Content], filters: dict[str, Cal
         undefined=StrictUndefined,
     )
     environment.filters |= filters
-    page = environment.get_template(template)
-    return page.render(reports=contents, references=_cited(contents), style=_style(), heads=JOINT_HEADS)
+    return environment.get_template(name)
 
 
 def _style() -> str:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certify import Verdict
+from dmframe.errors import listed
 from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
 
@@ -43,7 +44,7 @@ def _where(verdict: Verdict) -> str:
     """At which numbers the rest was decided."""
     if not verdict.uncertain:
         return "the conditions, and what follows, were decided at the numbers of this graph."
-    labels = _listed([f"`{label}`" for label in verdict.uncertain])
+    labels = listed([f"`{label}`" for label in verdict.uncertain])
     return (
         f"the conditions were decided at the numbers of this graph and anywhere in the intervals of {labels}; what "
         "follows, at the numbers."
@@ -55,7 +56,7 @@ def _open(verdict: Verdict) -> str:
     states = verdict.states
     if states is None or not states.open:
         return ""
-    left = _listed([f"`{label}`" for label in states.open])
+    left = listed([f"`{label}`" for label in states.open])
     return f" This is not the stability of the whole loop: neither $V$ nor anything that follows from it bounds {left}."
 
 
@@ -69,7 +70,7 @@ def _sentence(verdict: Verdict) -> str:
             for item in verdict.statements
             if item.says == "goes to zero" and not item.assumes
         ]
-    goes = f" {_listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
+    goes = f" {listed(told)} {'goes' if len(told) == 1 else 'go'} to zero," if told else ""
     under = "under the conditions checked and the assumptions listed below."
     if left_open := _open(verdict):
         return (
@@ -78,7 +79,7 @@ def _sentence(verdict: Verdict) -> str:
         )
     turns, states = "", verdict.states
     if states is not None and states.unfelt:
-        left = _listed([f"`{label}`" for label in states.unfelt])
+        left = listed([f"`{label}`" for label in states.unfelt])
         turns = f", but for a common drift of {left} that no other signal feels, such as whole turns"
     return (
         "in continuous time this control loop is stable, as a mathematical theorem: an energy-like function $V$ never "
@@ -96,14 +97,14 @@ def _beside(verdict: Verdict) -> str:
         terms.append("what the projections add, which is never positive")
     if verdict.bounds:
         terms.append("the terms listed below that a robust adaptation leaves over")
-    return f", plus {_listed(terms)}" if terms else ""
+    return f", plus {listed(terms)}" if terms else ""
 
 
 def _sentence_with_residual(verdict: Verdict) -> str:
     """What a bounded residual leaves: V may grow, and nothing is said to go to zero."""
     ultimate = any(item.says == "is ultimately bounded" for item in verdict.statements)
     assumed = list(dict.fromkeys(marked(text) for item in verdict.statements for text in item.assumes))
-    provided = f", if {_listed(assumed)}," if assumed else ","
+    provided = f", if {listed(assumed)}," if assumed else ","
     follows = (
         "every signal that $V$ holds ends up in a bounded set"
         if ultimate
@@ -131,7 +132,7 @@ def _held(verdict: Verdict) -> str:
     """The numbers that were not free."""
     if not verdict.fixed:
         return ""
-    names = _listed([f"`{label}`" for label in verdict.fixed])
+    names = listed([f"`{label}`" for label in verdict.fixed])
     return f", except {names}, {'each ' if len(verdict.fixed) > 1 else ''}zero in this graph and zero in the proof"
 
 
@@ -156,7 +157,7 @@ def _limits(clock: float | None) -> tuple[str, ...]:
 
 def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
     found = verdict.refutation
-    blame = _listed([f"`{name}`" for name in found.blame]) if found is not None else ""
+    blame = listed([f"`{name}`" for name in found.blame]) if found is not None else ""
     place = (
         f"the fault lies in the equations or in the certificate of {blame}"
         if blame
@@ -166,7 +167,7 @@ def _refuted(verdict: Verdict, clock: float | None) -> Meaning:
     means = (
         "The blocks claim a formula for $\\dot V$. At the exact point below, $\\dot V$ computed from their equations "
         "differs from it. One such point is enough, and exact arithmetic leaves no room for rounding.",
-        (f"It takes no more than {_listed(signals)} to see it; all other signals can be zero."
+        (f"It takes no more than {listed(signals)} to see it; all other signals can be zero."
          if signals else "All signals can be zero, and it still shows."),
         "The error is one of signs, factors or signals in a block: mend its equations or its certificate, and verify "
         "again.",
@@ -209,7 +210,3 @@ def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
     )
     del clock
     return Meaning("Not proved, and not refuted", why, means, not_means)
-
-
-def _listed(items: list[str]) -> str:
-    return items[0] if len(items) == 1 else ", ".join(items[:-1]) + f" and {items[-1]}" if items else ""

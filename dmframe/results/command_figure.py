@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.port import Access, Side
-from dmframe.results.dataset import joint_labels, sliding
-from dmframe.results.drawn_runs import Runs, joint_slides, short, shown_unit, told
-from dmframe.results.plotting import (
+from dmframe.plotting import (
     PAGE,
     POINTS,
     draw_curve,
@@ -21,7 +18,10 @@ from dmframe.results.plotting import (
     tame,
     unit_text,
 )
-from dmframe.simulate import Run
+from dmframe.port import Access, Side
+from dmframe.results.dataset import joint_labels, sliding
+from dmframe.results.drawn_runs import Runs, joint_slides, short, shown_unit, told
+from dmframe.simulate import Recording
 
 WINDOW = 12.0
 """How much of a run's end is shown [s]: over all of a long run one would see a band of ink."""
@@ -69,7 +69,7 @@ def command_figure(runs: Runs) -> Any:
     return figure
 
 
-def command_pairs(run: Run) -> dict[str, tuple[str, str]]:
+def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
     """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels."""
     measured, wanted = dict[str, str](), dict[str, str]()
     for name, block in run.diagram.blocks.items():
@@ -122,12 +122,12 @@ def _panel(
     frame(axes, curves, zero=kind == "difference")
 
 
-def _window(runs: list[Run]) -> tuple[float, float]:
+def _window(runs: list[Recording]) -> tuple[float, float]:
     end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
     return max(0.0, end - WINDOW), end if end > 0 else 1.0
 
 
-def _unit(run: Run, pairs: dict[str, tuple[str, str]], signal: str) -> str:
+def _unit(run: Recording, pairs: dict[str, tuple[str, str]], signal: str) -> str:
     label = pairs[signal][1]
     return next(output.unit for output in run.diagram.loop.outputs if output.label == label)
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dmframe.config.graph import Graph
+from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.files import encoded, printable
 from dmframe.results.resolved import resolved_text
-from dmframe.simulate import Run, Solver
+from dmframe.simulate import Recording, Solver
 
 if TYPE_CHECKING:
     import xarray
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 _DIMENSIONS = {"n": "joint", "m": "axis", "p": "parameter", "k": "kinematic_parameter"}
 
 
-def dataset(run: Run, graph: Graph | None = None, seed: int | None = None) -> xarray.Dataset:
+def dataset(run: Recording, experiment: Experiment | None = None, seed: int | None = None) -> xarray.Dataset:
     """Every recorded state and output as a variable ``block.signal`` over time, with its unit.
 
     The dimensions are named: joint, axis, parameter; a size that is none of these has a dimension of its own.
 
     Parameters
     ----------
-    graph
+    experiment
         The graph that ran: its name, its title and the SHA-256 of its resolved text become attributes.
     seed
         Of the run's noise, where it has any.
     """
     import xarray
 
-    import dmframe
+    from dmframe.version import version
 
     made = xarray.Dataset(coords={"time": ("time", run.time, {"units": "s", "long_name": "time"})})
     coordinates = dict[str, list[str] | list[int]]()
@@ -52,15 +52,15 @@ def dataset(run: Run, graph: Graph | None = None, seed: int | None = None) -> xa
         units = [_parameter_unit(str(name)) for name in coordinates["parameter"]]
         made = made.assign_coords(parameter_unit=("parameter", units, {"long_name": "unit", "units": "1"}))
     made.attrs = {
-        "title": printable((graph.file.title if graph else "") or (graph.name if graph else "dmframe run")),
-        "graph": printable(graph.name) if graph else "",
+        "title": printable(experiment.file.title or experiment.name) if experiment else "dmframe run",
+        "graph": printable(experiment.name) if experiment else "",
         "clock": "continuous" if run.clock is None else f"{run.clock!r} s",
         "duration": f"{run.duration!r} s",
         "solver": _solver(run.solver, run.clock),
-        "source": f"dmframe {dmframe.__version__}",
+        "source": f"dmframe {version()}",
     }
-    if graph is not None:
-        made.attrs["graph_sha256"] = hashlib.sha256(encoded(resolved_text(graph))).hexdigest()
+    if experiment is not None:
+        made.attrs["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
     if seed is not None:
         made.attrs["seed"] = seed
     if run.divergence is not None:
@@ -117,7 +117,7 @@ def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
     return found if len(found) == size else tuple(str(i) for i in range(1, size + 1))
 
 
-def _recorded(run: Run) -> list[tuple[str, str, str, str]]:
+def _recorded(run: Recording) -> list[tuple[str, str, str, str]]:
     """Label, shape, unit and kind of all that was recorded, in the order of the diagram."""
     loop = run.diagram.loop
     states = [(v.label, v.shape, v.unit, "state") for v in (*loop.controller, *loop.plant) if v.label in run.states]

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from dmframe.plotting import look
 from dmframe.results.dataset import axis_labels, joint_labels, sliding
 from dmframe.results.metrics import TrackingError
-from dmframe.results.plotting import look
-from dmframe.simulate import Run
+from dmframe.simulate import Recording
 
-Runs = Mapping[str, Run]
+Runs = Mapping[str, Recording]
 """Runs by the names that the legends show."""
 
 
-def coordinate_labels(run: Run, error: TrackingError) -> list[tuple[str, str, float]]:
+def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, str, float]]:
     """Of each coordinate of the error: its label, the unit in which it is drawn, and the factor to it."""
     rows, name = error.values.shape[1], error.signal.split(" ")[0]
     diagram, unit = run.diagram, error.unit
@@ -30,7 +30,7 @@ def coordinate_labels(run: Run, error: TrackingError) -> list[tuple[str, str, fl
     return [(f"error {row + 1}", *shown_unit(unit)) for row in range(rows)]
 
 
-def joint_slides(run: Run) -> list[bool]:
+def joint_slides(run: Recording) -> list[bool]:
     """Which joints are prismatic."""
     robot = run.diagram.robot
     count = len(joint_labels(run.diagram))
@@ -47,7 +47,7 @@ def short(joint: str) -> str:
     return joint.removesuffix("_joint").replace("_", " ")
 
 
-def told(name: str, run: Run) -> str:
+def told(name: str, run: Recording) -> str:
     """A run's name in a legend, with how it ended where it did not end well."""
     if run.divergence is not None:
         return f"{name} (diverged at {run.divergence.time:.3g} s)"
@@ -67,7 +67,7 @@ def mark_divergence(panels: Any, runs: Runs) -> None:
                 )  # fmt: skip
 
 
-def set_times(axes: Any, runs: list[Run]) -> None:
+def set_times(axes: Any, runs: list[Recording]) -> None:
     """The time axis from 0 to the longest run's planned end."""
     from matplotlib.ticker import MaxNLocator
 

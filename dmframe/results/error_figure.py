@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.results.drawn_runs import Runs, coordinate_labels, mark_divergence, set_times, told
-from dmframe.results.metrics import TrackingError, tracking_error
-from dmframe.results.plotting import (
+from dmframe.plotting import (
     COLUMN,
     POINTS,
     draw_curve,
@@ -22,7 +20,9 @@ from dmframe.results.plotting import (
     tame,
     unit_text,
 )
-from dmframe.simulate import Run
+from dmframe.results.drawn_runs import Runs, coordinate_labels, mark_divergence, set_times, told
+from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.simulate import Recording
 
 
 def error_figure(runs: Runs) -> Any:
@@ -90,5 +90,5 @@ def log_ticks(axes: Any) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
-def _kind(place: int, name: str, run: Run) -> dict[str, Any]:
+def _kind(place: int, name: str, run: Recording) -> dict[str, Any]:
     return {"label": told(name, run), **look(place)}

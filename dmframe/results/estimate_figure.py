@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 
 from dmframe.diagram.closed_loop import Variable
+from dmframe.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
 from dmframe.results.dataset import element_labels
 from dmframe.results.drawn_runs import mark_divergence, set_times, short, told
-from dmframe.results.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
-from dmframe.simulate import Run
+from dmframe.simulate import Recording
 
 WIDTH = 5.4
 NAMED = 6
 """How many curves of a panel a legend names."""
 
 
-def estimate_figure(name: str, run: Run) -> Any:
+def estimate_figure(name: str, run: Recording) -> Any:
     """One panel for each estimated quantity; None where the controller estimates nothing.
 
     Of many elements those that move most are named, the others stay grey, and those that never move are left out.
@@ -48,7 +48,7 @@ def is_estimate(variable: Variable) -> bool:
     return variable.symbol.is_column() and (name.endswith("_hat") or name == "w" or name.startswith("w_"))
 
 
-def _panel(axes: Any, run: Run, variable: Variable, most: int, *, legend: bool) -> None:
+def _panel(axes: Any, run: Recording, variable: Variable, most: int, *, legend: bool) -> None:
     values = tame(run[variable.label])
     size, letter = values.shape[1], variable.shape
     labels = element_labels(run.diagram, letter, size)
@@ -63,7 +63,7 @@ def _panel(axes: Any, run: Run, variable: Variable, most: int, *, legend: bool) 
         label = f"{len(grey)} more" if place == 0 else None
         draw_curve(axes, run.time, values[:, row], most, color=GREY, linewidth=0.6, label=label, zorder=1.5)
     for place, row in enumerate(named):
-        draw_curve(axes, run.time, values[:, row], most, label=_element(labels[row], letter), **look(place))
+        draw_curve(axes, run.time, values[:, row], most, label=element(labels[row], letter), **look(place))
     frame(axes, [(values[:, row], diverged) for row in (*named, *grey)])
     unit = variable.unit or ("SI units" if variable.shape == "p" else "")
     axes.set_ylabel(_symbol(variable.name) + (f" [{unit_text(unit)}]" if unit else ""))
@@ -77,7 +77,8 @@ def _panel(axes: Any, run: Run, variable: Variable, most: int, *, legend: bool) 
         )  # fmt: skip
 
 
-def _element(label: str, letter: str) -> str:
+def element(label: str, letter: str) -> str:
+    """A name of `element_labels` as a legend shows it."""
     if letter == "n":
         return short(label)
     if letter == "h":

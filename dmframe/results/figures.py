@@ -2,18 +2,61 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, final
 
+from dmframe import notebook
+from dmframe.plotting import save
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
-from dmframe.results.plotting import save
+from dmframe.results.signal_figure import signal_figure
 
 
-def save_figures(runs: Runs, folder: Path) -> list[str]:
-    """Write every figure that the runs allow, as PNG and SVG, and return their names.
+@final
+@dataclass(frozen=True, repr=False)
+class Figures(Mapping[str, Any]):
+    """Matplotlib figures by name; a notebook shows them all.
+
+    Parameters
+    ----------
+    about
+        What they show: the runs' names.
+    """
+
+    made: Mapping[str, Any]
+    about: str
+
+    def save(self, folder: str | Path) -> list[Path]:
+        """Write each as PNG and SVG to a folder that is there."""
+        files = list[Path]()
+        for name, figure in self.items():
+            save(figure, Path(folder), name, about=self.about)
+            files += [Path(folder, f"{name}{ending}") for ending in (".png", ".svg")]
+        return files
+
+    def __getitem__(self, name: str) -> Any:
+        return self.made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.made)
+
+    def __len__(self) -> int:
+        return len(self.made)
+
+    def __repr__(self) -> str:
+        return f"<Figures of {self.about}: {', '.join(self) or 'none'}>"
+
+    def _repr_html_(self) -> str:
+        return "".join(notebook.picture(figure, f"{name} of {self.about}") for name, figure in self.items())
+
+
+def figures_of(runs: Runs) -> Figures:
+    """Every figure that the runs allow.
 
     ``error``, ``path``, ``commands``, and for each run that estimates something ``estimates`` (``estimates_<name>``
     where there are several runs).
@@ -21,7 +64,15 @@ def save_figures(runs: Runs, folder: Path) -> list[str]:
     made = {"error": error_figure(runs), "path": path_figure(runs), "commands": command_figure(runs)}
     for name, run in runs.items():
         made["estimates" if len(runs) == 1 else f"estimates_{name}"] = estimate_figure(name, run)
-    written = {name: figure for name, figure in made.items() if figure is not None}
-    for name, figure in written.items():
-        save(figure, folder, name, about=", ".join(runs))
-    return list(written)
+    return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
+
+
+def signals_figure(runs: Runs, labels: Sequence[str]) -> Figures:
+    """One figure of some signals over time, a panel each. Raises `UnknownNameError` for one that no run recorded."""
+    return Figures({"signals": signal_figure(runs, labels)}, ", ".join(runs))
+
+
+def error_picture(runs: Runs) -> str:
+    """The tracking error for a notebook; empty without a goal."""
+    figure = error_figure(runs)
+    return "" if figure is None else notebook.picture(figure, f"tracking error of {', '.join(runs)}")

@@ -18,12 +18,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final, final
 
-from dmframe.config.graph import Graph
+from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
 from dmframe.files import encoded, hidden_name, is_hidden, writing
 from dmframe.results.resolved import companions, resolved_text, robot_source
+from dmframe.results.run import Run
 from dmframe.results.summary import summary
-from dmframe.simulate import Run
 
 _PACKAGES = (
     "dmframe",
@@ -40,15 +40,6 @@ _PACKAGES = (
 )
 _LONGEST: Final = 150
 """Bytes of a graph's name in that of a folder or figure; a file system takes 255."""
-
-
-@final
-@dataclass(frozen=True)
-class Result:
-    """A graph and its run."""
-
-    graph: Graph
-    run: Run
 
 
 @final
@@ -142,7 +133,7 @@ def _locked(folder: Path, path: Path) -> int | None:
 
 def write_run(
     path: str | Path | Place,
-    results: Sequence[Result],
+    runs: Sequence[Run],
     *,
     plots: bool = True,
     seed: int | None = None,
@@ -171,19 +162,19 @@ def write_run(
     OutputError
         The folder has files in it, or cannot be written.
     """
-    names = _names(results)
+    names = _names(runs)
     with nullcontext(path) if isinstance(path, Place) else reserved(path) as place:
-        folders = [place.path / name if len(results) > 1 else place.path for name in names]
-        summaries = [summary(r.graph.name, r.run, str(folder)) for r, folder in zip(results, folders, strict=True)]
+        folders = [place.path / name if len(runs) > 1 else place.path for name in names]
+        summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
         with _built(place) as building:
-            for result, folder, told in zip(results, folders, summaries, strict=True):
+            for run, folder, told in zip(runs, folders, summaries, strict=True):
                 own = building / folder.relative_to(place.path)
                 own.mkdir(exist_ok=True)
-                _write_one(own, result, told, seed, command, now)
+                _write_one(own, run, told, seed, command, now)
             if plots:
-                from dmframe.results.figures import save_figures
+                from dmframe.results.figures import figures_of
 
-                save_figures(dict(zip(names, (r.run for r in results), strict=True)), building)
+                figures_of(dict(zip(names, (run.recording for run in runs), strict=True))).save(building)
     return summaries
 
 
@@ -195,11 +186,11 @@ def safe_name(name: str) -> str:
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 
-def _names(results: Sequence[Result]) -> list[str]:
+def _names(runs: Sequence[Run]) -> list[str]:
     """Names for the graphs' folders and curves, distinct where capitals are not told apart, too."""
     names = dict[str, str]()
-    for result in results:
-        first = name = safe_name(result.graph.name)
+    for run in runs:
+        first = name = safe_name(run.name)
         count = 2
         while name.casefold() in names:
             name, count = f"{first}_{count}", count + 1
@@ -209,27 +200,27 @@ def _names(results: Sequence[Result]) -> list[str]:
 
 def _write_one(
     place: Path,
-    result: Result,
+    run: Run,
     told: dict[str, Any],
     seed: int | None,
     command: Sequence[str] | None,
     now: datetime | None,
 ) -> None:
-    text = resolved_text(result.graph)
+    text = resolved_text(run.experiment)
     (place / "graph.yaml").write_bytes(encoded(text))
-    for name, source in companions(result.graph).items():
+    for name, source in companions(run.experiment).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
-    made = provenance(result.graph, text, seed=seed, command=command, now=now)
+    made = provenance(run.experiment, text, seed=seed, command=command, now=now)
     # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
-    _write_json(place / "provenance.json", {**made, "field_hash": result.run.diagram.fingerprint})
-    _write_signals(place / "signals.nc", result, seed)
+    _write_json(place / "provenance.json", {**made, "field_hash": run.recording.diagram.fingerprint})
+    _write_signals(place / "signals.nc", run, seed)
 
 
-def _write_signals(file: Path, result: Result, seed: int | None) -> None:
+def _write_signals(file: Path, run: Run, seed: int | None) -> None:
     from dmframe.results.dataset import dataset
 
-    data = dataset(result.run, result.graph, seed)
+    data = dataset(run.recording, run.experiment, seed)
     packed = {str(name): {"zlib": True, "complevel": 1, "shuffle": True} for name in data.data_vars}
     # in memory first: on a full disk HDF5 itself prints tracebacks and can take the process down
     file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
@@ -240,7 +231,7 @@ def _write_json(file: Path, data: dict[str, Any]) -> None:
 
 
 def provenance(
-    graph: Graph,
+    experiment: Experiment,
     text: str,
     *,
     seed: int | None = None,
@@ -248,7 +239,7 @@ def provenance(
     now: datetime | None = None,
 ) -> dict[str, Any]:
     """What it takes to have the same run again: versions, machine, command, time, digests, seed."""
-    source = robot_source(graph)
+    source = robot_source(experiment)
     return {
         "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
         "command": list(sys.argv if command is None else command),
@@ -256,7 +247,7 @@ def provenance(
         "platform": platform.platform(),
         "versions": {name: _version(name) for name in _PACKAGES},
         "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
-        "robot": graph.robot.name if graph.robot is not None else None,
+        "robot": experiment.robot.name if experiment.robot is not None else None,
         "urdf": source.urdf.name if source else None,
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,
         "seed": seed,

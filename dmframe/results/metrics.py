@@ -7,7 +7,7 @@ from typing import final
 
 import numpy as np
 
-from dmframe.simulate import Run
+from dmframe.simulate import Recording
 from dmframe.simulate.start import goals
 
 EIGHTHS = 8
@@ -53,7 +53,7 @@ class TrackingError:
         return self.rms_by_eighth[-1]
 
 
-def tracking_error(run: Run) -> TrackingError | None:
+def tracking_error(run: Recording) -> TrackingError | None:
     """The tracking error of a run: at the task where there is one, else at the joints; None without a goal."""
     pairs = {actual.split(".", 1)[1]: (desired, actual) for desired, actual, _, _ in reversed(goals(run.diagram.loop))}
     name = next((name for name in (*_PREFERRED, *pairs) if name in pairs), None)

@@ -7,10 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.results.dataset import axis_labels
-from dmframe.results.drawn_runs import Runs, coordinate_labels, told
-from dmframe.results.metrics import TrackingError, tracking_error
-from dmframe.results.plotting import (
+from dmframe.plotting import (
     GREY,
     PAGE,
     draw_curve,
@@ -22,7 +19,10 @@ from dmframe.results.plotting import (
     tame,
     unit_text,
 )
-from dmframe.simulate import Run
+from dmframe.results.dataset import axis_labels
+from dmframe.results.drawn_runs import Runs, coordinate_labels, told
+from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.simulate import Recording
 
 MOST = 2000
 _VISIBLE = 0.35
@@ -192,7 +192,7 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
     return figure
 
 
-def _window(runs: list[Run], paths: list[np.ndarray]) -> tuple[float, float]:
+def _window(runs: list[Recording], paths: list[np.ndarray]) -> tuple[float, float]:
     """The last laps that all runs went through, or all of the time."""
     begin = min(float(run.time[last_lap(run.time, path)]) for run, path in zip(runs, paths, strict=True))
     end = max(float(run.time[-1]) for run in runs)

@@ -6,38 +6,38 @@ import io
 from pathlib import Path
 from typing import Any
 
-from dmframe.config.graph import Graph
+from dmframe.config.experiment import Experiment
 from dmframe.robot.library import RobotSource, find_robot
 
 _AFTER = ("wires", "baseline", "uncertain")
 """Keys that stand after the blocks, where a file has them."""
 
 
-def resolved(graph: Graph) -> dict[str, Any]:
+def resolved(experiment: Experiment) -> dict[str, Any]:
     """The graph as plain data: overrides applied, defaults filled in, quantities as numbers in their own units.
 
     A user's own block files and URDF files are named as if they lay beside the graph; `companions` says which.
     """
-    file = graph.file
+    file = experiment.file
     data: dict[str, Any] = {"dmframe": file.dmframe}
     if file.title:
         data["title"] = file.title
     if file.robot is not None:
-        data["robot"] = _robot(graph)
+        data["robot"] = _robot(experiment)
     data["clock"] = "continuous" if file.clock is None else file.clock
     data["duration"] = file.duration
-    if graph.start:
-        data["start"] = _plain(graph.start)
+    if experiment.start:
+        data["start"] = _plain(experiment.start)
     data["solver"] = _plain(file.solver.model_dump())
     log = _plain(file.log.model_dump(exclude_none=True))
     if log:
         data["log"] = log
-    names = _file_names(graph)
+    names = _file_names(experiment)
     data["blocks"] = {}
-    for name, block in graph.blocks.items():
+    for name, block in experiment.blocks.items():
         kind = str(file.blocks[name]["type"])
         path, colon, class_name = kind.rpartition(":")
-        kind = f"{names[_beside(graph, path)]}:{class_name}" if colon else kind
+        kind = f"{names[_beside(experiment, path)]}:{class_name}" if colon else kind
         values = {key: value for key, value in block.model_dump().items() if value is not None}
         data["blocks"][name] = {"type": kind, **_plain(values)}
     for key in _AFTER:
@@ -46,7 +46,7 @@ def resolved(graph: Graph) -> dict[str, Any]:
     return data
 
 
-def resolved_text(graph: Graph) -> str:
+def resolved_text(experiment: Experiment) -> str:
     """`resolved` as YAML, a block a line."""
     from ruamel.yaml import YAML
     from ruamel.yaml.comments import CommentedMap
@@ -59,7 +59,7 @@ def resolved_text(graph: Graph) -> str:
             made.fa.set_flow_style()
         return made
 
-    data = resolved(graph)
+    data = resolved(experiment)
     document = mapping({key: value for key, value in data.items() if key not in ("blocks", *_AFTER)}, flow=False)
     document["blocks"] = CommentedMap((name, mapping(values)) for name, values in data["blocks"].items())
     document |= {key: mapping(data[key], flow=False) for key in _AFTER if key in data}
@@ -70,40 +70,40 @@ def resolved_text(graph: Graph) -> str:
     return text.getvalue()
 
 
-def companions(graph: Graph) -> dict[str, Path]:
+def companions(experiment: Experiment) -> dict[str, Path]:
     """Files that the graph names by path, by the name under which they must lie beside the resolved graph."""
-    return {name: path for path, name in _file_names(graph).items()}
+    return {name: path for path, name in _file_names(experiment).items()}
 
 
-def robot_source(graph: Graph) -> RobotSource | None:
+def robot_source(experiment: Experiment) -> RobotSource | None:
     """Where the graph's robot comes from."""
-    return find_robot(graph.file.robot.model, _base(graph)) if graph.file.robot else None
+    return find_robot(experiment.file.robot.model, _base(experiment)) if experiment.file.robot else None
 
 
-def _robot(graph: Graph) -> dict[str, Any]:
-    section, source = graph.file.robot, robot_source(graph)
+def _robot(experiment: Experiment) -> dict[str, Any]:
+    section, source = experiment.file.robot, robot_source(experiment)
     assert section is not None  # the caller looked
     assert source is not None
-    free = list(graph.robot.joint_names)
+    free = list(experiment.robot.joint_names)
     hold = {joint: angle for joint, angle in source.hold.items() if joint not in free} | section.hold
-    names = _file_names(graph)
+    names = _file_names(experiment)
     values = {
         "model": names[source.urdf.resolve()] if section.model.endswith(".urdf") else section.model,
         "free": free,
         "hold": hold or None,
         "tool": section.tool if section.tool is not None else source.tool,
-        "axes": graph.robot.axes,
+        "axes": experiment.robot.axes,
         "friction_velocity": section.friction_velocity,
     }
     return {key: _plain(value) for key, value in values.items() if value is not None}
 
 
-def _file_names(graph: Graph) -> dict[Path, str]:
+def _file_names(experiment: Experiment) -> dict[Path, str]:
     """Each file that the graph names by path, with a name of its own."""
-    kinds = (str(spec["type"]).rpartition(":") for spec in graph.file.blocks.values())
-    files = [_beside(graph, path) for path, colon, _ in kinds if colon]
-    if graph.file.robot is not None and graph.file.robot.model.endswith(".urdf"):
-        files.append(find_robot(graph.file.robot.model, _base(graph)).urdf.resolve())
+    kinds = (str(spec["type"]).rpartition(":") for spec in experiment.file.blocks.values())
+    files = [_beside(experiment, path) for path, colon, _ in kinds if colon]
+    if experiment.file.robot is not None and experiment.file.robot.model.endswith(".urdf"):
+        files.append(find_robot(experiment.file.robot.model, _base(experiment)).urdf.resolve())
     names = dict[Path, str]()
     for path in dict.fromkeys(files):
         taken, name, count = set(names.values()), path.name, 2
@@ -113,12 +113,12 @@ def _file_names(graph: Graph) -> dict[Path, str]:
     return names
 
 
-def _base(graph: Graph) -> Path:
-    return Path(graph.document.name).parent
+def _base(experiment: Experiment) -> Path:
+    return Path(experiment.document.name).parent
 
 
-def _beside(graph: Graph, path: str) -> Path:
-    return (_base(graph) / path).resolve()
+def _beside(experiment: Experiment, path: str) -> Path:
+    return (_base(experiment) / path).resolve()
 
 
 def _plain(value: Any) -> Any:

@@ -6,10 +6,10 @@ import math
 from typing import Any
 
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Run
+from dmframe.simulate import Recording
 
 
-def summary(name: str, run: Run, out: str | None = None) -> dict[str, Any]:
+def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]:
     """Plain data that JSON can hold: what is not a finite number is None.
 
     Parameters

@@ -37,7 +37,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """As `Run.engine` tells it."""
+        """As `Recording.engine` tells it."""
 
     @property
     def notices(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
-from dmframe.simulate.run import Run, prepare
+from dmframe.simulate.run import Recording, prepare
 from dmframe.simulate.step import Solver
 
 START = "start"
@@ -34,14 +34,14 @@ def simulate_many(
     engine: Choice = ...,
     log: Log | None = ...,
     threads: int | None = ...,
-) -> list[Run | DmframeError]: ...
+) -> list[Recording | DmframeError]: ...
 @overload
 def simulate_many(
     diagram: Diagram,
     variants: Sequence[Mapping[str, Any]],
     duration: float,
     *,
-    reduce: Callable[[Run], T],
+    reduce: Callable[[Recording], T],
     clock: float | None = ...,
     solver: Solver | None = ...,
     start: Mapping[str, Any] | None = ...,
@@ -54,7 +54,7 @@ def simulate_many(
     variants: Sequence[Mapping[str, Any]],
     duration: float,
     *,
-    reduce: Callable[[Run], Any] | None = None,
+    reduce: Callable[[Recording], Any] | None = None,
     clock: float | None = None,
     solver: Solver | None = None,
     start: Mapping[str, Any] | None = None,

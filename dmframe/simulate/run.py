@@ -53,7 +53,7 @@ class Divergence:
 
 @final
 @dataclass(frozen=True)
-class Run:
+class Recording:
     """What a simulation recorded, up to its end or to where it diverged or was stopped.
 
     Parameters
@@ -99,7 +99,7 @@ def simulate(
     progress: Progress | None = None,
     engine: Choice = "auto",
     log: Log | None = None,
-) -> Run:
+) -> Recording:
     """Run a closed loop.
 
     Parameters
@@ -114,7 +114,7 @@ def simulate(
         Start values by state name, ``{"q": [...]}``, or ``{"near": [...]}``; see `start_state`.
     engine
         ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it. They give the
-        same numbers to rounding. `Run.engine` says which one ran.
+        same numbers to rounding. `Recording.engine` says which one ran.
     log
         What is kept, and how often.
 
@@ -159,7 +159,7 @@ class Prepared:
         start: Mapping[str, Any],
         progress: Progress | None = None,
         guard: AbstractContextManager[Any] | None = None,
-    ) -> Run:
+    ) -> Recording:
         """Run with the numbers of `diagram`; `guard` is entered where CasADi's expressions are used."""
         guard = guard or nullcontext()
         with guard:
@@ -182,13 +182,13 @@ class Prepared:
         end: End,
         wall: float,
         stiff: tuple[str, ...],
-    ) -> Run:
+    ) -> Recording:
         times = np.arange(len(rows)) * self.keeping.every * self.step.period
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
         for matrix in self.matrices:
             del items[matrix.label]
-        return Run(
+        return Recording(
             diagram=diagram,
             clock=self.clock,
             duration=self.ticks * self.step.period,

@@ -9,9 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.faults import told_by
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.model import told_by
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all

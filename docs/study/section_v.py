@@ -143,7 +143,7 @@ def _scaled(values: Iterable[float], factor: float) -> list[float]:
 
 def run(asked: Sequence[Cell], told: Callable[[int], object] = lambda count: None) -> list[Cell]:
     """Simulate cells, those of one graph, clock and step together."""
-    from dmframe.config.graph import load_graph
+    from dmframe.config.experiment import load_experiment
     from dmframe.results.metrics import tracking_error
     from dmframe.simulate import Run, simulate_many
 
@@ -160,7 +160,7 @@ def run(asked: Sequence[Cell], told: Callable[[int], object] = lambda count: Non
         batches[graph_of(cell), GAINS.get(cell.gains, (0, False))[1], cell.clock, solver_step(cell)].append(cell)
     found = dict[Cell, Cell]()
     for (name, *_), batch in batches.items():
-        graph = load_graph(name, overrides(batch[0]))
+        graph = load_experiment(name, overrides(batch[0]))
         done = simulate_many(
             graph.diagram(),
             [numbers(cell) for cell in batch],

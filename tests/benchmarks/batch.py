@@ -29,10 +29,10 @@ def ours(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`simulate_many`, a run kept as its last pose."""
     from dataclasses import replace
 
-    from dmframe.config.graph import load_graph
+    from dmframe.config.experiment import load_experiment
     from dmframe.simulate import simulate_many
 
-    loaded = load_graph(GRAPH)
+    loaded = load_experiment(GRAPH)
     diagram = loaded.diagram()
     variants = [
         {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda} for gamma, Gamma, Lambda in grid(size)

@@ -13,14 +13,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 from dmframe.certify import Verdict, verify
 from dmframe.certify.identity import check_identity
 from dmframe.certify.symbols import symbols_of
 from dmframe.config.document import read_document
-from dmframe.config.graph import make_graph
+from dmframe.config.experiment import experiment_of
 
 ROBOTS = {
     "arm2": ("arm2", 2, 2),
@@ -82,7 +81,7 @@ class Case:
     def verdict(self) -> tuple[Verdict, float]:
         """The verdict, and the seconds from the text to it."""
         begin = time.perf_counter()
-        graph = make_graph(read_document(self.graph(), f"{self.robot}.yaml"), Path(f"{self.robot}.yaml"))
+        graph = experiment_of(read_document(self.graph(), f"{self.robot}.yaml"))
         return verify(graph.diagram()), time.perf_counter() - begin
 
 

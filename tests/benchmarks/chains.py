@@ -57,7 +57,7 @@ blocks:
 def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
     """Seconds of each stage asked for; building comes first in any case. The step is one tick of 8 ms."""
     from dmframe.certify import verify
-    from dmframe.config.graph import load_graph
+    from dmframe.config.experiment import load_experiment
     from dmframe.simulate import simulate
 
     with TemporaryDirectory() as folder:
@@ -65,9 +65,9 @@ def cost(n: int, stages: Sequence[str]) -> dict[str, Any]:
         Path(folder, "chain.urdf").write_text(urdf(n), encoding="utf-8")
         file = Path(folder, "chain.yaml")
         file.write_text(graph(n), encoding="utf-8")
-        load_graph("pendulum").diagram()  # so that imports are not counted
+        load_experiment("pendulum").diagram()  # so that imports are not counted
         begin = time.perf_counter()
-        loaded = load_graph(file)
+        loaded = load_experiment(file)
         diagram = loaded.diagram()
         found = {"build": time.perf_counter() - begin}
         if "step" in stages:

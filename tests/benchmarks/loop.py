@@ -113,10 +113,10 @@ class Loop:
     @classmethod
     def read(cls, name: str | Path) -> Loop:
         """The loop of a packaged graph."""
-        from dmframe.config.graph import load_graph
+        from dmframe.config.experiment import load_experiment
         from dmframe.simulate import start_state
 
-        graph = load_graph(name)
+        graph = load_experiment(name)
         diagram = graph.diagram()
         values = {leaf.label: np.asarray(leaf.value, dtype=float) for leaf in diagram.loop.parameters}
         n = diagram.robot.n

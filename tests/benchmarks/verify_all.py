@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 
 ROBOTS = {
     "ur10, 3 joints": (
@@ -94,7 +94,7 @@ def verdict(text: str, folder: Path) -> tuple[Verdict, float, float]:
     file = folder / "graph.yaml"
     file.write_text(text, encoding="utf-8")
     begin = time.process_time()
-    diagram = load_graph(file).diagram()
+    diagram = load_experiment(file).diagram()
     built = time.process_time()
     found = verify(diagram)
     return found, built - begin, time.process_time() - built

@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import lfilter
 
 from dmframe.certify import Verdict, verify
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
 from dmframe.robot.chain import SerialChain, pin_configuration
 from dmframe.simulate import Solver, simulate
@@ -19,7 +19,7 @@ STEP = 0.001
 
 
 def proof(name: str, *overrides: str) -> Verdict:
-    return verify(load_graph(name, overrides).diagram())
+    return verify(load_experiment(name, overrides).diagram())
 
 
 def inertial_regressor(chain: SerialChain, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ def filtered(rows: np.ndarray) -> np.ndarray:
 
 
 def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() -> None:
-    graph = load_graph("torque_indirect_filtered_pi", [f"filter.bandwidth={RATE}", "adaptation.Gamma=1"])
+    graph = load_experiment("torque_indirect_filtered_pi", [f"filter.bandwidth={RATE}", "adaptation.Gamma=1"])
     diagram = graph.diagram()
     run = simulate(diagram, 2.0, clock=None, solver=Solver(step=STEP, output=STEP), start=graph.start)
     q, dq, ddq = run["arm.q"], run["arm.dq"], run["arm.ddq"]
@@ -57,7 +57,7 @@ def test_the_filter_without_accelerations_is_the_filtered_regressor_with_them() 
 
 
 def test_with_the_true_estimates_the_prediction_error_stays_zero() -> None:
-    graph = load_graph(
+    graph = load_experiment(
         "torque_indirect_filtered_pi",
         [
             "inverse.w=[0.016666666666666666, 0.03333333333333333]",
@@ -108,11 +108,11 @@ def test_a_filter_without_the_friction_of_the_robot_is_refuted() -> None:
 def test_the_offset_of_the_servos_integrator_has_one_place(overrides: list[str], found: str) -> None:
     more = ["adaptation.Gamma=1", "adaptation.a_d_hat_box=[-1, 9]"]
     with pytest.raises(DmframeError, match=found):
-        load_graph("torque_indirect_filtered_pi", [*overrides, *more]).diagram()
+        load_experiment("torque_indirect_filtered_pi", [*overrides, *more]).diagram()
 
 
 def test_without_accelerations_the_torque_based_arm_follows_its_path_better_and_better() -> None:
-    graph = load_graph("torque_indirect_filtered_pi")
+    graph = load_experiment("torque_indirect_filtered_pi")
     assert not any("ddq" in leaf.name for leaf in graph.diagram().loop.crossings)
     run = simulate(graph.diagram(), 100.0, clock=None, solver=graph.solver, start=graph.start)
     assert run.divergence is None
@@ -126,7 +126,7 @@ def test_without_accelerations_the_torque_based_arm_follows_its_path_better_and_
 def test_a_composite_adaptation_follows_the_circle_closer_than_the_gradient_alone() -> None:
     final = {}
     for name in ("known_tracking_pi", "known_tracking_composite_pi"):
-        graph = load_graph(name)
+        graph = load_experiment(name)
         run = simulate(graph.diagram(), 40.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
         assert run.divergence is None
         error = np.linalg.norm(run["arm.x"] - run["path.x_d"], axis=1)

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from dmframe.block.model import symbols_in
 from dmframe.certify import Verdict, verify
-from dmframe.config.graph import Graph, load_graph
-from dmframe.diagram.model import symbols_in
-from dmframe.simulate import Run, simulate
+from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.simulate import Recording, simulate
 
 Array = NDArray[np.float64]
 GOAL, K_P, K_I, B = np.array([0.3, 0.4]), np.array([20.0, 10.0]), np.array([40.0, 20.0]), np.array([1.0, 0.5])
@@ -60,14 +60,14 @@ def by_hand() -> Array:
 
 
 @cache
-def done(*overrides: str) -> tuple[Graph, Run, Verdict]:
-    graph = load_graph("lesson_q_r_is_q_d", overrides)
+def done(*overrides: str) -> tuple[Experiment, Recording, Verdict]:
+    graph = load_experiment("lesson_q_r_is_q_d", overrides)
     diagram = graph.diagram()
     run = simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     return graph, run, verify(diagram)
 
 
-def error(run: Run) -> Array:
+def error(run: Recording) -> Array:
     return np.asarray(run["arm.q"][-1] - run["path.q_d"][-1])
 
 

@@ -12,10 +12,10 @@ import pytest
 from dmframe.block import Equations, Signals
 from dmframe.catalogue import find_block
 from dmframe.certify import verify
-from dmframe.config.graph import Graph, load_graph
+from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.simulate import Run, Solver, simulate
+from dmframe.simulate import Recording, Solver, simulate
 from dmframe.simulate.start import loop_trajectories
 
 SERVOS = {
@@ -39,7 +39,7 @@ GENERATORS = {
 POSTURE = "  posture: {type: null_space_posture, K_null: [0.5, 0.4, 0.3], q_0: [0.2, 0.5, 0.8]}\n"
 
 
-def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: str = POSTURE) -> Graph:
+def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: str = POSTURE) -> Experiment:
     inverse, law = SERVOS[servo]
     file = folder / "graph.yaml"
     file.write_text(
@@ -50,7 +50,7 @@ def graph(folder: Path, generator: str = "known", servo: str = "pid", posture: s
         "  arm: {type: manipulator, viscous: 1}\n",
         encoding="utf-8",
     )
-    return load_graph(file)
+    return load_experiment(file)
 
 
 def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
@@ -120,8 +120,8 @@ def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Pa
         np.testing.assert_allclose(told, slope, rtol=1e-3, atol=1e-3)
 
 
-def turned(name: str, *, posture: bool) -> Run:
-    loaded = load_graph(name)
+def turned(name: str, *, posture: bool) -> Recording:
+    loaded = load_experiment(name)
     if not posture:
         blocks = {key: block for key, block in loaded.blocks.items() if key != "posture"}
         diagram = Diagram.build(blocks, {}, loaded.diagram().robot)

@@ -13,9 +13,9 @@ from dmframe.adaptation import Adaptation
 from dmframe.certificate import SX
 from dmframe.certify import Verdict, verify
 from dmframe.cli import main
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError
-from dmframe.simulate import Run, simulate
+from dmframe.simulate import Recording, simulate
 
 LAWS = {
     "arm2_joint": ("dynamics", "inverse"),
@@ -29,7 +29,7 @@ OPTIONS = ("leak", "error_leak", "dead_zone")
 
 
 def proof(name: str | Path, *overrides: str) -> Verdict:
-    return verify(load_graph(name, overrides).diagram())
+    return verify(load_experiment(name, overrides).diagram())
 
 
 @pytest.mark.parametrize("option", OPTIONS)
@@ -156,7 +156,7 @@ def test_a_ball_is_proved_if_it_holds_the_true_value(ball: str, outcome: str) ->
 
 
 def test_the_room_in_a_ball_is_that_of_the_true_parameters() -> None:
-    diagram = load_graph("arm2_joint", ["dynamics.a_d_hat_ball=[0, 10]"]).diagram()
+    diagram = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 10]"]).diagram()
     true = np.concatenate([np.array(diagram.robot.inertia, dtype=float).ravel(), [1, 0.5]])
     verdict = verify(diagram)
     (found,) = (item.value for item in verdict.conditions if item.name.endswith("true value inside the ball"))
@@ -181,12 +181,12 @@ def test_the_translations_of_the_kinematics_are_kept_in_a_ball_too() -> None:
 )
 def test_wrong_use_is_told(overrides: list[str], text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        load_graph("arm2_joint", overrides).diagram()
+        load_experiment("arm2_joint", overrides).diagram()
     assert text in str(fault.value)
 
 
 def test_a_start_outside_its_ball_is_refused() -> None:
-    graph = load_graph("arm2_joint", ["dynamics.a_d_hat_ball=[0, 2]", "dynamics.a_d_hat=1"])
+    graph = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 2]", "dynamics.a_d_hat=1"])
     with pytest.raises(DmframeError, match=r"expected a start inside a_d_hat_ball, found 2\.345 radii away"):
         simulate(graph.diagram(), 0.1, clock=graph.file.clock)
 
@@ -229,8 +229,8 @@ def size_of_estimate(folder: Path, *overrides: str) -> np.ndarray:
     """|a_d_hat| at a third, two thirds and the end of a run whose velocities are measured wrong."""
     (folder / "sensor.py").write_text(SENSOR)
     (folder / "graph.yaml").write_text(NEARLY_STILL)
-    graph = load_graph(folder / "graph.yaml", overrides)
-    run: Run = simulate(graph.diagram(), 120.0, clock=graph.file.clock, start=graph.start)
+    graph = load_experiment(folder / "graph.yaml", overrides)
+    run: Recording = simulate(graph.diagram(), 120.0, clock=graph.file.clock, start=graph.start)
     assert run.divergence is None
     size = np.linalg.norm(run["dynamics.a_d_hat"], axis=1)
     return size[[size.size // 3, 2 * size.size // 3, -1]]
@@ -265,7 +265,7 @@ def test_with_a_wrong_sensor_a_ball_and_a_box_stop_the_drift_at_their_rim(tmp_pa
 
 def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
     overrides = ["clock=continuous", "dynamics.a_d_hat_ball=[0, 0.5]", "dynamics.Gamma=300"]
-    graph = load_graph("arm2_joint", overrides)
+    graph = load_experiment("arm2_joint", overrides)
     run = simulate(graph.diagram(), 10.0, clock=None, solver=graph.solver, start=graph.start)
     size = np.linalg.norm(run["dynamics.a_d_hat"], axis=1)
     assert run.divergence is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.simulate import simulate
 
 RMS = {  # [mm], norm of the task error over the last eighth
@@ -29,7 +29,7 @@ OTHERS = {  # what a graph's comment says of the form or gains that it does not 
 
 def last_eighth(name: str, *overrides: str) -> float:
     """[mm]."""
-    graph = load_graph(name, overrides)
+    graph = load_experiment(name, overrides)
     run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert run.divergence is None
     error = np.linalg.norm(run["arm.x"] - run["path.x_d"], axis=1) * 1e3

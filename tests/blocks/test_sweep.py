@@ -11,7 +11,7 @@ import pytest
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import block_types, graphs
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.parameter import specs
 from dmframe.port import Access, Port, Side, State
 from dmframe.simulate import simulate
@@ -120,7 +120,7 @@ def test_a_block_runs_in_a_packaged_graph_or_an_example(name: str, tmp_path: Pat
     file = tmp_path / "example.yaml"
     file.write_text(EXAMPLES[name])
     assert name in types_in(file)
-    graph = load_graph(file)
+    graph = load_experiment(file)
     run = simulate(graph.diagram(), graph.file.duration, clock=graph.file.clock, start=graph.start)
     assert run.divergence is None
     assert np.linalg.norm(run["arm.x"][-1] - [0.5, 0.4]) < np.linalg.norm(run["arm.x"][0] - [0.5, 0.4])
@@ -128,7 +128,7 @@ def test_a_block_runs_in_a_packaged_graph_or_an_example(name: str, tmp_path: Pat
 
 @pytest.mark.parametrize("name", GRAPHS)
 def test_a_packaged_graph_builds_and_stays_finite(name: str) -> None:
-    graph = load_graph(name)
+    graph = load_experiment(name)
     run = simulate(graph.diagram(), 2.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert graph.file.title
     assert run.divergence is None

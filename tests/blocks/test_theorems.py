@@ -12,8 +12,8 @@ import pytest
 
 from dmframe.certify import Verdict, verify
 from dmframe.certify.along import Along, along
-from dmframe.config.graph import load_graph
-from dmframe.simulate import Run, simulate
+from dmframe.config.experiment import load_experiment
+from dmframe.simulate import Recording, simulate
 from dmframe.simulate.start import goals
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")
@@ -45,8 +45,8 @@ SAMPLED = {  # the same of the sampled combinations, over so many seconds
 
 
 @cache
-def done(name: str) -> tuple[Run, Verdict]:
-    graph = load_graph(name)
+def done(name: str) -> tuple[Recording, Verdict]:
+    graph = load_experiment(name)
     diagram = graph.diagram()
     run = simulate(diagram, graph.file.duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     return run, verify(diagram)
@@ -59,7 +59,7 @@ def fall(name: str) -> Along:
     return along(verdict.claim, run, float(verdict.kappa.chosen) if verdict.kappa else 1.0)
 
 
-def rms(run: Run) -> np.ndarray:
+def rms(run: Recording) -> np.ndarray:
     """Of the tracking error, tenth by tenth."""
     desired, actual, _, _ = goals(run.diagram.loop)[0]
     error = np.sum((run[actual] - run[desired]) ** 2, axis=1)
@@ -115,7 +115,7 @@ def test_the_kinematics_are_wrong_at_the_start_and_the_estimates_stay_bounded(na
 @pytest.mark.parametrize("name", SAMPLED)
 def test_the_sampled_combination_converges_at_8_ms(name: str) -> None:
     duration, ratio = SAMPLED[name]
-    graph = load_graph(name)
+    graph = load_experiment(name)
     assert graph.file.clock == 0.008
     run = simulate(graph.diagram(), duration, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     assert run.divergence is None

@@ -24,7 +24,7 @@ import pytest
 from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
-from dmframe.config.graph import make_graph
+from dmframe.config.experiment import experiment_of
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.joinpath("docs").rglob("*.md"))]
@@ -88,7 +88,7 @@ def build_yaml(text: str, shared: Page) -> None:
         below = read_file(graphs()["ur10_fast"]).data
         data = {**below, **data, "blocks": {**below["blocks"], **data.get("blocks", {})}}
     as_text = json.dumps(data, ensure_ascii=False)  # JSON is YAML
-    make_graph(read_document(as_text, "snippet.yaml"), shared.folder / "snippet.yaml").diagram()
+    experiment_of(read_document(as_text, str(shared.folder / "snippet.yaml"))).diagram()
 
 
 def run_console(text: str, where: str) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 
 ROOT = Path(__file__).parents[2]
 
@@ -98,7 +98,7 @@ def test_the_pictures_are_small_enough(study: ModuleType) -> None:
 
 def test_a_cell_is_a_packaged_graph_with_other_numbers(study: ModuleType) -> None:
     cell = study.Cell("fast", 3.0, 0.5, 2.0, 0.0, 0.03, "position", "boxed_100")
-    graph = load_graph(study.graph_of(cell), study.overrides(cell))
+    graph = load_experiment(study.graph_of(cell), study.overrides(cell))
     assert graph.name == "ur10_fast_tied_position"
     assert graph.file.clock == pytest.approx(0.03)
     assert graph.blocks["servo"].K_D == (2400, 2400, 1200)
@@ -115,7 +115,7 @@ def test_the_graphs_own_cell_changes_nothing_but_the_step(task: str, form: str, 
     gains = "" if form == "kinematic" else "paper"
     cell = study.Cell(task, 1.0, 1.0, 1.0, 1.0, study.TASKS[task], form, gains)
     name = study.graph_of(cell)
-    changed, own = load_graph(name, study.overrides(cell)), load_graph(name)
+    changed, own = load_experiment(name, study.overrides(cell)), load_experiment(name)
     assert changed.blocks == own.blocks
     assert (changed.file.clock, changed.file.duration) == (own.file.clock, own.file.duration)
 

@@ -148,6 +148,6 @@ def test_folders_named_as_ours_beside_the_graph_break_nothing(tmp_path: Path) ->
     for name in ("blocks", "plants", "tests", "graphs"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").write_text("raise RuntimeError('shadowed')\n")
-    code = "from dmframe.config.graph import load_graph; print(len(load_graph('pendulum').diagram().blocks))"
+    code = "import dmframe as dm; print(len(dm.load('pendulum').diagram.blocks))"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.stdout.strip(), done.stderr) == ("7", "")

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dmframe.diagram.symmetric import symmetric_symbol, unique
+from dmframe.block.symmetric import symmetric_symbol, unique
 from dmframe.errors import DmframeError
 from dmframe.gain import Prior, check_definite
 from dmframe.parameter import Spec, array, read

@@ -18,9 +18,9 @@ class Loop(Peer):
     engine: ClassVar[Literal["interpreted", "compiled"]] = "interpreted"
 
     def build(self) -> None:
-        from dmframe.config.graph import load_graph
+        from dmframe.config.experiment import load_experiment
 
-        self.graph = load_graph(self.loop.graph)
+        self.graph = load_experiment(self.loop.graph)
         self.diagram = self.graph.diagram()
         self.wall: float | None = None
 

@@ -175,11 +175,11 @@ def _packaged(held: set[str]) -> Iterator[Loop]:
     """A packaged graph for each block that none of the others holds: so a new block brings its own."""
     from dmframe.catalogue import graphs
     from dmframe.certify import verify
-    from dmframe.config import load_graph
+    from dmframe.config import load_experiment
 
     held = held | loop_of(load("arm2"), "task", "PI").types | loop_of(load("arm2"), "joint", "PID").types
     for name in graphs():
-        graph = load_graph(name)
+        graph = load_experiment(name)
         specs = {block: (str(entry["type"]), _parameters(entry)) for block, entry in graph.data["blocks"].items()}
         loop = Loop(name, graph.robot, specs, graph.file.wires)
         if loop.types - held and verify(loop.diagram).outcome == "proved":

@@ -29,13 +29,13 @@ from closed_loops import FULL, Loop, known_blocks, loops, same_field, true_in_nu
 import dmframe.linalg
 import dmframe.robot.symbolic
 from dmframe.block import AbstractBlock
+from dmframe.block.model import symbols_in
 from dmframe.certificate import Certificate
 from dmframe.certify import claim_of, verify
 from dmframe.certify.identity import equalities
 from dmframe.certify.reals import doubt
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
-from dmframe.diagram.model import symbols_in
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.parameter import specs

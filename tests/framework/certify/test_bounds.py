@@ -23,12 +23,12 @@ from dmframe.certify.excess import bounds_of
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.summary import summary
 from dmframe.certify.symbols import symbols_of
-from dmframe.cli.verify import page
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.report.content import Condition
+from dmframe.report.verdict_text import verdict_text
 
 ONE = ca.SX(1)
 
@@ -127,11 +127,11 @@ def test_a_gain_that_changes_no_rate_is_no_fault_and_one_that_does_is() -> None:
 
 
 def test_what_was_sampled_is_not_said_to_hold() -> None:
-    graph = load_graph("arm2_joint")
+    graph = load_experiment("arm2_joint")
     verdict = verify(graph.diagram())
     sampled = Checked("M(q) > 0", "200 poses", 0.1, True, "property P2", "sampled")
     object.__setattr__(verdict, "conditions", (sampled,))
-    (line,) = [line for line in page(graph, verdict).splitlines() if "M(q) > 0" in line]
+    (line,) = [line for line in verdict_text(graph.name, verdict).splitlines() if "M(q) > 0" in line]
     assert line.endswith("sampled, not proved")
     row = Condition("M(q) > 0", "0.1", True, "sampled", "property P2")
     assert row.told == "sampled, not proved"
@@ -148,12 +148,12 @@ PLACES = {
 def test_numbers_at_the_edge_give_an_answer_or_a_fault_of_the_graph(name: str, place: str) -> None:
     for value in EXTREMES:
         try:
-            graph = load_graph(name, [f"{place}={value}"])
+            graph = load_experiment(name, [f"{place}={value}"])
             verdict = verify(graph.diagram(), trials=1)
         except DmframeError:
             continue
         assert verdict.outcome != "refuted"
-        assert page(graph, verdict)
+        assert verdict_text(graph.name, verdict)
         assert json.dumps(summary(name, verdict), allow_nan=False)
 
 

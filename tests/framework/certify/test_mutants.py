@@ -14,10 +14,10 @@ import pytest
 from closed_loops import Loop, field_of, known_blocks, loops, states_of, true_in_numbers
 from mutants import LIBRARY, Mutant, Result, all_mutants, block_mutants, homes, judged, library_mutants, mutated_block
 
+from dmframe.block.model import symbols_in
 from dmframe.certify import claim_of
 from dmframe.certify.identity import check_identity
 from dmframe.certify.symbols import symbols_of
-from dmframe.diagram.model import symbols_in
 from dmframe.port import Side
 from dmframe.simulate.start import loop_trajectories
 

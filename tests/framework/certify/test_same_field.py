@@ -13,7 +13,7 @@ from closed_loops import field_of, loop_of, loops, states_of
 from dmframe.certify import claim_of
 from dmframe.certify.identity import check_identity
 from dmframe.certify.symbols import symbols_of
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
@@ -70,7 +70,7 @@ def test_what_is_changed_in_the_loop_that_runs_changes_what_is_proved(side: str)
 
 @pytest.mark.parametrize("name", ["arm2_joint", "pendulum"])
 def test_v_falls_along_a_run_in_continuous_time(name: str) -> None:
-    diagram = load_graph(name).diagram()
+    diagram = load_experiment(name).diagram()
     claim = claim_of(diagram)
     run = simulate(diagram, 2.0, solver=Solver("cvodes", output=0.01, tolerance=1e-11), start={})
     V = at_time(diagram, claim.V, claim.kappa)

@@ -13,7 +13,7 @@ from scalar_blocks import scalar_loop
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import claim_of, verify
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.exact import Tape
 from dmframe.exact.pieces import KINKS, operation
@@ -121,7 +121,7 @@ def test_a_kink_that_passes_as_smooth_has_one_slope(case: int) -> None:
 
 
 def test_a_correction_of_a_projection_in_v_is_refused() -> None:
-    loop = load_graph("arm2_joint").diagram()
+    loop = load_experiment("arm2_joint").diagram()
     claim = claim_of(loop)
     (projection, *_) = [item for item in claim.loop.projections if item.block == "inverse"]
     held = Square(projection.correction, ONE, "a correction")
@@ -167,7 +167,7 @@ def test_a_hidden_jump_is_found_by_looking() -> None:
 
 
 def test_waypoints_are_continuous_at_all_their_instants() -> None:
-    found = look(load_graph("pendulum").diagram())
+    found = look(load_experiment("pendulum").diagram())
     assert found.faults == ()
     assert found.assumptions == ()
     assert "path.q_d is continuous at its 4 switching instants, and smooth between" in found.notes

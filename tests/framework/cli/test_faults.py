@@ -18,12 +18,12 @@ FAULTS = {
     "new of an unknown": (("new", "pendulm"), "dmframe: pendulm: unknown graph; did you mean pendulum?\n"),
     "draw of an unknown": (("draw", "pendulm"), "dmframe: pendulm: unknown graph; did you mean pendulum?\n"),
     "ending of a drawing": (
-        ("draw", "pendulum", "-o", "a.pdf"),
-        "dmframe: a.pdf: expected a name that ends in .svg or .mmd, found .pdf\n",
+        ("draw", "pendulum", "-o", "a.gif"),
+        "dmframe: a.gif: expected a name that ends in .svg, .png, .pdf, .mmd, found .gif\n",
     ),
     "no ending of a drawing": (
         ("draw", "pendulum", "-o", "a"),
-        "dmframe: a: expected a name that ends in .svg or .mmd, found no ending\n",
+        "dmframe: a: expected a name that ends in .svg, .png, .pdf, .mmd, found no ending\n",
     ),
     "folder of a drawing": (
         ("draw", "pendulum", "-o", "no/a.svg"),

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import xarray
 
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
 EXTRAS = {"divergence", "interrupted", "notices", "rank"}
@@ -95,7 +95,7 @@ def test_set_changes_the_run_and_stands_in_its_graph(dmframe: Any, tmp_path: Pat
     )
     assert told["clock"] == 0.002
     assert told["error"]["rms_final"] < plain["error"]["rms_final"]
-    kept = load_graph(tmp_path / "mine" / "graph.yaml")
+    kept = load_experiment(tmp_path / "mine" / "graph.yaml")
     assert kept.blocks["task"].alpha_bar == 8  # type: ignore[attr-defined]
     assert kept.file.clock == 0.002
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from dmframe.compile import library
-from dmframe.config.graph import load_graph
-from dmframe.simulate import Run, simulate
+from dmframe.config.experiment import load_experiment
+from dmframe.simulate import Recording, simulate
 
-Runner = Callable[..., Run]
+Runner = Callable[..., Recording]
 
 
 @pytest.fixture
@@ -31,10 +31,10 @@ def forget() -> None:
 @pytest.fixture
 def pendulum() -> Runner:
     """A short run of the smallest graph."""
-    graph = load_graph("pendulum")
+    graph = load_experiment("pendulum")
     diagram = graph.diagram()
 
-    def run(engine: str = "compiled", **options: object) -> Run:
+    def run(engine: str = "compiled", **options: object) -> Recording:
         given = {"clock": graph.file.clock, "solver": graph.solver, "start": graph.start} | options
         return simulate(diagram, 0.2, engine=engine, **given)  # type: ignore[arg-type]
 

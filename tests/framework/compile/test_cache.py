@@ -16,11 +16,11 @@ from dmframe.compile import compiler as compilers
 from dmframe.compile import library
 from dmframe.compile.cache import find, make
 from dmframe.compile.compiler import CompileFailed, Compiler, find_compiler
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.errors import ValueFault
-from dmframe.simulate import Run, simulate
+from dmframe.simulate import Recording, simulate
 
-Runner = Callable[..., Run]
+Runner = Callable[..., Recording]
 
 needs_permissions = pytest.mark.skipif(
     not hasattr(os, "getuid") or os.getuid() == 0, reason="root may write to any folder"
@@ -58,7 +58,7 @@ def test_gains_true_parameters_starts_clock_and_step_need_no_new_compilation(cac
     ]
     found = list[np.ndarray]()
     for overrides in changes:
-        graph = load_graph("arm2_joint", overrides)
+        graph = load_experiment("arm2_joint", overrides)
         start = {**graph.start, "dq": 0.01 * len(overrides)}
         run = simulate(
             graph.diagram(), 0.2, clock=graph.file.clock, solver=graph.solver, start=start, engine="compiled"

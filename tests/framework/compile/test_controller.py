@@ -10,7 +10,7 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.compile import compiler as compilers
-from dmframe.config.graph import Graph, load_graph
+from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import Controller, simulate
@@ -18,8 +18,8 @@ from dmframe.simulate import Controller, simulate
 SAMPLED = [name for name in graphs() if name.startswith(("ur10_fast", "arm2", "observed", "torque", "panda"))]
 
 
-def loaded(name: str) -> tuple[Graph, Diagram]:
-    graph = load_graph(name)
+def loaded(name: str) -> tuple[Experiment, Diagram]:
+    graph = load_experiment(name)
     return graph, graph.diagram()
 
 

@@ -17,15 +17,15 @@ from dmframe.compile import Parts, load, loop_source
 from dmframe.compile.function import written
 from dmframe.compile.library import address
 from dmframe.compile.source import shipped
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Log, Run, Solver, simulate
+from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.run import prepare
 
 
-def ran(name: str, engine: Any, duration: float, **options: Any) -> Run:
-    graph = load_graph(name)
+def ran(name: str, engine: Any, duration: float, **options: Any) -> Recording:
+    graph = load_experiment(name)
     return simulate(
         graph.diagram(),
         duration,
@@ -37,7 +37,7 @@ def ran(name: str, engine: Any, duration: float, **options: Any) -> Run:
     )
 
 
-def difference(one: Run, other: Run) -> float:
+def difference(one: Recording, other: Recording) -> float:
     """The largest over all signals, relative to each one's size."""
     worst = 0.0
     for kind in ("states", "outputs"):
@@ -66,7 +66,7 @@ def test_auto_compiles_a_long_run_and_interprets_a_short_one() -> None:
 
 
 def test_an_adaptive_solver_is_interpreted_and_says_so_where_it_was_asked_to_be_compiled() -> None:
-    graph = load_graph("pendulum")
+    graph = load_experiment("pendulum")
     diagram, solver = graph.diagram(), Solver("cvodes", tolerance=1e-6)
     asked, chosen = (simulate(diagram, 0.1, solver=solver, start=graph.start, engine=e) for e in ("compiled", "auto"))
     assert (asked.engine, chosen.engine) == ("interpreted", "interpreted")
@@ -100,7 +100,7 @@ def test_the_error_by_eighths_hardly_changes_with_what_is_kept() -> None:
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
 def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) -> None:
-    graph = load_graph("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
+    graph = load_experiment("arm2_joint", ["inverse.w_box=null", "dynamics.Gamma=1e9"])
     diagram = graph.diagram()
     runs = [
         simulate(diagram, 50, clock=graph.file.clock, start=graph.start, engine=engine, log=Log(every))
@@ -113,7 +113,7 @@ def test_a_divergence_between_kept_instants_is_found_at_its_tick(engine: Any) ->
 
 
 def test_an_hour_at_8_ms_keeps_at_most_160_megabytes() -> None:
-    graph = load_graph("ur10_fast")
+    graph = load_experiment("ur10_fast")
     prepared = prepare(graph.diagram(), 3600, clock=0.008, solver=Solver(), log=Log())
     assert prepared.ticks == 450_000
     numbers = prepared.keeping.rows(prepared.ticks) * prepared.keeping.kept.size
@@ -141,7 +141,7 @@ def test_more_than_memory_holds_is_refused_with_what_would_do() -> None:
 
 
 def test_no_name_but_the_entry_is_seen_outside_and_all_begin_alike() -> None:
-    graph = load_graph("ur10_fast")
+    graph = load_experiment("ur10_fast")
     source = loop_source(prepare(graph.diagram(), 1, clock=0.008, solver=Solver(), log=Log()).step.parts)
     found = re.findall(r"^(static inline |static |DM_EXPORT )\w+ (\w+)\(", source, re.MULTILINE)
     assert {name for _, name in found} >= {"dm_run", "dm_rate", "dm_sample", "dm_tanh"}

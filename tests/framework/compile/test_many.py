@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Run, simulate, simulate_many
+from dmframe.simulate import Recording, simulate, simulate_many
 
 VARIANTS: list[dict[str, Any]] = [
     {},
@@ -32,23 +32,23 @@ def test_a_batch_gives_what_single_runs_of_changed_graphs_give(engine: Any) -> N
         ["start={q: [0.8, 1.1]}"],
         ["inverse.w_I=3", "path.amplitude=[10 deg, 15 deg]"],
     ]
-    graph = load_graph("arm2_joint")
+    graph = load_experiment("arm2_joint")
     batch = simulate_many(graph.diagram(), VARIANTS, 0.5, clock=graph.file.clock, start=graph.start, engine=engine)
     for run, changes in zip(batch, overrides, strict=True):
-        other = load_graph("arm2_joint", changes)
+        other = load_experiment("arm2_joint", changes)
         single = simulate(other.diagram(), 0.5, clock=other.file.clock, start=other.start, engine=engine)
-        assert isinstance(run, Run)
+        assert isinstance(run, Recording)
         assert run.engine == engine
         for label, values in {**single.states, **single.outputs}.items():
             np.testing.assert_array_equal(run[label], values)
 
 
 def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
-    graph = load_graph("arm2_joint")
+    graph = load_experiment("arm2_joint")
     diagram = graph.diagram()
     variants = [{"dynamics.Gamma": float(gamma)} for gamma in range(1, 13)]
 
-    def last(run: Run) -> float:
+    def last(run: Recording) -> float:
         error = tracking_error(run)
         assert error is not None
         assert error.rms_final is not None
@@ -61,14 +61,14 @@ def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
 
 
 def test_one_that_diverges_and_one_that_cannot_start_leave_the_others_alone() -> None:
-    graph = load_graph("arm2_joint", ["inverse.w_box=null"])
+    graph = load_experiment("arm2_joint", ["inverse.w_box=null"])
     variants = [{}, {"dynamics.Gamma": 1e9}, {"dynamics.Gamma": -1.0}, {"start": {"qq": 1.0}}, {}]
     first, wild, wrong, lost, last = simulate_many(
         graph.diagram(), variants, 20.0, clock=graph.file.clock, start=graph.start, engine="compiled"
     )
-    assert isinstance(first, Run)
-    assert isinstance(last, Run)
-    assert isinstance(wild, Run)
+    assert isinstance(first, Recording)
+    assert isinstance(last, Recording)
+    assert isinstance(wild, Recording)
     assert first.divergence is None
     assert wild.divergence is not None
     np.testing.assert_array_equal(first["arm.q"], last["arm.q"])
@@ -77,13 +77,13 @@ def test_one_that_diverges_and_one_that_cannot_start_leave_the_others_alone() ->
 
 
 def test_a_batch_compiles_once(cache: Path) -> None:
-    graph = load_graph("arm2_joint")
+    graph = load_experiment("arm2_joint")
     simulate_many(graph.diagram(), VARIANTS, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
     assert len(list(cache.iterdir())) == 1
 
 
 def test_numbers_are_changed_beside_the_diagram_not_in_it() -> None:
-    diagram = load_graph("arm2_joint").diagram()
+    diagram = load_experiment("arm2_joint").diagram()
     before = diagram.loop.p_values.copy()
     changed = with_values(diagram, {"dynamics.Gamma": 7.0})
     np.testing.assert_array_equal(diagram.loop.p_values, before)
@@ -106,10 +106,10 @@ def test_numbers_are_changed_beside_the_diagram_not_in_it() -> None:
 )
 def test_numbers_that_cannot_be_are_told(values: dict[str, Any], text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        with_values(load_graph("arm2_joint").diagram(), values)
+        with_values(load_experiment("arm2_joint").diagram(), values)
     assert text in str(fault.value)
 
 
 def test_no_threads_are_too_few() -> None:
     with pytest.raises(ValueFault, match="threads: expected at least 1, found 0"):
-        simulate_many(load_graph("arm2_joint").diagram(), [{}], 0.1, threads=0)
+        simulate_many(load_experiment("arm2_joint").diagram(), [{}], 0.1, threads=0)

@@ -90,7 +90,7 @@ def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(moment: str, 
     os.mkfifo(pipe)
     tell = f"    with open({str(pipe)!r}, 'w') as f:\n        f.write('x')\n    signal.pause()\n"
     hook = {
-        "run": "import signal, dmframe.cli.run as run\nsimulate = run.simulate\n"
+        "run": "import signal, dmframe.config.experiment as run\nsimulate = run.simulate\n"
         f"def told(time):\n{tell}"
         "run.simulate = lambda *a, **k: simulate(*a, **(k | {'progress': told}))\n",
         "write": f"import signal, os\nrename = os.rename\ndef told(*a):\n{tell}os.rename = told\n",

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dmframe.catalogue import graphs
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.errors import DmframeError, MissingError
 from dmframe.results.resolved import resolved_text
 
@@ -37,7 +37,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_the_baseline_has_its_own_blocks_and_none_that_is_left_out(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH + KINEMATIC)).baseline()
+    graph = load_experiment(written(tmp_path, GRAPH + KINEMATIC)).baseline()
     assert graph.name == "mine_baseline"
     assert list(graph.blocks) == ["path", "task", "inverse", "servo", "arm"]
     assert graph.file.blocks["inverse"] == {"type": "kinematic_command"}
@@ -47,24 +47,24 @@ def test_the_baseline_has_its_own_blocks_and_none_that_is_left_out(tmp_path: Pat
 
 
 def test_an_override_changes_both(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha_bar=3"])
+    graph = load_experiment(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha_bar=3"])
     assert graph.file.blocks["task"]["alpha_bar"] == graph.baseline().file.blocks["task"]["alpha_bar"] == 3
 
 
 def test_the_resolved_graph_keeps_its_baseline(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH + KINEMATIC))
-    again = load_graph(written(tmp_path, resolved_text(graph)))
+    graph = load_experiment(written(tmp_path, GRAPH + KINEMATIC))
+    again = load_experiment(written(tmp_path, resolved_text(graph)))
     assert again.file.baseline == graph.file.baseline
 
 
 def test_the_resolved_graph_keeps_what_is_uncertain(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH + "uncertain: {servo.K_P: [50, 70]}\n"))
-    again = load_graph(written(tmp_path, resolved_text(graph)))
+    graph = load_experiment(written(tmp_path, GRAPH + "uncertain: {servo.K_P: [50, 70]}\n"))
+    again = load_experiment(written(tmp_path, resolved_text(graph)))
     assert again.file.uncertain == {"servo.K_P": [50, 70]}
 
 
 def test_without_the_key_there_is_nothing_to_compare_with(tmp_path: Path) -> None:
-    graph = load_graph(written(tmp_path, GRAPH))
+    graph = load_experiment(written(tmp_path, GRAPH))
     with pytest.raises(MissingError, match="mine: expected a key baseline, which says what to compare with"):
         graph.baseline()
 
@@ -82,13 +82,13 @@ def test_without_the_key_there_is_nothing_to_compare_with(tmp_path: Path) -> Non
 )
 def test_a_bad_baseline_is_told_when_the_graph_is_read(tmp_path: Path, baseline: str, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
-        load_graph(written(tmp_path, f"{GRAPH}baseline: {baseline}\n"))
+        load_experiment(written(tmp_path, f"{GRAPH}baseline: {baseline}\n"))
     assert text in str(caught.value)
 
 
 @pytest.mark.parametrize("name", sorted(graphs()))
 def test_each_packaged_baseline_is_the_kinematic_controller_before_the_same_robot(name: str) -> None:
-    graph = load_graph(name)
+    graph = load_experiment(name)
     if not graph.file.baseline:
         assert name.startswith(("ur10_fast", "ur10_slow", "arm2_joint", "pendulum"))  # they have graphs beside them
         return

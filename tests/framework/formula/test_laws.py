@@ -13,7 +13,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types, graphs
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import NotApplicableError, claim_of
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
@@ -30,7 +30,7 @@ from dmframe_blocks.regressor import heavy
 
 @pytest.mark.parametrize("name", list(graphs()))
 def test_every_block_of_every_packaged_graph_prints_what_runs(name):
-    for law in laws_of(load_graph(name).diagram()).values():
+    for law in laws_of(load_experiment(name).diagram()).values():
         for line in law.lines:
             for text in (line.whole.text, line.whole.latex, line.whole.unicode):
                 assert text
@@ -176,7 +176,7 @@ def test_an_option_prints_exactly_when_it_is_switched_on():
 
 
 def test_what_nobody_drives_does_not_print():
-    law = printed(load_graph("known_tracking_pid").diagram(), "dynamics")
+    law = printed(load_experiment("known_tracking_pid").diagram(), "dynamics")
     assert {line.name: line.right.text for line in law.outputs} == {"tau_dc": "Y_d a_d_hat"}
 
 

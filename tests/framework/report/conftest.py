@@ -1,14 +1,12 @@
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
 from dmframe.catalogue import graphs
-from dmframe.certify import Verdict, verify
-from dmframe.config import Graph, load_graph
-from dmframe.diagram import Diagram
+from dmframe.config import load_experiment
+from dmframe.report import Verification
 from dmframe.report.content import Content, gather
 from dmframe.report.linear import LinearView
 
@@ -46,39 +44,28 @@ class Liar(AbstractBlock):
 '''
 
 
-@dataclass(frozen=True)
-class Case:
-    graph: Graph
-    diagram: Diagram
-    verdict: Verdict
-
-    @property
-    def item(self) -> tuple[Graph, Diagram, Verdict]:
-        return self.graph, self.diagram, self.verdict
-
-
-def case(source: str | Path, *overrides: str) -> Case:
-    graph = load_graph(source, overrides)
+def case(source: str | Path, *overrides: str) -> Verification:
+    graph = load_experiment(source, overrides)
     diagram = graph.diagram()
-    return Case(graph, diagram, verify(diagram))
+    return Verification(graph, diagram, graph.verify(diagram))
 
 
-def content(found: Case) -> Content:
-    return gather(found.graph, found.diagram, found.verdict, command=["dmframe", "verify", "it's"], seed=0)
+def content(found: Verification) -> Content:
+    return gather(found.experiment, found.diagram, found.verdict, command=["dmframe", "verify", "it's"], seed=0)
 
 
 @pytest.fixture(scope="session")
-def proved() -> Case:
+def proved() -> Verification:
     return case("arm2_joint", "duration=0.2")
 
 
 @pytest.fixture(scope="session")
-def continuous() -> Case:
+def continuous() -> Verification:
     return case("pendulum")
 
 
 @pytest.fixture(scope="session")
-def refuted(tmp_path_factory: pytest.TempPathFactory) -> Case:
+def refuted(tmp_path_factory: pytest.TempPathFactory) -> Verification:
     folder = tmp_path_factory.mktemp("liar")
     (folder / "liar.py").write_text(LIAR)
     text = graphs()["pendulum"].read_text().replace("type: dynamic_compensator", "type: liar.py:Liar")
@@ -87,13 +74,13 @@ def refuted(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 @pytest.fixture(scope="session")
-def failing() -> Case:
+def failing() -> Verification:
     """Its identity holds, and M_bar > 0 does not."""
     return case("pendulum", "inverse.K_c=0.1", "inverse.tie=position", "duration=0.1")
 
 
 @pytest.fixture(scope="session")
-def silent(tmp_path_factory: pytest.TempPathFactory) -> Case:
+def silent(tmp_path_factory: pytest.TempPathFactory) -> Verification:
     """A block without a certificate."""
     path = tmp_path_factory.mktemp("silent") / "silent.yaml"
     lines = graphs()["pendulum"].read_text().replace("duration: 30 s", "duration: 0.1 s").splitlines()
@@ -103,7 +90,9 @@ def silent(tmp_path_factory: pytest.TempPathFactory) -> Case:
 
 
 @pytest.fixture(scope="session")
-def contents(proved: Case, refuted: Case, failing: Case, silent: Case) -> dict[str, Content]:
+def contents(
+    proved: Verification, refuted: Verification, failing: Verification, silent: Verification
+) -> dict[str, Content]:
     made = {"proved": content(proved), "silent": content(silent)}
     with pytest.MonkeyPatch.context() as patched:  # one linear analysis of each kind is enough
         patched.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))

@@ -5,13 +5,11 @@ import pytest
 
 from dmframe.certify.along import Along, TermAlong, along
 from dmframe.errors import ValueFault
-from dmframe.simulate import simulate
 from dmframe_plants.arm2.closed_form import mass_matrix
 
 
 def run_of(case, duration):
-    file = case.graph.file
-    return simulate(case.diagram, duration, clock=file.clock, solver=case.graph.solver, start=case.graph.start)
+    return case.experiment.with_duration(duration).simulate(case.diagram)
 
 
 def test_v_along_a_run_is_the_v_of_the_textbook(proved):

@@ -27,7 +27,7 @@ def test_schema_prints_that_of_verdicts_when_asked(monkeypatch, capsys):
 
 def test_verify_refuses_a_report_of_another_kind_before_it_proves_anything(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("dmframe.cli.verify.verify", lambda *_, **__: pytest.fail("verified first"))
+    monkeypatch.setattr("dmframe.certify.verify", lambda *_, **__: pytest.fail("verified first"))
     assert status_of(monkeypatch, "verify", "pendulum", "--report", "r.docx") == 2
     told = capsys.readouterr().err
     assert told == "dmframe: r.docx: expected a name that ends in .html, .md, .json, found .docx\n"

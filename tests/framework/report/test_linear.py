@@ -4,14 +4,14 @@ import math
 
 import pytest
 
-from dmframe.analyse import Bracket, analyse
+from dmframe.analysis import Bracket, analyse
 from dmframe.errors import EngineError
 from dmframe.report.linear import _bracket, linear_view
 from dmframe.report.page import as_html, as_markdown
 
 
 def test_poles_margins_and_periods_are_those_of_the_analysis(proved, contents):
-    view, graph = contents["proved"].linear, proved.graph
+    view, graph = contents["proved"].linear, proved.experiment
     found = analyse(proved.diagram, graph.file.clock, solver=graph.solver, start=graph.start, horizon=0.2)
     assert [row[0] for row in view.joints] == ["joint1", "joint2"]
     assert view.joints[0][3] == f"{found.joints[0].margins.phase:.1f} deg"
@@ -42,7 +42,7 @@ def test_a_loop_without_a_linear_analysis_says_why(proved, monkeypatch):
     def refuse(*_, **__):
         raise EngineError("no equilibrium")
 
-    monkeypatch.setattr("dmframe.analyse.analyse", refuse)
-    view = linear_view(proved.graph, proved.diagram)
+    monkeypatch.setattr("dmframe.analysis.analyse", refuse)
+    view = linear_view(proved.experiment, proved.diagram)
     assert view.sentence == "This loop has no linear analysis: no equilibrium."
     assert (view.joints, view.bode, dict(view.numbers)) == ((), "", {})

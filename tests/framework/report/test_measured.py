@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dmframe.errors import StartError
-from dmframe.report.embed import embedded
+from dmframe.notebook import embedded
 from dmframe.report.measured import measure
-from dmframe.simulate import Divergence, simulate
+from dmframe.simulate import Divergence
 
 
 def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
@@ -16,27 +16,26 @@ def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
         raise StartError("start: out of reach")
 
     monkeypatch.setattr("dmframe.report.measured.simulate", refuse)
-    found = measure(proved.graph, proved.diagram, proved.verdict)
+    found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.sentence.endswith("The graph could not be simulated: start: out of reach.")
     assert (found.facts, found.figure) == ((), "")
 
 
 def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
-    file = proved.graph.file
-    run = simulate(proved.diagram, 0.1, clock=file.clock, solver=proved.graph.solver, start=proved.graph.start)
+    run = proved.experiment.with_duration(0.1).simulate(proved.diagram)
     states = {label: rows.copy() for label, rows in run.states.items()}
     states["arm.dq"][-1] = 1e200
     blown = replace(run, states=states, divergence=Divergence("arm", "dq", 0, 0.1))
     monkeypatch.setattr("dmframe.report.measured.simulate", lambda *_, **__: blown)
     with np.errstate(all="ignore"):
-        found = measure(proved.graph, proved.diagram, proved.verdict)
+        found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.facts[0][1].endswith("the run diverged: `arm.dq` is no longer finite")
     assert found.numbers["diverged"] is True
     assert found.numbers["V"][-1] is None
 
 
 def test_in_continuous_time_the_report_blames_no_sampling(continuous):
-    graph = continuous.graph.with_duration(0.3)
+    graph = continuous.experiment.with_duration(0.3)
     found = measure(graph, continuous.diagram, continuous.verdict)
     assert "its simulation differs from the theorem's loop by the integrator's error alone" in found.sentence
     assert "sampling" not in found.sentence

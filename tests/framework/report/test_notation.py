@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.formula import laws_of
 from dmframe.report.notation import latex, marked, signal_latex, spelled
 
@@ -51,7 +51,7 @@ def test_formulas_are_found_among_the_words_of_a_sentence(text, expected):
 
 
 def test_what_a_statement_is_about_is_typeset_as_the_law_that_it_comes_from():
-    laws = laws_of(load_graph("observed_tracking_pi").diagram())
+    laws = laws_of(load_experiment("observed_tracking_pi").diagram())
     assert signal_latex("x - x_d", laws) == "x - x_{d}"
     assert signal_latex("J_hat'(x_o - x)/2 + s/beta", laws) == (r"\tfrac{1}{2} \hat{J}^\top (x_{o} - x) + s/\beta")
     assert signal_latex("d(x - x_d)/dt", laws) == r"\tfrac{d}{dt} (x - x_{d})"

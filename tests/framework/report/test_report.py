@@ -4,6 +4,7 @@ import json
 import re
 import xml.etree.ElementTree as ET
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -201,16 +202,17 @@ def gathered(contents, monkeypatch):
 
 @pytest.mark.parametrize("ending", ["html", "md", "json", "HTML"])
 def test_a_report_is_written_by_its_ending(silent, tmp_path, gathered, ending):
-    write_report(tmp_path / f"r.{ending}", [silent.item])
+    write_report(tmp_path / f"r.{ending}", [silent])
     start = {"html": "<!DOCTYPE html>", "md": "# silent", "json": "{"}[ending.lower()]
     assert (tmp_path / f"r.{ending}").read_text(encoding="utf-8").startswith(start)
     assert [path.name for path in tmp_path.iterdir()] == [f"r.{ending}"]
 
 
 def test_a_report_says_how_it_came_about(proved, silent, tmp_path, gathered):
-    write_report(tmp_path / "r.md", [proved.item, silent.item], overrides=["duration=0.2"], seed=3)
-    file = silent.graph.document.name
-    words = ["dmframe", "verify", "arm2_joint", file, "--set", "duration=0.2", "--seed", "3", "--report", "r.md"]
+    write_report(tmp_path / "r.md", [replace(proved, seed=3), replace(silent, seed=3)])
+    file = silent.experiment.document.name
+    words = ["dmframe", "verify", "arm2_joint", file, "--set", "arm2_joint:duration=0.2"]
+    words += ["--seed", "3", "--report", "r.md"]
     assert gathered == [{"command": words, "seed": 3}] * 2
 
 
@@ -240,6 +242,6 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one(silent, tmp_path, ga
 
     monkeypatch.setattr("os.replace", full)
     with pytest.raises(OutputError, match=r"r\.json: cannot be written: no space left on device; free some space"):
-        write_report(path, [silent.item])
+        write_report(path, [silent])
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]

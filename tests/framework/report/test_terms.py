@@ -8,7 +8,7 @@ import pytest
 from dmframe.catalogue import graphs
 from dmframe.certify import verify
 from dmframe.certify.claim import claim_of
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.errors import DmframeError
 from dmframe.parameter import Spec
 from dmframe.report.terms import parameter_text, shown, terms_of
@@ -64,7 +64,7 @@ GAIN = "[[2, 1, 0], [1, 2, 0], [0, 0, 1]]"
 
 
 def test_a_gain_that_is_a_matrix_is_written_out_and_so_is_its_inverse_in_v():
-    graph = load_graph("observed_regulation_pi", ["geometry.adapt=tool", f"geometry.Gamma_k={GAIN}"])
+    graph = load_experiment("observed_regulation_pi", ["geometry.adapt=tool", f"geometry.Gamma_k={GAIN}"])
     terms = terms_of(claim_of(graph.diagram()))
     assert [item.value for item in terms.legend if item.label == "geometry.Gamma_k"] == [GAIN]
     (weight,) = [row.value for row in terms.storage if row.block == "geometry"]
@@ -108,7 +108,7 @@ def test_a_symbol_that_another_block_states_has_its_row():
 
 
 def theorem(name):
-    return claim_of(load_graph(name).diagram())
+    return claim_of(load_experiment(name).diagram())
 
 
 LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
@@ -135,7 +135,7 @@ def test_every_symbol_of_a_printed_weight_stands_in_the_table_or_is_defined_on_t
 
 @pytest.mark.parametrize("name", graphs())
 def test_v_and_its_rate_of_every_packaged_graph_can_be_written_out(name):
-    claim = verify(load_graph(name).diagram()).claim
+    claim = verify(load_experiment(name).diagram()).claim
     if claim is None:
         assert name.endswith("_kinematic")  # it claims nothing
         return

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dmframe.config.graph import load_graph
-from dmframe.results import Result
-from dmframe.simulate import Divergence, Run, simulate
+from dmframe.config.experiment import load_experiment
+from dmframe.results import Run
+from dmframe.simulate import Divergence, Recording, simulate
 
 
 def result(name, duration, *overrides):
-    graph = load_graph(name, overrides).with_duration(duration)
+    graph = load_experiment(name, overrides).with_duration(duration)
     file = graph.file
     run = simulate(graph.diagram(), duration, clock=file.clock, solver=graph.solver, start=graph.start)
-    return Result(graph, run)
+    return Run(graph, run)
 
 
-def blown_up(run: Run, time: float) -> Run:
+def blown_up(run: Recording, time: float) -> Recording:
     """The run as if it had left the finite numbers at `time`, its last sample near the largest double."""
     count = int(np.searchsorted(run.time, time))
     states = {label: rows[:count].copy() for label, rows in run.states.items()}

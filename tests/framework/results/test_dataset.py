@@ -3,14 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.results.dataset import dataset, element_labels, sliding
 
 
 def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, arm2):
     for result in (ur10, pendulum, arm2):
-        data = dataset(result.run, result.graph)
-        assert set(data.data_vars) == {*result.run.states, *result.run.outputs}
+        data = dataset(result.recording, result.experiment)
+        assert set(data.data_vars) == {*result.recording.states, *result.recording.outputs}
         for variable in (*data.data_vars.values(), *data.coords.values()):
             assert variable.attrs["units"]
             assert variable.attrs["long_name"]
@@ -18,7 +18,7 @@ def test_every_variable_and_the_time_have_units_and_a_long_name(ur10, pendulum, 
 
 
 def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
-    data = dataset(ur10.run)
+    data = dataset(ur10.recording)
     assert data["arm.q"].dims == ("time", "joint")
     assert list(data.joint.values) == ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"]
     assert list(data["arm.x"].axis.values) == ["x", "y", "z"]
@@ -34,22 +34,22 @@ def test_dimensions_bear_the_names_of_joints_axes_and_parameters(ur10):
      ("tool", 3, "tool x", "tool z")],
 )  # fmt: skip
 def test_adapted_translations_bear_the_names_of_what_they_place(adapt, count, first, last):
-    diagram = load_graph("theorem_3", [f"geometry.adapt={adapt}"]).diagram()
+    diagram = load_experiment("theorem_3", [f"geometry.adapt={adapt}"]).diagram()
     labels = element_labels(diagram, "h", count)
     assert (len(labels), labels[0], labels[-1]) == (count, first, last)
-    assert element_labels(load_graph("ur10_fast").diagram(), "h", 2) == ("1", "2")
+    assert element_labels(load_experiment("ur10_fast").diagram(), "h", 2) == ("1", "2")
 
 
 def test_values_are_those_of_the_run(ur10):
-    data = dataset(ur10.run)
-    for label in (*ur10.run.states, *ur10.run.outputs):
-        assert np.array_equal(data[label].values, ur10.run[label])
+    data = dataset(ur10.recording)
+    for label in (*ur10.recording.states, *ur10.recording.outputs):
+        assert np.array_equal(data[label].values, ur10.recording[label])
 
 
 def test_attributes_say_where_the_data_come_from(ur10):
-    attributes = dataset(ur10.run, ur10.graph, seed=3).attrs
+    attributes = dataset(ur10.recording, ur10.experiment, seed=3).attrs
     assert attributes["graph"] == "ur10_fast"
-    assert attributes["title"] == ur10.graph.file.title
+    assert attributes["title"] == ur10.experiment.file.title
     assert attributes["clock"] == "0.008 s"
     assert attributes["solver"].startswith("rk4, step 0.001 s")
     assert attributes["source"].startswith("dmframe ")

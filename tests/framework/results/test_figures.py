@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dmframe.plotting import look, save, styled, thin
 from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
-from dmframe.results.plotting import look, save, styled, thin
 
 
 def drawn(name, run):
@@ -43,23 +43,23 @@ def test_figures_lie_beside_the_data_as_png_of_200_dpi_and_as_small_well_formed_
 
 def test_the_same_run_gives_the_same_svg_and_no_setting_of_the_user_matters(tmp_path, kinematic):
     (tmp_path / "again").mkdir()
-    save(error_figure({"one": kinematic.run}), tmp_path, "error", "one")
+    save(error_figure({"one": kinematic.recording}), tmp_path, "error", "one")
     with mpl.rc_context({"lines.linewidth": 7.0, "font.size": 20.0}):
-        save(error_figure({"one": kinematic.run}), tmp_path / "again", "error", "one")
+        save(error_figure({"one": kinematic.recording}), tmp_path / "again", "error", "one")
     assert (tmp_path / "error.svg").read_bytes() == (tmp_path / "again" / "error.svg").read_bytes()
 
 
 @pytest.mark.parametrize("case", ["pendulum", "arm2", "planar"])
 def test_joints_alone_one_joint_and_a_plane_have_all_their_figures(request, case):
     result = request.getfixturevalue(case)
-    drawn(case, result.run)
-    panels = error_figure({case: result.run}).axes
+    drawn(case, result.recording)
+    panels = error_figure({case: result.recording}).axes
     assert len(panels) == {"pendulum": 1, "arm2": 2, "planar": 2}[case] + 1
 
 
 def test_a_diverged_run_is_marked_where_it_diverged_and_does_not_dwarf_the_others(ur10, kinematic, blow_up):
-    wild = blow_up(ur10.run, 0.4)
-    runs = {"sound": kinematic.run, "wild": wild}
+    wild = blow_up(ur10.recording, 0.4)
+    runs = {"sound": kinematic.recording, "wild": wild}
     figure = error_figure(runs)
     assert any(text.get_text() == "wild (diverged at 0.4 s)" for text in figure.legends[0].get_texts())
     top = figure.axes[0].get_ylim()[1]
@@ -67,45 +67,45 @@ def test_a_diverged_run_is_marked_where_it_diverged_and_does_not_dwarf_the_other
     marks = [line for line in figure.axes[0].lines if list(line.get_xdata()) == [wild.divergence.time] * 2]
     assert len(marks) == 1
     drawn("wild", wild)
-    drawn("sound", kinematic.run)
+    drawn("sound", kinematic.recording)
 
 
 def test_a_run_of_one_tick_and_one_that_diverged_at_once_have_figures(make_result, blow_up):
     short = make_result("ur10_fast", 0.008)
-    drawn("short", short.run)
-    run = short.run
+    drawn("short", short.recording)
+    run = short.recording
     first = {label: rows[:1] for label, rows in run.states.items()}
     outputs = {label: rows[:1] for label, rows in run.outputs.items()}
-    wild = blow_up(make_result("ur10_fast", 0.08).run, 0.03)
+    wild = blow_up(make_result("ur10_fast", 0.08).recording, 0.03)
     dead = replace(run, time=run.time[:1], states=first, outputs=outputs, divergence=wild.divergence)
     drawn("dead", dead)
 
 
 def test_a_controller_without_estimates_has_no_figure_of_them(kinematic):
-    assert estimate_figure("kinematic", kinematic.run) is None
+    assert estimate_figure("kinematic", kinematic.recording) is None
 
 
 def test_of_many_parameters_those_that_move_most_are_named(ur10):
-    figure = estimate_figure("ur10", ur10.run)
+    figure = estimate_figure("ur10", ur10.recording)
     texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    moves = np.ptp(ur10.run["dynamics.a_d_hat"], axis=0)
+    moves = np.ptp(ur10.recording["dynamics.a_d_hat"], axis=0)
     assert len(texts) == 7
     assert texts[-1] == f"{int(np.sum(moves > 0)) - 6} more"
 
 
 def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):
-    axes = path_figure({"ur10": ur10.run}).axes[0]
+    axes = path_figure({"ur10": ur10.recording}).axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
     assert axes.get_aspect() == 1.0
 
 
 def test_the_way_to_a_goal_that_stands_still_is_shown_whole(ur10):
-    outputs = dict(ur10.run.outputs)
-    outputs["path.x_d"] = np.tile([0.2, 0.6, 0.5], (ur10.run.time.size, 1))
-    (axes,) = path_figure({"ur10": replace(ur10.run, outputs=outputs)}).axes
+    outputs = dict(ur10.recording.outputs)
+    outputs["path.x_d"] = np.tile([0.2, 0.6, 0.5], (ur10.recording.time.size, 1))
+    (axes,) = path_figure({"ur10": replace(ur10.recording, outputs=outputs)}).axes
     plane = ["xyz".index(label[1]) for label in (axes.get_xlabel(), axes.get_ylabel())]
     ends = np.array([axes.get_xlim(), axes.get_ylim()])
-    for point in (outputs["path.x_d"][0], ur10.run["arm.x"][0], ur10.run["arm.x"][-1]):
+    for point in (outputs["path.x_d"][0], ur10.recording["arm.x"][0], ur10.recording["arm.x"][-1]):
         assert np.all((ends[:, 0] < point[plane]) & (point[plane] < ends[:, 1]))
 
 

@@ -11,10 +11,10 @@ import pytest
 import xarray
 
 import dmframe.results.folder as folder_module
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name
-from dmframe.results import Result, reserve, reserved, write_run
+from dmframe.results import Run, reserve, reserved, write_run
 from dmframe.results.folder import safe_name
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import simulate
@@ -31,26 +31,26 @@ def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
 def test_signals_come_back_with_their_units(tmp_path, ur10):
     write_run(tmp_path / "out", [ur10], plots=False)
     with xarray.open_dataset(tmp_path / "out" / "signals.nc", engine="h5netcdf") as data:
-        assert np.array_equal(data["arm.x"].values, ur10.run["arm.x"])
+        assert np.array_equal(data["arm.x"].values, ur10.recording["arm.x"])
         assert data["arm.x"].attrs["units"] == "m"
         assert data["arm.q"].encoding["zlib"]
-        assert np.array_equal(data.time.values, ur10.run.time)
+        assert np.array_equal(data.time.values, ur10.recording.time)
 
 
 @pytest.mark.parametrize("name", ["ur10_fast_tuned", "ur10_slow_kinematic", "pendulum", "arm2_joint"])
 def test_the_resolved_graph_loads_again_and_gives_the_same_run(tmp_path, make_result, name):
     result = make_result(name, 0.2, "clock=10 ms")
     write_run(tmp_path / "out", [result], plots=False)
-    again = load_graph(tmp_path / "out" / "graph.yaml")
+    again = load_experiment(tmp_path / "out" / "graph.yaml")
     run = simulate(again.diagram(), again.file.duration, clock=again.file.clock, solver=again.solver, start=again.start)
-    assert resolved_text(again) == resolved_text(result.graph)
+    assert resolved_text(again) == resolved_text(result.experiment)
     assert run.clock == 0.01
     for label in (*run.states, *run.outputs):
-        assert np.array_equal(run[label], result.run[label])
+        assert np.array_equal(run[label], result.recording[label])
 
 
 def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
-    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").graph)
+    text = resolved_text(make_result("ur10_fast", 0.05, "dynamics.Gamma=7", "inverse.w_box=[0, 0.004]").experiment)
     assert "Gamma: 7.0" in text
     assert "w_box: [0.0, 0.004]" in text
     assert "method: rk4" in text  # a default
@@ -58,7 +58,7 @@ def test_overrides_and_defaults_stand_in_the_resolved_graph(make_result):
 
 
 def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_result):
-    source = load_graph("pendulum")
+    source = load_experiment("pendulum")
     block = "from dmframe_blocks.joint_tracking import JointTracking\n\n\nclass MyTracking(JointTracking):\n    pass\n"
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "mine.py").write_text(block, encoding="utf-8")
@@ -71,9 +71,9 @@ def test_a_graph_with_a_users_block_and_urdf_takes_them_along(tmp_path, make_res
     result = make_result(tmp_path / "own.yaml", 0.1)
     write_run(tmp_path / "out", [result], plots=False)
     assert {"mine.py", "arm.urdf"} < {item.name for item in (tmp_path / "out").iterdir()}
-    again = load_graph(tmp_path / "out" / "graph.yaml")
+    again = load_experiment(tmp_path / "out" / "graph.yaml")
     assert type(again.blocks["task"]).__name__ == "MyTracking"
-    assert resolved_text(again) == resolved_text(result.graph)
+    assert resolved_text(again) == resolved_text(result.experiment)
 
 
 def test_several_graphs_have_a_folder_each_with_distinct_names(tmp_path, kinematic, pendulum):
@@ -159,7 +159,7 @@ def test_hdf5_never_meets_the_disk_itself(tmp_path, ur10, monkeypatch):
 
 
 def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
-    write_run(tmp_path / "out", [Result(ur10.graph, blow_up(ur10.run, 0.4))], plots=False)
+    write_run(tmp_path / "out", [Run(ur10.experiment, blow_up(ur10.recording, 0.4))], plots=False)
     told = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert told["diverged"]
     assert told["error"]["rms_by_eighth"][4:] == [None] * 4

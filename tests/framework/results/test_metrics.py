@@ -39,22 +39,22 @@ def test_norms_of_numbers_whose_squares_overflow_are_right():
 
 
 def test_the_error_is_actual_minus_desired_with_the_unit_of_the_signal(ur10):
-    error = tracking_error(ur10.run)
+    error = tracking_error(ur10.recording)
     assert (error.signal, error.unit) == ("x - x_d", "m")
-    assert np.array_equal(error.values, ur10.run["arm.x"] - ur10.run["path.x_d"])
+    assert np.array_equal(error.values, ur10.recording["arm.x"] - ur10.recording["path.x_d"])
     assert error.norm == pytest.approx(np.linalg.norm(error.values, axis=1))
     assert error.rms_final == error.rms_by_eighth[-1]
 
 
 def test_a_synthetic_constant_error_has_its_length_as_rms(arm2):
-    states = dict(arm2.run.states) | {"arm.q": arm2.run["path.q_d"] + np.array([3.0, -4.0])}
-    error = tracking_error(replace(arm2.run, states=states))
+    states = dict(arm2.recording.states) | {"arm.q": arm2.recording["path.q_d"] + np.array([3.0, -4.0])}
+    error = tracking_error(replace(arm2.recording, states=states))
     assert error.signal == "q - q_d"
     assert error.rms_by_eighth == pytest.approx([5.0] * 8)
 
 
 def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up):
-    told = json.loads(json.dumps(summary("a", blow_up(ur10.run, 0.4), "out"), allow_nan=False))
+    told = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
     assert list(told) == [
         "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "rank", "engine", "wall_time",
         "real_time_factor", "notices", "out",
@@ -65,5 +65,5 @@ def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up
 
 
 def test_a_summary_of_a_run_that_took_no_time_has_no_factor(pendulum):
-    told = summary("a", replace(pendulum.run, wall_time=0.0))
+    told = summary("a", replace(pendulum.recording, wall_time=0.0))
     assert (told["real_time_factor"], told["clock"], told["out"]) == (None, "continuous", None)

@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.robot.library import find_robot
-from dmframe.simulate import Run, Solver, simulate
+from dmframe.simulate import Recording, Solver, simulate
 
 Array = NDArray[np.float64]
 V_0 = 0.005  # [rad/s] of Coulomb friction
@@ -183,8 +183,8 @@ def sampled(case: Experiment, form: str, ticks: int, advance: Plant = to_roundin
 TICKS = 200
 
 
-def run(name: str, method: str) -> Run:
-    graph = load_graph(name)
+def run(name: str, method: str) -> Recording:
+    graph = load_experiment(name)
     solver = Solver(method=method, step=0.00025, tolerance=1e-11)  # type: ignore[arg-type]
     return simulate(graph.diagram(), TICKS * FAST.T, clock=graph.file.clock, solver=solver, start=graph.start)
 
@@ -222,7 +222,7 @@ def test_the_kinematic_loop_on_the_ur10_is_the_one_written_by_hand() -> None:
 def test_the_whole_experiment_has_the_figure_of_the_loop_by_hand(
     case: Experiment, form: str, name: str, quoted: float
 ) -> None:
-    mine, graph = sampled(case, form, round(200 / case.T), runge_kutta), load_graph(name)
+    mine, graph = sampled(case, form, round(200 / case.T), runge_kutta), load_experiment(name)
     theirs = simulate(graph.diagram(), 200.0, clock=graph.file.clock, solver=graph.solver, start=graph.start)
     by_hand, packaged = rms(mine["x"] - mine["x_d"]), rms(theirs["arm.x"] - theirs["path.x_d"])
     assert by_hand == pytest.approx(quoted, rel=0.01)
@@ -282,7 +282,7 @@ def continuous(times: Array) -> Array:
 def test_the_continuous_loop_on_a_planar_arm_is_one_differential_equation_of_scipy(tmp_path: Any) -> None:
     file = tmp_path / "joint.yaml"
     file.write_text(GRAPH)
-    graph = load_graph(file)
+    graph = load_experiment(file)
     theirs = simulate(graph.diagram(), 2.0, solver=graph.solver, start=graph.start)
     mine = continuous(theirs.time)
     np.testing.assert_allclose(theirs["arm.q"], mine[:, 0:2], atol=1e-8)

@@ -8,10 +8,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from dmframe.config.graph import load_graph
+from dmframe.config.experiment import load_experiment
 from dmframe.diagram.closed_loop import Signal
 from dmframe.results.summary import summary
-from dmframe.simulate import Run, simulate
+from dmframe.simulate import Recording, simulate
 from dmframe.simulate.rank import NEAR, Rank, ranks
 from dmframe_plants.arm2 import closed_form
 
@@ -28,8 +28,8 @@ def graph(folder: Path, goal: str, start: str) -> Path:
     return file
 
 
-def run(file: Path | str, duration: float) -> Run:
-    loaded = load_graph(str(file))
+def run(file: Path | str, duration: float) -> Recording:
+    loaded = load_experiment(str(file))
     return simulate(loaded.diagram(), duration, clock=loaded.file.clock, solver=loaded.solver, start=loaded.start)
 
 

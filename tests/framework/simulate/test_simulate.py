@@ -10,12 +10,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.config import load_graph
+from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.parameter import Box, Interval, Real, Scalar
 from dmframe.port import TIME, Access, Port, Side, State
-from dmframe.simulate import Run, Solver, simulate
+from dmframe.simulate import Recording, Solver, simulate
 
 Ports = ClassVar[tuple[Port, ...]]
 
@@ -113,7 +113,7 @@ def alone(block: AbstractBlock) -> Diagram:
     return Diagram.build({"plant": block})
 
 
-def run_alone(block: AbstractBlock, duration: float, y: list[float], **options: Any) -> Run:
+def run_alone(block: AbstractBlock, duration: float, y: list[float], **options: Any) -> Recording:
     return simulate(alone(block), duration, start={"y": y}, **options)
 
 
@@ -295,14 +295,14 @@ def test_a_solver_is_one_of_two_with_positive_numbers() -> None:
 
 
 def test_a_log_that_keeps_less_often_than_the_run_is_long_keeps_its_begin() -> None:
-    graph = load_graph("pendulum", ["log.every=1e300"])
+    graph = load_experiment("pendulum", ["log.every=1e300"])
     run = simulate(graph.diagram(), 0.1, solver=graph.solver, start=graph.start, log=graph.log)
     np.testing.assert_array_equal(run.time, [0.0])
 
 
 @pytest.mark.parametrize("value", ["1e160", "1e308"])
 def test_a_plant_too_steep_to_compute_with_is_said_to_be_so_without_its_digits(value: str) -> None:
-    graph = load_graph("pendulum", [f"servo.K_D={value}"])
+    graph = load_experiment("pendulum", [f"servo.K_D={value}"])
     run = simulate(graph.diagram(), 0.02, solver=graph.solver, start=graph.start)
     assert run.notices == ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
     assert run.divergence is not None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmframe.config.graph import Graph, load_graph
+from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.errors import StartError, ValueFault
 from dmframe.simulate import simulate, start_state
 from dmframe_plants.arm2 import closed_form
@@ -33,13 +33,13 @@ TASK = (
 )
 
 
-def graph(folder: Path, *changes: tuple[str, str]) -> Graph:
+def graph(folder: Path, *changes: tuple[str, str]) -> Experiment:
     text = GRAPH
     for old, new in changes:
         assert old in text
         text = text.replace(old, new)
     (folder / "g.yaml").write_text(text)
-    return load_graph(folder / "g.yaml")
+    return load_experiment(folder / "g.yaml")
 
 
 def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np.ndarray]:
@@ -66,7 +66,7 @@ def test_the_integrator_holds_gravity_and_the_command_starts_where_the_robot_is(
 
 @pytest.mark.parametrize("name", ["arm2_joint", "ur10_fast"])
 def test_a_run_begins_at_rest_with_both_references_at_the_measured_pose(name: str) -> None:
-    made = load_graph(name)
+    made = load_experiment(name)
     run = simulate(made.diagram(), 0.1, clock=made.file.clock, solver=made.solver, start=made.start)
     assert np.all(run["arm.dq"][0] == 0)
     np.testing.assert_array_equal(run["servo.q_c"][0], run["arm.q"][0])
@@ -89,7 +89,7 @@ def test_given_values_win_over_the_path_and_over_the_blocks_own(tmp_path: Path) 
 
 
 def test_a_matrix_starts_at_one_number_or_at_its_rows() -> None:
-    graph = load_graph("observed_tracking_forgetting_pi", ["geometry.adapt=tool"])
+    graph = load_experiment("observed_tracking_forgetting_pi", ["geometry.adapt=tool"])
     diagram = graph.diagram()
 
     def begun(G_k: Any) -> np.ndarray:

@@ -1,0 +1,49 @@
+"""Linear analysis: the servo as transfer functions, poles of the loop, how slow its clock may be, the least K_c."""
+
+from __future__ import annotations
+
+from dmframe.analysis.figures import bode_svg, nyquist_svg
+from dmframe.analysis.linear import Linear, linearise, tick_jacobian
+from dmframe.analysis.period import Bracket, StablePeriods, largest_stable_period, linearised_period, simulated_period
+from dmframe.analysis.rank_region import RankLoss, RankRegion, rank_region
+from dmframe.analysis.rank_report import option_value, rank_summary
+from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
+from dmframe.analysis.servo import JointLoop, Margins, margins, servo_transfer
+from dmframe.analysis.set_point import equilibrium, frozen, true_values
+from dmframe.analysis.summary import LoopAnalysis, analyse, summary
+from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
+
+__all__ = [
+    "Bracket",
+    "JointLoop",
+    "Linear",
+    "LoopAnalysis",
+    "Margins",
+    "Passivity",
+    "RankLoss",
+    "RankRegion",
+    "Rational",
+    "StablePeriods",
+    "TieGain",
+    "analyse",
+    "bode_svg",
+    "equilibrium",
+    "frozen",
+    "largest_stable_period",
+    "least_K_c",
+    "linearise",
+    "linearised_period",
+    "margins",
+    "nyquist_svg",
+    "option_value",
+    "passivity",
+    "rank_region",
+    "rank_summary",
+    "servo_transfer",
+    "simulated_period",
+    "summary",
+    "tick_jacobian",
+    "tie_gains",
+    "transfer",
+    "true_values",
+]

@@ -1,0 +1,238 @@
+"""The closed loop, linearised at a set-point: its poles in continuous time and on a clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.analysis.set_point import MOST, at_set_point, computable, equilibrium, frozen, rates, variables
+from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram.closed_loop import columns, stack
+from dmframe.errors import EngineError, ShapeError
+from dmframe.port import Side
+from dmframe.simulate import Solver
+from dmframe.simulate.step import build_step, project
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+FRICTION_VELOCITY: Final = "robot.friction_velocity"
+_SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope left
+_NULL: Final = 1e-9
+"""Singular values below this, relative to the largest of the balanced matrix, count as zero."""
+
+_PARTED: Final = 1e-6
+"""Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
+
+
+@final
+@dataclass(frozen=True)
+class Linear:
+    r"""The loop near a point, x the deviation of all states, the controller's z first.
+
+    .. math:: \dot x = A x + B w, \qquad \dot z = C x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
+
+    with w the desired trajectory and its derivatives, C `control`, D `command`, :math:`A_p` `plant_A` and
+    :math:`B_p` `plant_B`.
+
+    Parameters
+    ----------
+    states, trajectories, commands
+        Labels, one an element: ``"inverse.w[0]"``.
+    point
+        The state at which it was linearised.
+    controller
+        How many states are the controller's.
+    drift
+        Largest rate at `point`; it would be zero at an equilibrium.
+    """
+
+    states: tuple[str, ...]
+    trajectories: tuple[str, ...]
+    commands: tuple[str, ...]
+    point: Array
+    controller: int
+    drift: float
+    A: Array
+    B: Array
+    control: Array
+    command: Array
+    plant_A: Array
+    plant_B: Array
+
+    @cached_property
+    def _others(self) -> Array:
+        """A basis of what is left of the space without the directions in which the loop rests anywhere."""
+        rest = rest_space(self.A)
+        return np.asarray(np.linalg.qr(rest, mode="complete")[0][:, rest.shape[1] :])
+
+    @property
+    def poles(self) -> Complex:
+        """Eigenvalues of A [1/s], without those at zero; slowest first."""
+        found = np.linalg.eigvals(self._others.T @ self.A @ self._others)
+        return np.asarray(found[np.lexsort((found.imag, -found.real))], dtype=complex)
+
+    def pole(self, place: int) -> complex | None:
+        """The slowest pole (0) or the fastest (-1), if there is one.
+
+        A pair is complex where it is parted by more than what rounding makes of a double real pole.
+        """
+        if not len(self.poles):
+            return None
+        found = complex(self.poles[np.argsort(np.abs(self.poles))][place])
+        return complex(found.real) if abs(found.imag) <= _PARTED * abs(found) else found
+
+    @property
+    def at_rest(self) -> int:
+        """How many eigenvalues of A are zero: the loop rests anywhere there, as estimates do that nothing excites."""
+        return len(self.states) - len(self.poles)
+
+    def sampled(self, period: float) -> Array:
+        r"""The state's transition over one tick of that period [s].
+
+        Explicit Euler for the controller, as a run has it, and exact zero-order hold for the plant:
+
+        .. math:: z^+ = z + T\, C x, \qquad
+            x_p^+ = e^{A_p T} x_p + \int_0^T e^{A_p \tau} d\tau\, B_p\, D x.
+        """
+        from scipy.linalg import expm
+
+        size, inputs = self.plant_B.shape
+        joined = np.zeros((size + inputs, size + inputs))
+        joined[:size, :size], joined[:size, size:] = self.plant_A * period, self.plant_B * period
+        with np.errstate(all="ignore"):  # what overflows is told where the poles are asked for
+            held = expm(joined)
+        Phi = np.zeros_like(self.A)
+        Phi[: self.controller] = np.eye(self.controller, len(self.states)) + period * self.control
+        with np.errstate(all="ignore"):
+            Phi[self.controller :] = held[:size, size:] @ self.command
+            Phi[self.controller :, self.controller :] += held[:size, :size]
+        return Phi
+
+    def sampled_poles(self, period: float) -> Complex:
+        """Eigenvalues of `sampled`, without those at one, largest first."""
+        # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
+        Phi = self.sampled(period)
+        if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
+            raise EngineError(f"linearise: the transition over a tick of {period:g} s overflows; take a faster clock")
+        found = np.linalg.eigvals(self._others.T @ Phi @ self._others)
+        return np.asarray(found[np.argsort(-np.abs(found))], dtype=complex)
+
+    def spectral_radius(self, period: float) -> float:
+        """The largest modulus of `sampled_poles`, infinite where they overflow; below 1 the loop comes to rest."""
+        if not np.max(np.abs(self.sampled(period)), initial=0.0) < MOST:
+            return float("inf")
+        return float(np.max(np.abs(self.sampled_poles(period)), initial=0.0))
+
+
+def linearise(
+    diagram: Diagram,
+    state: Array | None = None,
+    *,
+    estimates: Mapping[str, Any] | None = None,
+    start: Mapping[str, Any] | None = None,
+    moving: bool = False,
+) -> Linear:
+    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0.
+
+    Parameters
+    ----------
+    state
+        Where; by default the `equilibrium`, estimates at `estimates`.
+    moving
+        Leave out the slope that smooth Coulomb friction has at rest: it acts within a few mrad/s, and would hide what
+        the loop does when it moves.
+
+    Raises
+    ------
+    ShapeError, EngineError
+        A state of another size; no equilibrium.
+    """
+    still = frozen(diagram)
+    loop = still.loop
+    point = equilibrium(still, estimates, start) if state is None else np.array(state, dtype=float)
+    if point.shape != (loop.state.numel(),):
+        raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
+    p = _moving(loop) if moving else loop.p_values
+    commands = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
+    control = at_set_point(loop, "control", stack(variable.rate for variable in loop.controller))
+    command = at_set_point(loop, "command", columns(commands)[1])
+    u = command(point, loop.p_values)
+    first = control.size1_out(0)
+    plant_A, plant_B = _plant(loop, commands)
+
+    def told(matrix: Any) -> Array:
+        return np.asarray(computable(loop, "linearise", np.asarray(matrix)))
+
+    return Linear(
+        states=_labels([(v.label, v.symbol.numel()) for v in variables(loop)]),
+        trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
+        commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in commands]),
+        point=point,
+        controller=first,
+        drift=float(np.max(np.abs(rates(loop)(point, loop.p_values).full()), initial=0.0)),
+        A=told(_slope(rates(loop), point, p)),
+        B=told(_trajectory_slope(loop, point, p)),
+        control=told(_slope(control, point, p)),
+        command=told(_slope(command, point, p)),
+        plant_A=told(plant_A(point[first:], u, p).full()),
+        plant_B=told(plant_B(point[first:], u, p).full()),
+    )
+
+
+def _slope(function: Any, point: Array, p: Array) -> Array:
+    return np.asarray(function.jacobian()(point, p, 0)[0].full())
+
+
+def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array) -> Array:
+    """The Jacobian of all rates in the trajectory's leaves."""
+    (rate,) = project(loop, loop.joined([stack(variable.rate for variable in variables(loop))]))
+    leaves, values = columns(loop.trajectories)
+    slope = ca.substitute(ca.densify(ca.jacobian(rate, leaves)), leaves, values)
+    return np.asarray(ca.Function("B", [loop.state, loop.p], [slope])(point, p).full())
+
+
+def _plant(loop: ClosedLoop, commands: list[Any]) -> tuple[Any, Any]:
+    """Jacobians of the plant's rate in its states and in the held commands."""
+    x, held = stack(v.symbol for v in loop.plant), columns(commands)[0]
+    (rate,) = project(loop, [stack(v.rate for v in loop.plant)], joined=False)
+    leaves = stack(leaf.symbol for leaf in loop.trajectories)
+    rate = ca.substitute(rate, leaves, stack(leaf.expression for leaf in loop.trajectories))
+    inputs = [x, held, loop.p]
+    return (
+        ca.Function("plant_A", inputs, [ca.jacobian(rate, x)]),
+        ca.Function("plant_B", inputs, [ca.jacobian(rate, held)]),
+    )
+
+
+def _moving(loop: ClosedLoop) -> Array:
+    labels = [parameter.label for parameter in loop.parameters for _ in range(parameter.symbol.numel())]
+    return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
+
+
+def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None) -> Array:
+    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen."""
+    loop = frozen(diagram).loop
+    step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
+    return np.asarray(step.tick.jacobian()(linear.point, 0, loop.p_values, 0, 0)[0].full())
+
+
+def rest_space(A: Array) -> Array:
+    """An orthonormal basis of the null space of A, as columns; found on the balanced matrix, whose units are even."""
+    from scipy.linalg import matrix_balance
+
+    with np.errstate(invalid="ignore"):  # it casts a wide scale for a permutation that is not asked for
+        balanced, scale = matrix_balance(A, permute=False, separate=True)
+    _, values, rows = np.linalg.svd(balanced)
+    null = rows[values <= _NULL * max(float(np.max(values, initial=0.0)), 1e-300)].T
+    return np.asarray(np.linalg.qr(null * np.asarray(scale[0])[:, None])[0])
+
+
+def _labels(items: list[tuple[str, int]]) -> tuple[str, ...]:
+    return tuple(f"{label}[{row}]" for label, size in items for row in range(size))

@@ -1,0 +1,212 @@
+"""What a diagram says of a matrix that must keep its rank: what it depends on, and which path leads it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.analysis.joint_path import Reach, period_of
+from dmframe.analysis.set_point import true_values
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.diagram import ClosedLoop, Diagram, Variable
+from dmframe.diagram.closed_loop import Signal
+from dmframe.errors import MissingError
+from dmframe.exact.enclosure import Enclosure
+from dmframe.results.dataset import element_labels
+from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.simulate.rank import watched
+from dmframe.simulate.start import goals, loop_trajectories, start_state
+
+Array = NDArray[np.float64]
+Centre = Literal["truth", "start"]
+
+
+@final
+@dataclass(frozen=True)
+class RankProblem:
+    """A matrix J(q, a, p), and the path.
+
+    Parameters
+    ----------
+    matrix
+        ``block.port``.
+    parameters
+        ``block.state`` of the estimate, or ``robot.a_k``.
+    options
+        The parameters ``block.name`` that take a box and a ball of the estimate; empty where there is none.
+    expression, q, a, p
+        J and its arguments, SX.
+    enclosed, values
+        p, each element an exact number or an enclosure of it, and in floating point.
+    centre
+        (h,) the middle of the set of a.
+    estimate
+        (h,) where the estimate starts; None where there is none.
+    names
+        Of the elements of a.
+    reach
+        What follows the path, and the path.
+    start
+        (n,) where a run starts.
+    period
+        Of the desired path; see `period_of`.
+    """
+
+    matrix: str
+    unit: str
+    parameters: str
+    options: Mapping[str, str]
+    expression: SX
+    q: SX
+    a: SX
+    p: SX
+    enclosed: Sequence[Any]
+    values: Array
+    centre: Array
+    estimate: Array | None
+    names: tuple[str, ...]
+    reach: Reach
+    start: Array
+    period: float | None
+
+
+def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> RankProblem:
+    """Read a diagram's first matrix that must keep full row rank.
+
+    Raises
+    ------
+    MissingError
+        There is none, or nothing that follows a path, or it depends on more than a pose and one estimate.
+    """
+    matrices = watched(diagram)
+    if not matrices:
+        raise MissingError(
+            "rank: expected a block with a matrix that must keep full row rank, such as J_hat; found none"
+        )
+    loop, signal = diagram.loop, matrices[0]
+    state = start_state(diagram, start)
+    (matrix,) = loop.joined([signal.expression])
+    desired, actual = _goal(loop)
+    joints = _only([v for v in loop.plant if _depends(actual, v)], f"one state of the plant behind {desired}")
+    estimates = [v for v in loop.controller if _depends(matrix, v)]
+    reach = _reach(loop, desired, actual, joints)
+    period = period_of(_numeric(loop, loop_trajectories(loop, desired)), loop.time)
+    common = {"matrix": signal.label, "unit": signal.unit, "q": joints.symbol, "reach": reach, "period": period}
+    common["start"] = _part(loop, state, joints)
+    if estimates:
+        found = _adapted(diagram, _only(estimates, f"one estimate in {signal.label}"), state, centre)
+        found["expression"] = matrix
+    else:
+        found = _known(diagram, signal, matrix, joints)
+    problem = RankProblem(**common, **found)
+    known = symbols_in([problem.q]) | symbols_in([problem.a]) | symbols_in([problem.p])
+    if symbols_in([problem.expression]) - known:
+        raise MissingError(f"{signal.label}: expected a matrix of the pose and the kinematic parameters alone")
+    return problem
+
+
+def _adapted(diagram: Diagram, estimate: Variable, state: Array, centre: Centre) -> dict[str, Any]:
+    """The estimate's set lies about the truth, or about where it starts."""
+    loop = diagram.loop
+    begin = _part(loop, state, estimate)
+    truth = true_values(diagram).get(estimate.label) if centre == "truth" else begin
+    if truth is None:
+        text = f"{estimate.label}: expected a certificate that says what it estimates, found none; take centre start"
+        raise MissingError(text)
+    declared = next(s for s in diagram.blocks[estimate.block].states if s.name == estimate.name)
+    options = {"box": declared.box, "ball": declared.ball}
+    exact = {} if diagram.robot is None else {c.name: c.values for c in SymbolicRobot(diagram.robot).constants}
+    enclosed = list[Any]()
+    for parameter in loop.parameters:
+        rational = exact.get(parameter.label)
+        numbers = parameter.value.ravel(order="F") if rational is None else map(Enclosure.around, rational)
+        enclosed += [Enclosure.of(number) for number in numbers]
+    return {
+        "parameters": estimate.label,
+        "options": {shape: f"{estimate.block}.{name}" for shape, name in options.items() if name},
+        "a": estimate.symbol,
+        "p": loop.p,
+        "enclosed": enclosed,
+        "values": loop.p_values,
+        "centre": truth,
+        "estimate": begin,
+        "names": element_labels(diagram, estimate.shape, estimate.symbol.numel()),
+    }
+
+
+def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> dict[str, Any]:
+    """Where nothing is adapted, every translation may be wrong, those too that are zero in the model."""
+    if diagram.robot is None:
+        raise MissingError(f"{signal.label}: expected a robot, whose translations are the parameters; found none")
+    robot = SymbolicRobot(diagram.robot)
+    a = ca.SX.sym("a_k", robot.k)
+    expression = robot.jacobian(joints.symbol, a)
+    others = [constant for constant in robot.constants if constant.name != "robot.a_k"]
+    translations = next(constant for constant in robot.constants if constant.name == "robot.a_k")
+    found = {
+        "parameters": "robot.a_k",
+        "options": {},
+        "expression": expression,
+        "a": a,
+        "p": ca.vertcat(ca.SX(0, 1), *(constant.symbol for constant in others)),
+        "enclosed": [Enclosure.around(value) for constant in others for value in constant.values],
+        "values": np.array([float(value) for constant in others for value in constant.values]),
+        "centre": np.array([float(value) for value in translations.values]),
+        "estimate": None,
+        "names": tuple(f"{place} {axis}" for place in (*diagram.robot.joint_names, "tool") for axis in "xyz"),
+    }
+    pose = np.random.default_rng(0).uniform(-1, 1, joints.symbol.numel())
+    given = ca.Function("own", [joints.symbol, a, found["p"]], [expression])
+    own = given(pose, found["centre"], found["values"]).full()
+    used = ca.Function("used", [joints.symbol, diagram.loop.p], [matrix], {"allow_free": True})
+    if used.has_free() or not np.allclose(used(pose, diagram.loop.p_values).full(), own, atol=1e-9):
+        text = f"{signal.label}: expected the robot's own Jacobian where no block estimates it"
+        raise MissingError(f"{text}, found another matrix")
+    return found
+
+
+def _goal(loop: ClosedLoop) -> tuple[SX, SX]:
+    pairs = goals(loop)
+    if not pairs:
+        raise MissingError("rank: expected a path that a measured signal follows, such as x_d; found none")
+    _, _, desired, actual = pairs[0]
+    return desired, loop.joined([actual])[0]
+
+
+def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> Reach:
+    p = loop.p_values
+    values = ca.Function("actual", [joints.symbol, loop.p], [ca.vec(actual)])
+    slopes = ca.Function("slope", [joints.symbol, loop.p], [ca.jacobian(ca.vec(actual), joints.symbol)])
+    goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(loop_trajectories(loop, desired))])
+    return Reach(
+        lambda q: np.asarray(values(q, p).full().ravel()),
+        lambda q: np.asarray(slopes(q, p).full()),
+        lambda t: np.asarray(goal(t, p).full().ravel()),
+    )
+
+
+def _numeric(loop: ClosedLoop, expression: SX) -> SX:
+    return ca.substitute(expression, loop.p, ca.SX(ca.DM(loop.p_values)))
+
+
+def _part(loop: ClosedLoop, state: Array, variable: Variable) -> Array:
+    sizes = [(v.label, v.symbol.numel()) for v in (*loop.controller, *loop.plant)]
+    first = sum(size for _, size in sizes[: [label for label, _ in sizes].index(variable.label)])
+    return state[first : first + variable.symbol.numel()]
+
+
+def _depends(expression: SX, variable: Variable) -> bool:
+    return bool(symbols_in([expression]) & symbols_in([variable.symbol]))
+
+
+def _only(found: Sequence[Variable], expected: str) -> Variable:
+    if len(found) != 1:
+        labels = ", ".join(variable.label for variable in found) or "none"
+        raise MissingError(f"rank: expected {expected}, found {labels}")
+    return found[0]

@@ -1,0 +1,328 @@
+"""The region of kinematic parameters on which a Jacobian keeps its rank along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.analysis.joint_path import REACHED, JointPath, joint_path
+from dmframe.analysis.rank_bound import Shape
+from dmframe.analysis.rank_problem import Centre, RankProblem, rank_problem
+from dmframe.analysis.rank_search import LARGEST, Cover, RankSearch
+from dmframe.diagram import Diagram
+from dmframe.errors import ValueFault
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+MOST_BOXES: Final = 40_000
+SHARE: Final = 0.1
+"""Of the least singular value along the path: what is asked for where the user asks for nothing."""
+
+LOST: Final = 1e-9
+"""A singular value below this is rank loss [m/rad]."""
+
+_LEAST_WEIGHT: Final = 0.1
+"""Of a parameter whose translation is short, where half-widths go with lengths."""
+
+_MOST_STRIDE: Final = 0.05
+_LEAST_STRIDE: Final = 0.005
+"""The most that a joint moves between two poses of the path, whatever the tube [rad]."""
+
+
+@final
+@dataclass(frozen=True)
+class RankLoss:
+    """Why there is no region, not even with the parameters at its middle.
+
+    Parameters
+    ----------
+    kind
+        unreachable: the tool cannot follow its path; singular: the tube holds a pose at which the matrix is nearer to
+        rank loss than is asked for; undecided: neither that nor its contrary was shown.
+    time
+        Of the path [s].
+    q
+        (n,) the pose.
+    singular
+        The least singular value at that pose.
+    text
+        All of it as a sentence.
+    """
+
+    kind: Literal["unreachable", "singular", "undecided"]
+    time: float
+    q: Array
+    singular: float
+    text: str
+
+
+@final
+@dataclass(frozen=True)
+class RankRegion:
+    r"""A set of kinematic parameters on which :math:`J J^\top \ge c^2 I` is proved along a joint path.
+
+    For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value
+    of J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, for all real q and
+    :math:`a_k` there. Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto
+    the set sees to. The joint path is what inverse kinematics gives in floating point: the proof holds for the straight
+    lines between its poses, whether or not they are the path that was meant.
+
+    Parameters
+    ----------
+    matrix
+        ``block.port`` of J.
+    parameters
+        ``block.state`` of the estimate, or ``robot.a_k`` where the kinematics are known: the region is then what the
+        model may be wrong by.
+    names, centre, half
+        (h,) each: what the parameters place, the middle of the set, and its half-widths or half axes [m].
+    shape
+        box, or ball (with unequal `half`, an ellipsoid).
+    radius
+        The largest of `half` [m].
+    option
+        ``block.parameter`` of the graph that takes the set; None where the kinematics are known.
+    start_inside
+        False where the estimate starts outside the set; None where the kinematics are known.
+    tube
+        In each joint [rad].
+    asked, certified
+        c that was asked for, and the least singular value that is certified. [unit]
+    nominal
+        The least singular value at the path's poses and the set's middle, in floating point. [unit]
+    unit
+        Of the singular values.
+    time, q
+        Where along the path the certified value is least [s], and the pose in the middle of that box.
+    fails_at
+        The radius at which parameters are known with a singular value below `asked`, in floating point; None where none
+        was found. The largest region lies between `radius` and this [m].
+    path
+        The joint path.
+    boxes
+        Of poses, over which it was proved.
+    loss
+        Why there is no region: `radius`, `certified` are then 0.
+    """
+
+    matrix: str
+    parameters: str
+    names: tuple[str, ...]
+    centre: Array
+    half: Array
+    shape: Shape
+    option: str | None
+    start_inside: bool | None
+    tube: float
+    asked: float
+    certified: float
+    nominal: float
+    unit: str
+    time: float
+    q: Array
+    fails_at: float | None
+    path: JointPath
+    boxes: int
+    loss: RankLoss | None = None
+
+    @property
+    def holds(self) -> bool:
+        """True where there is a region."""
+        return self.loss is None
+
+    @property
+    def radius(self) -> float:
+        """The largest half-width [m]."""
+        return float(np.max(self.half, initial=0.0))
+
+
+def rank_region(
+    diagram: Diagram,
+    start: Mapping[str, Any] | None = None,
+    *,
+    duration: float,
+    tube: float = 0.05,
+    least: float | None = None,
+    centre: Centre = "truth",
+    shape: Shape = "box",
+    scale: Literal["uniform", "length"] | Sequence[float] = "uniform",
+    boxes: int = MOST_BOXES,
+    path: JointPath | None = None,
+    progress: Progress | None = None,
+) -> RankRegion:
+    r"""The largest set of :math:`a_k` found on which J keeps full row rank along the desired path.
+
+    The joint path follows the desired one by inverse kinematics from where a run starts; where that is off the path, it
+    leads there first. Boxes of q cover the tube around it; a lower bound of J's singular values over each
+    (`dmframe.analysis.rank_bound`) is made sharper by cutting the box, until it suffices or cannot. The size of the set
+    is found by bisection.
+
+    Parameters
+    ----------
+    diagram
+        A diagram with a matrix that must keep full row rank, such as ``J_hat``.
+    start
+        As `dmframe.simulate.start_state` takes it.
+    duration
+        How much of the path is covered [s]; one period where it closes.
+    tube
+        The most by which each joint may differ from the path [rad].
+    least
+        c, the least singular value that is asked for; by default a tenth of the least one along the path.
+    centre
+        truth or start: the middle of the set.
+    shape
+        box or ball.
+    scale
+        uniform; length, in proportion to the translation that a parameter belongs to (a tenth of the longest at least);
+        or a number for each parameter. The largest half-width is the radius.
+    boxes
+        The most boxes for one size of the set; more find a larger one.
+    path
+        A joint path to be taken instead, such as a run's: for a redundant robot, whose own path depends on its
+        controller, too.
+
+    Raises
+    ------
+    NotApplicableError
+        The diagram has no such matrix, no path, or one of which more than the pose and the parameters is unknown.
+    ValueFault
+        An argument is out of its range.
+    """
+    _check(tube=tube, duration=duration, boxes=boxes, least=least, shape=shape, centre=centre)
+    tell = progress or (lambda text: None)
+    problem = rank_problem(diagram, start or {}, centre)
+    weights = _weights(scale, problem.centre)
+    stride = min(max(tube / 2, _LEAST_STRIDE), _MOST_STRIDE)
+
+    def follows(share: float) -> None:
+        tell(f"following the path: {100 * share:.0f} %")
+
+    if path is None:
+        path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
+    search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
+    singular = search.singular(path.poses)
+    nominal = float(np.min(singular))
+    asked = SHARE * nominal if least is None else least
+    cover, radius, fails_at = None, 0.0, None
+    loss = _unreachable(problem, path, float(singular[-1])) or _lost(search, path, nominal, int(np.argmin(singular)))
+    if loss is None:
+        loss, cover = _middle(search, path, asked)
+    if cover is not None:
+        fails_at = search.fails_at(asked)
+        radius, cover = search.largest(asked, cover, fails_at or LARGEST)
+    half = radius * weights
+    place = 0 if cover is None else int(np.argmin(cover.least))
+    option = problem.options.get(shape)
+    return RankRegion(
+        matrix=problem.matrix,
+        parameters=problem.parameters,
+        names=problem.names,
+        centre=problem.centre,
+        half=half,
+        shape=shape,
+        option=option,
+        start_inside=_inside(problem, half, shape),
+        tube=tube,
+        asked=asked,
+        certified=0.0 if cover is None else float(cover.least[place]),
+        nominal=nominal,
+        unit=problem.unit,
+        time=float(path.times[cover.segment[place]]) if cover is not None else loss.time if loss is not None else 0.0,
+        q=path.poses[-1] if cover is None else (cover.low[place] + cover.high[place]) / 2,
+        fails_at=fails_at,
+        path=path,
+        boxes=0 if cover is None else len(cover.least),
+        loss=loss,
+    )
+
+
+def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> RankLoss | None:
+    leave = path.leave
+    if leave is None:
+        return None
+    goal = ", ".join(f"{number:.4g}" for number in leave.goal)
+    away = f"at t = {leave.later:.6g} s it is at [{goal}], {leave.distance:.3g} m from the nearest point in reach"
+    text = (
+        f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
+        if leave.distance > REACHED
+        else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last reaches it"
+    )
+    text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
+    return RankLoss("unreachable", leave.time, leave.q, singular, text)
+
+
+def _lost(search: RankSearch, path: JointPath, nominal: float, place: int) -> RankLoss | None:
+    if nominal > LOST:
+        return None
+    problem, time = search.problem, float(path.times[place])
+    text = f"{problem.matrix} has lost its rank on the path itself, at t = {time:.6g} s"
+    return RankLoss("singular", time, path.poses[place], nominal, text)
+
+
+def _middle(search: RankSearch, path: JointPath, asked: float) -> tuple[RankLoss | None, Cover | None]:
+    """The cover with the parameters at their middle, or why there is none."""
+    problem, tube = search.problem, search.tube
+    found = search.witness(0.0, asked)
+    if found is None:
+        holds, cover = search.cover(0.0, asked, search.segments())
+        if holds:
+            return None, cover
+        worst = int(np.argmin(np.nan_to_num(cover.least, nan=-np.inf)))
+        place, q = int(cover.segment[worst]), (cover.low[worst] + cover.high[worst]) / 2
+        singular = float(search.singular(q[None])[0])
+        kind: Literal["singular", "undecided"] = "singular" if singular < asked else "undecided"
+    else:
+        place, q, singular, kind = found.place, found.q, found.singular, "singular"
+    time = float(path.times[place])
+    at = f"at t = {time:.6g} s, within {tube:.4g} rad of the path, the least singular value of {problem.matrix}"
+    text = (
+        f"{at} is {singular:.3g} {problem.unit}, and {asked:.3g} is asked for; take a narrower tube or another path"
+        if kind == "singular"
+        else f"{at} could not be decided with so many boxes; take a narrower tube, or more boxes"
+    )
+    return RankLoss(kind, time, q, singular, text), None
+
+
+def _inside(problem: RankProblem, half: Array, shape: Shape) -> bool | None:
+    """Whether the estimate starts in the set."""
+    if problem.estimate is None:
+        return None
+    away = np.abs(problem.estimate - problem.centre)
+    if shape == "box":
+        return bool(np.all(away <= half))
+    return bool(np.sum(np.divide(away, half, out=np.where(away > 0, np.inf, 0.0), where=half > 0) ** 2) <= 1)
+
+
+def _weights(scale: str | Sequence[float], centre: Array) -> Array:
+    """Half-widths of the set of radius 1."""
+    if isinstance(scale, str):
+        if scale == "uniform":
+            return np.ones(len(centre))
+        if scale != "length" or len(centre) % 3:
+            raise ValueFault(f"scale: expected uniform, length or a number for each parameter, found {scale}")
+        lengths = np.repeat(np.linalg.norm(centre.reshape(-1, 3), axis=1), 3)
+        return np.asarray(np.maximum(lengths / np.max(lengths), _LEAST_WEIGHT))
+    weights = np.asarray(scale, dtype=float)
+    if weights.shape != centre.shape or not np.all(np.isfinite(weights) & (weights >= 0)) or not np.any(weights):
+        raise ValueFault(f"scale: expected {len(centre)} numbers, none below 0 and not all 0, found {weights.tolist()}")
+    return np.asarray(weights / np.max(weights))
+
+
+def _check(*, tube: float, duration: float, boxes: int, least: float | None, shape: str, centre: str) -> None:
+    for name, found, choices in (("shape", shape, ("box", "ball")), ("centre", centre, ("truth", "start"))):
+        if found not in choices:
+            raise ValueFault(f"{name}: expected {' or '.join(choices)}, found {found}")
+    if not (np.isfinite(tube) and tube >= 0):
+        raise ValueFault(f"tube: expected an angle of at least 0 rad, found {tube:g}")
+    if not (np.isfinite(duration) and duration >= 0):
+        raise ValueFault(f"duration: expected at least 0 s, found {duration:g}")
+    if boxes < 1:
+        raise ValueFault(f"boxes: expected at least 1, found {boxes}")
+    if least is not None and not (np.isfinite(least) and least > 0):
+        raise ValueFault(f"least: expected a singular value above 0, found {least:g}")

@@ -1,0 +1,69 @@
+"""A rank region as a value of the graph and as plain data."""
+
+from __future__ import annotations
+
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
+from typing import Any, Final
+
+from dmframe.analysis.rank_region import RankRegion
+
+PROVED: Final = (
+    "Proved, by interval arithmetic with outward rounding: the bound on J J', for every pose in the tube and all "
+    "parameters in the set. Assumed: the robot stays in the tube."
+)
+KEPT: Final = "The projection keeps the estimate in the set."
+MODEL: Final = "The true translations must lie in the set: it is what the model may be wrong by."
+
+_MICROMETRE: Final = Decimal("0.000001")
+
+
+def option_value(region: RankRegion) -> list[Any] | None:
+    """What ``a_k_hat_box`` or ``a_k_hat_ball`` takes [m], rounded inward; None without a region or an option."""
+    if not region.holds or region.option is None:
+        return None
+    pairs = [(Decimal(float(c)), Decimal(float(r))) for c, r in zip(region.centre, region.half, strict=True)]
+    if region.shape == "box":
+        lower = [float((c - r).quantize(_MICROMETRE, ROUND_CEILING)) for c, r in pairs]
+        upper = [float((c + r).quantize(_MICROMETRE, ROUND_FLOOR)) for c, r in pairs]
+        return [lower, upper]
+    radii = [float(r.quantize(_MICROMETRE, ROUND_FLOOR)) for _, r in pairs]
+    return [[float(c) for c, _ in pairs], radii[0] if len(set(radii)) == 1 else radii]
+
+
+def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
+    """Plain data that JSON can hold."""
+    path, loss = region.path, region.loss
+    return {
+        "graph": name,
+        "matrix": region.matrix,
+        "parameters": region.parameters,
+        "holds": region.holds,
+        "radius": region.radius,
+        "shape": region.shape,
+        "set": [
+            {"name": label, "centre": float(c), "half": float(r)}
+            for label, c, r in zip(region.names, region.centre, region.half, strict=True)
+        ],
+        "option": region.option,
+        "value": option_value(region),
+        "start_inside": region.start_inside,
+        "tube": region.tube,
+        "asked": region.asked,
+        "certified": region.certified,
+        "nominal": region.nominal,
+        "unit": region.unit,
+        "time": region.time,
+        "q": region.q.tolist(),
+        "fails_at": region.fails_at,
+        "path": {"poses": len(path.poses), "span": path.span, "period": path.period},
+        "boxes": region.boxes,
+        "loss": None
+        if loss is None
+        else {
+            "kind": loss.kind,
+            "time": loss.time,
+            "q": loss.q.tolist(),
+            "singular": loss.singular,
+            "text": loss.text,
+        },
+    }

@@ -1,0 +1,164 @@
+"""The search for the largest set of parameters over which a rank bound holds along a joint path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.analysis.joint_path import JointPath
+from dmframe.analysis.rank_bound import MatrixBound, Shape
+from dmframe.analysis.rank_loss import Witness, witness
+from dmframe.analysis.rank_problem import RankProblem
+from dmframe.exact.enclosure import down, up
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+RESOLUTION: Final = 0.01
+"""A radius is found up to this share of it."""
+
+_SMALLEST: Final = 1e-6
+"""No radius smaller than this is told from none [m]."""
+
+LARGEST: Final = 10.0
+"""No radius larger than this is looked for [m]."""
+
+
+@final
+@dataclass(frozen=True)
+class Cover:
+    """Boxes of poses, (N, n) from `low` to `high`, that cover the tube.
+
+    Parameters
+    ----------
+    segment
+        (N,) the piece of the path that each box belongs to.
+    least
+        (N,) the singular value that is certified over each; below what is asked for in a cover that failed.
+    """
+
+    low: Array
+    high: Array
+    segment: NDArray[np.intp]
+    least: Array
+
+    def among(self, chosen: NDArray[np.bool_]) -> Cover:
+        """Some of the boxes."""
+        return Cover(self.low[chosen], self.high[chosen], self.segment[chosen], self.least[chosen])
+
+    @staticmethod
+    def joined(parts: list[Cover]) -> Cover:
+        """The boxes of several."""
+        names = ("low", "high", "segment", "least")
+        return Cover(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+@final
+class RankSearch:
+    """One path, one tube, one shape of the set; the set's size varies.
+
+    Parameters
+    ----------
+    weights
+        (h,) half-widths of the set of radius 1.
+    most
+        The most boxes for one radius.
+    """
+
+    def __init__(
+        self,
+        problem: RankProblem,
+        path: JointPath,
+        tube: float,
+        shape: Shape,
+        weights: Array,
+        most: int,
+        tell: Progress,
+    ) -> None:
+        self.problem, self.path, self.tube, self.shape, self.most = problem, path, tube, shape, most
+        self.bound = MatrixBound(problem.expression, problem.q, problem.a, problem.p, problem.enclosed)
+        self._weights, self._tell = weights, tell
+
+    def singular(self, q: Array) -> Array:
+        """The least singular value at each pose (N, n), with the parameters at the middle; in floating point."""
+        centre = np.tile(self.problem.centre, (len(q), 1))
+        found = self.bound.value(q.T, centre.T, self.problem.values).full()
+        return np.asarray(np.linalg.svd(found.T.reshape(len(q), self.bound.columns, -1), compute_uv=False)[:, -1])
+
+    def witness(self, radius: float, least: float) -> Witness | None:
+        """See `dmframe.analysis.rank_loss.witness`."""
+        problem = self.problem
+        half = radius * self._weights
+        return witness(self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least)
+
+    def segments(self) -> Cover:
+        """A box about each piece of the path, wider by the tube."""
+        low, high = self.path.hulls
+        low, high = down(low - self.tube), up(high + self.tube)
+        return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
+
+    def cover(self, radius: float, least: float, begin: Cover) -> tuple[bool, Cover]:
+        """Cut the boxes until each certifies `least`; or False and those that do not.
+
+        It stops where a box would fail even if it were a point, since no cut can help then, and at the most boxes.
+        """
+        done, open_boxes, count = list[Cover](), begin, 0
+        while len(open_boxes.low):
+            count += len(open_boxes.low)
+            self._tell(f"radius {radius * 1e3:.4g} mm: {count} boxes")
+            found, share = self._certified(open_boxes, radius)
+            good = found.least >= least
+            done.append(found.among(good))
+            open_boxes, share = found.among(~good), share[~good]
+            if not len(open_boxes.low):
+                break
+            middle = (open_boxes.low + open_boxes.high) / 2
+            points = Cover(middle, middle, open_boxes.segment, open_boxes.least)
+            at_points, _ = self._certified(points, radius)
+            if not (at_points.least >= least).all() or count > self.most:
+                return False, open_boxes
+            open_boxes = _halved(open_boxes, share)
+        return True, Cover.joined(done)
+
+    def largest(self, least: float, begin: Cover, ceiling: float) -> tuple[float, Cover]:
+        """The largest radius found below `ceiling`, and its cover; `begin` covers with radius 0."""
+        low, high, cover = 0.0, ceiling, begin
+        while high - low > max(RESOLUTION * high, _SMALLEST):
+            radius = (low + high) / 2
+            holds, found = self.cover(radius, least, cover)
+            if holds:
+                low, cover = radius, found
+            else:
+                high = radius
+        return low, cover
+
+    def fails_at(self, least: float) -> float | None:
+        """The smallest radius found with parameters that refute it; None where there is none below the largest."""
+        low, high = 0.0, _SMALLEST
+        while self.witness(high, least) is None:
+            low, high = high, 2 * high
+            if high > LARGEST:
+                return None
+        while high - low > RESOLUTION / 4 * high:
+            radius = (low + high) / 2
+            low, high = (low, radius) if self.witness(radius, least) else (radius, high)
+        return high
+
+    def _certified(self, boxes: Cover, radius: float) -> tuple[Cover, Array]:
+        half = up(radius * self._weights)
+        bound = self.bound.over(boxes.low, boxes.high, self.problem.centre, half, self.shape)
+        return Cover(boxes.low, boxes.high, boxes.segment, bound.least), bound.share
+
+
+def _halved(boxes: Cover, share: Array) -> Cover:
+    """Each box in two, across the joint whose width adds most to the doubt."""
+    rows, joint = np.arange(len(share)), np.argmax(np.nan_to_num(share), axis=1)
+    middle = (boxes.low[rows, joint] + boxes.high[rows, joint]) / 2
+    low, high = boxes.low.copy(), boxes.high.copy()
+    low[rows, joint], high[rows, joint] = middle, middle
+    left, right = Cover(boxes.low, high, boxes.segment, boxes.least), Cover(low, boxes.high, boxes.segment, boxes.least)
+    return Cover.joined([left, right])

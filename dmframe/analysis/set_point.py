@@ -1,0 +1,193 @@
+"""A loop whose desired trajectory stands still, and the equilibrium that it then has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX, Certificate
+from dmframe.certify import NotApplicableError, claim_of
+from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.diagram.resolve import Leaf
+from dmframe.errors import EngineError, ValueFault
+from dmframe.simulate import start_state
+from dmframe.simulate.step import project
+
+AT_REST: Final = 1e-8
+"""An equilibrium's largest rate, relative to 1 + |state|."""
+
+MOST: Final = 1e150
+"""Slopes of this size or above overflow once they are multiplied."""
+
+FAR: Final = 30
+"""Powers of ten from 1 that no parameter of a robot has."""
+
+_STEPS: Final = 60
+
+
+def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
+    """The same diagram with its trajectories held at what they are at t [s], and their derivatives at zero.
+
+    For runs and linearisations; a certificate leaves trajectories free anyway.
+    """
+    loop = diagram.loop
+    outputs = {signal.label for signal in loop.outputs}  # a trajectory's derivative is no output
+    meanings = [leaf.expression if leaf.name in outputs else 0 * leaf.expression for leaf in loop.trajectories]
+    at = ca.substitute(meanings, [loop.time], [ca.SX(t)]) if meanings else []
+    held = [Leaf(leaf.name, leaf.side, leaf.symbol, value) for leaf, value in zip(loop.trajectories, at, strict=True)]
+    return replace(diagram, loop=replace(loop, trajectories=tuple(held)))
+
+
+def variables(loop: ClosedLoop) -> tuple[Variable, ...]:
+    """All states, the controller's first, as a run stacks them."""
+    return (*loop.controller, *loop.plant)
+
+
+def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
+    """What each estimate estimates, by state label, at the diagram's own parameters.
+
+    A state is an estimate if its block stores the square of its difference from an expression in parameters alone.
+    Empty for a diagram that claims nothing.
+    """
+    try:
+        parts = claim_of(diagram).parts
+    except NotApplicableError:
+        return {}
+    loop = diagram.loop
+    found = dict[str, np.ndarray]()
+    for variable in loop.controller:
+        for part in parts:
+            truth = _truth(variable, part.certificate, loop)
+            if truth is not None:
+                found[variable.label] = truth
+    return found
+
+
+def _truth(variable: Variable, certificate: Certificate, loop: ClosedLoop) -> np.ndarray | None:
+    own = symbols_in([variable.symbol])
+    for square in certificate.storage:
+        if not own & symbols_in([square.vector]):
+            continue
+        slope = ca.jacobian(square.vector, variable.symbol)
+        rest = -ca.substitute(ca.SX(square.vector), variable.symbol, ca.SX.zeros(*variable.symbol.shape))
+        unit = slope.is_square() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero()
+        function = ca.Function("truth", [loop.p], [ca.densify(rest)], {"allow_free": True})
+        if unit and not function.has_free():
+            return np.asarray(function(loop.p_values).full().ravel())
+    return None
+
+
+def equilibrium(
+    diagram: Diagram,
+    estimates: Mapping[str, Any] | None = None,
+    start: Mapping[str, Any] | None = None,
+) -> np.ndarray:
+    """The state at which the loop with frozen trajectories rests.
+
+    Newton's method from where a run starts, with the shortest step where equilibria are not alone; only states that are
+    no estimates move.
+
+    Parameters
+    ----------
+    diagram
+        A diagram of `frozen`.
+    estimates
+        Values by state label at which the estimates are held, ``{"inverse.w": 0.001}``; the others are at their true
+        values.
+    start
+        As `dmframe.simulate.start_state` takes it.
+
+    Raises
+    ------
+    EngineError
+        No equilibrium was found.
+    """
+    loop = diagram.loop
+    held = true_values(diagram) | _given(loop, estimates or {})
+    x = start_state(diagram, start or {})
+    labels = [variable.label for variable in variables(loop) for _ in range(variable.symbol.numel())]
+    free = np.array([label not in held for label in labels], dtype=bool)
+    for label, value in held.items():
+        x[[other == label for other in labels]] = value
+    field = rates(loop)
+    slope = field.jacobian()
+    p = loop.p_values
+    for _ in range(_STEPS):
+        rate = field(x, p).full().ravel()
+        if not np.all(np.isfinite(rate)):
+            break
+        if np.max(np.abs(rate), initial=0.0) <= AT_REST * (1 + np.max(np.abs(x), initial=0.0)) * 1e-3:
+            return x
+        now = computable(loop, "set-point", slope(x, p, 0)[0].full())
+        step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
+        x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
+    computable(loop, "set-point", rate)
+    worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
+    if abs(rate[worst]) <= AT_REST * (1 + np.max(np.abs(x))):
+        return x
+    raise EngineError(
+        f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
+        f"still moves at {rate[worst]:.3g} a second; give estimates with which the loop can rest, or another start"
+    )
+
+
+def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
+    """Numbers of the loop that linear algebra can take; `where` says what they are for.
+
+    Raises `EngineError` where they overflow, with the parameters that are far from 1.
+    """
+    if np.max(np.abs(numbers), initial=0.0) < MOST:  # not so of nan
+        return numbers
+    far = [
+        f"{parameter.label} = {value:g}"
+        for parameter in loop.parameters
+        for value in np.ravel(parameter.value)[np.argsort(-_distance(np.ravel(parameter.value)))][:1]
+        if _distance(np.array([value]))[0] > FAR
+    ]
+    cause = f", with {', '.join(far)}" if far else ""
+    raise EngineError(f"{where}: the rates of the loop overflow{cause}; take numbers nearer to 1")
+
+
+def _distance(values: np.ndarray) -> np.ndarray:
+    """How many powers of ten each is from 1; a zero is not far."""
+    return np.abs(np.log10(np.where(values == 0, 1.0, np.abs(values))))
+
+
+def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    sizes = {variable.label: variable.symbol.numel() for variable in loop.controller}
+    values = dict[str, np.ndarray]()
+    for label, value in estimates.items():
+        numbers = np.asarray(value, dtype=float)
+        if label not in sizes or numbers.shape not in ((), (sizes[label],)):
+            raise ValueFault(
+                f"estimates.{label}: expected one number or one an element of a state of the controller, found "
+                f"{numbers.tolist()}; its states are {', '.join(sizes)}"
+            )
+        values[label] = np.broadcast_to(numbers, (sizes[label],))
+    return values
+
+
+def rates(loop: ClosedLoop) -> Any:
+    """The continuous loop's vector field, (state, p) -> rates, with its trajectories as frozen."""
+    return at_set_point(loop, "rates", stack(variable.rate for variable in variables(loop)))
+
+
+def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
+    """An expression of the loop as a function of (state, p), the trajectories frozen, the projections acting.
+
+    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
+    """
+    (joined,) = project(loop, loop.joined([expression]))
+    leaves = stack(leaf.symbol for leaf in loop.trajectories)
+    held = ca.substitute(joined, leaves, stack(leaf.expression for leaf in loop.trajectories))
+    if symbols_in([held]) & symbols_in([loop.time]):
+        reads = [v.label for v in variables(loop) if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
+        where = ", ".join(f"d {label}/dt" for label in reads) or name
+        raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
+    return ca.Function(name, [loop.state, loop.p], [ca.cse(held)])

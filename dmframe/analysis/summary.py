@@ -1,0 +1,156 @@
+"""Everything that ``dmframe analyse`` tells of a graph, as objects and as plain data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+from dmframe.analysis.linear import Linear, linearise
+from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
+from dmframe.analysis.rational import Passivity, Rational
+from dmframe.analysis.servo import JointLoop, servo_transfer
+from dmframe.analysis.tie import TieGain, tie_gains
+from dmframe.diagram import Diagram
+from dmframe.exact.rational import Interval
+from dmframe.simulate import Solver
+
+NOTE = (
+    "The certificate speaks of continuous time. Near the set-point the poles are those of the loop linearised with "
+    "every estimate at its true value; a run that has not learnt them yet may stay bounded on a slower clock, or on "
+    "none."
+)
+
+
+@final
+@dataclass(frozen=True)
+class LoopAnalysis:
+    """The linear analysis of a diagram at its set-point, which is its trajectory at t = 0.
+
+    Parameters
+    ----------
+    clock
+        Sampling period [s], or None.
+    at_rest, moving
+        The linearised loop with and without the slope of smooth Coulomb friction at rest.
+    joints
+        Servo and inverse, joint by joint.
+    periods
+        How slow the clock may be.
+    ties
+        K_c of each PID inverse, joint by joint.
+    """
+
+    clock: float | None
+    at_rest: Linear
+    moving: Linear
+    joints: tuple[JointLoop, ...]
+    periods: StablePeriods
+    ties: tuple[TieGain, ...]
+
+
+def analyse(
+    diagram: Diagram,
+    clock: float | None,
+    *,
+    solver: Solver | None = None,
+    start: Mapping[str, Any] | None = None,
+    horizon: float = 20.0,
+    uncertain: Mapping[str, Sequence[Interval]] | None = None,
+) -> LoopAnalysis:
+    """Linearise, find margins and poles, search for the largest stable sampling period, and find the least K_c.
+
+    The least K_c holds over the intervals of `uncertain`; all else is at the graph's numbers.
+
+    Raises
+    ------
+    DmframeError
+        See `linearise`, `servo_transfer` and `largest_stable_period`.
+    """
+    at_rest = linearise(diagram, start=start)
+    moving = linearise(diagram, at_rest.point, moving=True)
+    periods = StablePeriods(
+        linearised_period(at_rest),
+        linearised_period(moving),
+        simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
+    )
+    ties = tie_gains(diagram, uncertain)
+    return LoopAnalysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties)
+
+
+def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
+    """Plain data that JSON can hold; a number that is not finite is None."""
+    return {
+        "graph": name,
+        "clock": analysis.clock if analysis.clock is not None else "continuous",
+        "set_point": dict(zip(analysis.at_rest.states, analysis.at_rest.point.tolist(), strict=True)),
+        "at_rest": _linear(analysis.at_rest, analysis.clock),
+        "moving": _linear(analysis.moving, analysis.clock),
+        "joints": [_joint(joint) for joint in analysis.joints],
+        "largest_stable_period": {
+            "at_rest": _bracket(analysis.periods.at_rest),
+            "moving": _bracket(analysis.periods.moving),
+            "simulated": _bracket(analysis.periods.simulated),
+        },
+        "K_c": [_tie(tie) for tie in analysis.ties],
+        "note": NOTE,
+    }
+
+
+def _linear(linear: Linear, clock: float | None) -> dict[str, Any]:
+    return {
+        "poles": _complex(linear.poles),
+        "zero_poles": linear.at_rest,
+        "sampled_poles": None if clock is None else _complex(linear.sampled_poles(clock)),
+        "spectral_radius": None if clock is None else _finite(linear.spectral_radius(clock)),
+    }
+
+
+def _joint(joint: JointLoop) -> dict[str, Any]:
+    return {
+        "joint": joint.joint,
+        "inertia": joint.inertia,
+        "viscous": joint.viscous,
+        "servo": _rational(joint.servo),
+        "servo_passive": _passive(joint.passive_servo),
+        "loop": _rational(joint.loop),
+        "tracking_poles": _complex(joint.tracking.poles),
+        "gain_margin": _finite(joint.margins.gain),
+        "phase_margin_deg": _finite(joint.margins.phase),
+        "crossover": _finite(joint.margins.gain_crossover),
+        "inverse": None if joint.inverse is None else _rational(joint.inverse),
+        "servo_with_inverse": None if joint.port is None else _rational(joint.port),
+        "servo_with_inverse_passive": None if joint.passive_port is None else _passive(joint.passive_port),
+    }
+
+
+def _tie(tie: TieGain) -> dict[str, Any]:
+    return {
+        "block": tie.block,
+        "joint": tie.joint,
+        "own": float(tie.own),
+        "holds": tie.holds,
+        "least": float(tie.least),
+        "least_without_friction": float(tie.least_without_friction),
+    }
+
+
+def _bracket(bracket: Bracket) -> dict[str, Any]:
+    return {"stable": bracket.stable, "unstable": _finite(bracket.unstable), "meaning": bracket.meaning}
+
+
+def _rational(system: Rational) -> dict[str, list[float]]:
+    return {"num": (system.num + 0.0).tolist(), "den": (system.den + 0.0).tolist()}
+
+
+def _passive(found: Passivity) -> dict[str, Any]:
+    return {"holds": found.holds, "least_real_part": _finite(found.least), "at": _finite(found.frequency)}
+
+
+def _complex(values: Any) -> list[list[float]]:
+    return [[float(value.real), float(value.imag)] for value in values]
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,151 @@
+"""A block: equations, storage and conditions, stated once.
+
+From the one statement come the simulation, the generated code, the certificate, the picture and the documentation.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Any, ClassVar, final
+
+from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
+
+from dmframe import notebook
+from dmframe.block.faults import parameter_faults
+from dmframe.block.names import type_name
+from dmframe.certificate import SX, Certificate, Condition
+from dmframe.errors import BlockError, DmframeError, nearest, raise_all
+from dmframe.fields import check_fields
+from dmframe.parameter import read, spec_of, specs
+from dmframe.port import Port, Side, State
+
+
+@final
+class Signals:
+    """Named expressions, read as attributes: ``u.dq``, ``x.w``, ``p.Lambda``."""
+
+    def __init__(self, owner: str, kind: str, values: Mapping[str, SX]) -> None:
+        self._owner, self._kind, self._values = owner, kind, dict(values)
+
+    def __getattr__(self, name: str) -> SX:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        try:
+            return self._values[name]
+        except KeyError:
+            text = f"{self._owner}: its equations read {name}, which is none of its {self._kind}"
+            raise BlockError(f"{text}; {nearest(name, self._values)}") from None
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._values
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+
+@final
+@dataclass(frozen=True)
+class Equations:
+    """What a block's equations say: its outputs, and the rates of its states."""
+
+    outputs: Mapping[str, SX] = field(default_factory=dict)
+    rates: Mapping[str, SX] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+class AbstractBlock(BaseModel):
+    """The base of every block; a block is a final subclass in a file of its own.
+
+    Parameters are pydantic fields declared through `dmframe.parameter`; ports and states are class constants. In
+    the methods below `u` holds the inputs, `x` the states, `p` the parameters as symbols (and ``p.robot``, the robot's
+    symbolic model, where `uses_robot`; and ``p.w_0``, where the state w starts, if a parameter w says so), and `truth`
+    the signals that only the analysis may see, each by its name.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    side: ClassVar[Side] = Side.CONTROLLER
+    inputs: ClassVar[tuple[Port, ...]] = ()
+    outputs: ClassVar[tuple[Port, ...]] = ()
+    states: ClassVar[tuple[State, ...]] = ()
+    truth: ClassVar[tuple[Port, ...]] = ()
+    uses_robot: ClassVar[bool] = False
+    renamed: ClassVar[Mapping[str, str]] = {}
+    """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse a class whose constants or parameters are not of their kind, before anything reads them."""
+        from dmframe.block.contract import malformed  # which needs this class
+
+        super().__pydantic_init_subclass__(**kwargs)
+        raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
+
+    def __init__(self, /, **values: Any) -> None:
+        try:
+            super().__init__(**values)
+        except ValidationError as error:
+            raise_all(parameter_faults(type(self), error, type_name(type(self))))
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _read_quantity(cls, value: Any, info: Any) -> Any:
+        spec = spec_of(cls.model_fields[info.field_name])
+        if spec is None or (value is None and cls.model_fields[info.field_name].default is None):
+            return value
+        try:
+            return read(value, spec)
+        except DmframeError as error:
+            raise ValueError(error.text) from None
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
+        del robot
+        return {}
+
+    def prior(self, robot: Any, others: Fraction) -> Sequence[Sequence[Fraction]] | None:
+        """How large the errors of the parameters may be that this block models: the gain for which relative errors
+        count alike, exactly; None for a block that models none. `others` is the size of a parameter about which it
+        knows nothing.
+        """
+        del robot, others
+        return None
+
+    @abstractmethod
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Outputs and rates, as pure expressions."""
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """Where states start that no parameter of the same name sets, as functions of the plant's start."""
+        del u, p, truth
+        return {}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """Storage, dissipation and supply; None for a block that can run but not be proved."""
+        del u, x, p, truth
+        return None
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The inequalities that the block's proof needs."""
+        del p, truth
+        return ()
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the block's parameters with their units."""
+        units = {name: spec.unit for name, spec in specs(type(self)).items()}
+        rows = [(name, str(value), units.get(name, "")) for name, value in self if value is not None]
+        return notebook.heading(type_name(type(self)), (self.__doc__ or "").split("\n")[0]) + notebook.table(
+            rows, ("parameter", "value", "unit")
+        )
+
+    @classmethod
+    def contract(cls, where: str) -> list[DmframeError]:
+        """What is wrong with the class itself: names, units and references of its ports, states and parameters."""
+        from dmframe.block.contract import breaches  # as above
+
+        return [BlockError(f"{where}: {text}") for text in breaches(cls)]

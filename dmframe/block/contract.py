@@ -1,0 +1,169 @@
+"""What a block's class must keep to: its constants and parameters are of their kind, and its names agree.
+
+`malformed` is asked when a class is made, before anything reads it; `breaches` when a diagram is built of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, Final
+
+from pydantic import PydanticUndefinedAnnotation
+
+from dmframe.block.base import AbstractBlock
+from dmframe.block.names import names_of
+from dmframe.errors import DmframeError, UnitError, nearest
+from dmframe.parameter import read, specs
+from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.units import compatible, shorten
+
+_LISTS: Final[Mapping[str, type[Port | State]]] = {"inputs": Port, "outputs": Port, "states": State, "truth": Port}
+_KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "Access": Access}
+"""What the fields of a port, a state and a parameter hold, by their annotations."""
+
+
+def malformed(block: type[AbstractBlock]) -> Iterator[str]:
+    """Constants and parameters of a class that are not of their kind, so that no code could read them."""
+    for name, kind in _LISTS.items():
+        items = getattr(block, name)
+        if not isinstance(items, tuple | list):
+            hint = "; a comma makes a tuple of one" if isinstance(items, kind) else ""
+            yield f"expected {name} to be a tuple of {kind.__name__}s, found {_short(items)}{hint}"
+            continue
+        for item in items:
+            if not isinstance(item, kind):
+                yield f"expected each of its {name} to be a {kind.__name__}, found {_short(item)}"
+            else:
+                yield from _misfit(item, f"of the {kind.__name__.lower()} {_short(item.name)} in {name}")
+    names = block.renamed
+    if not isinstance(names, Mapping) or not all(isinstance(word, str) for pair in names.items() for word in pair):
+        yield f"expected renamed to map old names to new ones, found {_short(names)}"
+    if not isinstance(block.side, Side):
+        yield f"expected its side to be a Side, found {_short(block.side)}"
+    if not isinstance(block.uses_robot, bool):
+        yield f"expected uses_robot to be True or False, found {_short(block.uses_robot)}"
+    yield from _mistyped(block)
+
+
+def _mistyped(block: type[AbstractBlock]) -> Iterator[str]:
+    """Parameters whose annotation nobody knows, or whose default they could not take."""
+    if not block.__pydantic_complete__:
+        try:
+            block.model_rebuild()
+        except PydanticUndefinedAnnotation as error:
+            yield f"expected annotations that its module knows, found {error.name}; import it there"
+            return
+    for name, spec in specs(block).items():
+        wrong = list(_misfit(spec, f"of the parameter {name}"))
+        yield from wrong
+        default = block.model_fields[name].default
+        if wrong or default is None or block.model_fields[name].is_required():
+            continue
+        try:
+            read(default, spec)
+        except (DmframeError, ValueError) as error:
+            yield f"the default of the parameter {name}: {error}"
+
+
+def _misfit(item: Any, of: str) -> Iterator[str]:
+    """Fields of a declaration that are of another type than its annotations say."""
+    for each in fields(item):
+        value, kind = getattr(item, each.name), _KINDS[str(each.type)]
+        if not isinstance(value, kind):
+            expected = "a text" if kind is str else f"of type {kind.__name__}"
+            yield f"expected the {each.name} {of} to be {expected}, found {_short(value)}"
+
+
+def _short(value: object) -> str:
+    return shorten(repr(value), 40)
+
+
+def breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """What is wrong with a block's class, one text a breach."""
+    kinds: dict[str, Sequence[Port | State]] = {
+        "input": block.inputs,
+        "output": block.outputs,
+        "state": block.states,
+    }
+    for kind, items in kinds.items():
+        names = [item.name for item in items]
+        yield from (f"declares the {kind} {name} twice" for name in sorted({n for n in names if names.count(n) > 1}))
+        for item in items:
+            try:
+                compatible(item.unit, "")
+            except UnitError as fault:
+                yield f"the unit of the {kind} {item.name}: {fault.text}"
+    for kind, ports, known in (
+        ("input", block.inputs, [port.name for port in block.inputs]),
+        ("output", block.outputs, [port.name for port in (*block.inputs, *block.outputs)]),
+    ):
+        for port in ports:
+            of = port.derivative_of
+            if of and of not in known:
+                yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    present = set(names_of(block))
+    for old, new in block.renamed.items():
+        if new not in present:
+            yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
+        if old in present:
+            yield f"says that {old} is renamed {new}, and still has {old}"
+    yield from _print_breaches(block)
+    yield from _source_breaches(block)
+    yield from _parameter_breaches(block)
+
+
+def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """Names that a reader could take for one another."""
+    # which imports the package that reads blocks
+    from dmframe.formula.names import distinct, look_alikes, unicode_name
+
+    names = list(dict.fromkeys([*names_of(block), *(port.name for port in block.truth)]))
+    for one, other in distinct(names):
+        yield f"its names {one} and {other} both print as {unicode_name(one)}; rename one"
+    for name in names:
+        if not name.isidentifier():
+            yield f"expected a name such as K_star, found {name!r}"
+        elif strange := look_alikes(name):
+            yield f"the name {name!a} holds {strange!a}, no Latin and no known Greek letter; some look like those"
+
+
+def _source_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """A proof leaves a trajectory and all its derivatives free: that is right of a function of time alone."""
+    if block.side is not Side.SOURCE:
+        return
+    why = "a source is a function of time alone"
+    yield from (f"has the state {state.name}; {why}, so state it as a controller or a plant" for state in block.states)
+    yield from (
+        f"has the input {port.name}; {why}, and its one input is t, as dmframe.port.TIME"
+        for port in block.inputs
+        if port != TIME
+    )
+    yield from (f"reads the truth {port.name}; {why}, and there is nothing to prove of it" for port in block.truth)
+    for method in ("certificate", "start"):
+        if getattr(block, method) is not getattr(AbstractBlock, method):
+            yield f"has a {method} of its own; {why}: it has no states, so leave {method}() out"
+
+
+def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    numbers = specs(block)
+    boxes = [name for name, spec in numbers.items() if spec.form == "box"]
+    for name in block.model_fields:
+        if hasattr(AbstractBlock, name):
+            yield f"the parameter {name} hides what every block has under that name; rename it"
+    for name, spec in numbers.items():
+        try:
+            compatible(spec.unit, "")
+        except UnitError as fault:
+            yield f"the unit of the parameter {name}: {fault.text}"
+    balls = [name for name, spec in numbers.items() if spec.form == "ball"]
+    for state in block.states:
+        if state.box and state.box not in boxes:
+            yield f"the box of {state.name} is {state.box}, which is no Interval parameter; {nearest(state.box, boxes)}"
+        if state.ball and state.ball not in balls:
+            near = nearest(state.ball, balls)
+            yield f"the ball of {state.name} is {state.ball}, which is no Around parameter; {near}"
+        if state.ball and state.gain not in numbers:
+            yield f"the gain of {state.name}, with a ball, is no parameter; {nearest(state.gain, numbers)}"
+        if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
+            yield f"the parameter {state.name} and the state that starts there have different shapes"

@@ -1,0 +1,175 @@
+"""One block of a diagram with its symbols: inputs local to it, states and parameters named for the whole diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.base import AbstractBlock, Equations, Signals
+from dmframe.block.faults import told_by
+from dmframe.block.sizes import Sizes
+from dmframe.block.symmetric import symmetric_symbol
+from dmframe.certificate import SX
+from dmframe.errors import BlockError, nearest
+from dmframe.linalg import Inverted, inverting
+from dmframe.parameter import specs
+from dmframe.port import Port, State
+
+
+@final
+@dataclass(frozen=True)
+class BlockModel:
+    """A block's equations, evaluated once on symbols.
+
+    `starts` are the states' start values that parameters give, ``w_0`` of the state w; where the equations read one, it
+    is one of the `parameters` too. `inverted` are the matrices that the equations invert.
+    """
+
+    name: str
+    block: AbstractBlock
+    inputs: Mapping[str, SX]
+    states: Mapping[str, SX]
+    parameters: Mapping[str, SX]
+    values: Mapping[str, np.ndarray]
+    robot: Any
+    equations: Equations
+    starts: Mapping[str, SX]
+    inverted: tuple[Inverted, ...] = ()
+
+    def signals(self) -> tuple[Signals, Signals, Signals]:
+        """u, x, p as the block's methods take them."""
+        return signals_of(self.name, self.inputs, self.states, {**self.parameters, **self.starts}, self.robot)
+
+    @cached_property
+    def moving(self) -> set[int]:
+        """Identities of the scalar symbols of its inputs and states, which are all that is not constant in a run."""
+        return symbols_in([*self.inputs.values(), *self.states.values()])
+
+    def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
+        """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
+        used = symbols_in(expressions)
+        return tuple(name for name, symbol in self.inputs.items() if used & symbols_in([symbol]))
+
+
+def symbols_in(expressions: Iterable[SX]) -> set[int]:
+    """Identities of the scalar symbols on which expressions depend."""
+    return {symbol.element_hash() for symbol in ca.symvar(ca.veccat(ca.SX(0, 1), *expressions))}
+
+
+def same_expression(one: SX, other: SX) -> bool:
+    """Are two expressions built alike, operation by operation and constant by constant, of the same symbols?"""
+    one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
+    return one.shape == other.shape and same_expressions([one], [other])
+
+
+def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
+    """The same of lists of one length."""
+    symbols = ca.symvar(ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item)) for item in (*ones, *others))))
+    one, other = (ca.Function("same", symbols, list(items)).serialize() for items in (ones, others))
+    return bool(one == other)
+
+
+def symbol(name: str, size: tuple[int, ...]) -> SX:
+    """A symbol of that size: () a scalar, (n,) a column, (n, p) a matrix."""
+    return ca.SX.sym(name, *(size or (1,)))
+
+
+def _plain(name: str, value: np.ndarray) -> SX:
+    return symbol(name, value.shape)
+
+
+def signals_of(
+    name: str, inputs: Mapping[str, SX], states: Mapping[str, SX], parameters: Mapping[str, SX], robot: Any
+) -> tuple[Signals, Signals, Signals]:
+    """Wrap symbols for a block's methods."""
+    given = {**parameters, "robot": robot} if robot is not None else parameters
+    return Signals(name, "inputs", inputs), Signals(name, "states", states), Signals(name, "parameters", given)
+
+
+def model_block(
+    name: str, block: AbstractBlock, values: Mapping[str, np.ndarray], sizes: Sizes, robot: Any
+) -> BlockModel:
+    """Evaluate a block's equations on fresh symbols, and hold them to the block's declared ports and states."""
+    states = {state.name: symbol(f"{name}.{state.name}", sizes.of(state.shape)) for state in block.states}
+    gains = {key for key, spec in specs(type(block)).items() if spec.form == "gain"}
+    parameters = {
+        key: (symmetric_symbol if key in gains and value.ndim == 2 else _plain)(f"{name}.{key}", value)
+        for key, value in values.items()
+        if key not in states
+    }
+    starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
+    inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
+    mine = robot if block.uses_robot else None
+    signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
+    with inverting() as inverted:
+        outputs, rates = stated_by(name, block, signals, sizes)
+    _check_steady(name, (outputs, rates), stated_by(name, block, signals, sizes))
+    used = symbols_in([*outputs.values(), *rates.values()])
+    for key in states.keys() - rates.keys():
+        if used & symbols_in([states.pop(key)]):
+            raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
+    parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
+    values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
+    return BlockModel(
+        name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)
+    )
+
+
+def stated_by(
+    name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes
+) -> tuple[dict[str, SX], dict[str, SX]]:
+    """Outputs and rates as a block's equations state them, held to its declared ports and states."""
+    with told_by(name, "equations()"):
+        stated = block.equations(*signals)
+    if not isinstance(stated, Equations):
+        raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
+    outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
+    return outputs, _checked(name, "rate", block.states, stated.rates, sizes)
+
+
+def _check_steady(name: str, first: tuple[dict[str, SX], ...], second: tuple[dict[str, SX], ...]) -> None:
+    """The equations are a function of their arguments: what is proved must be what runs."""
+    for kind, once, again in zip(("output", "rate"), first, second, strict=True):
+        for key in {**once, **again}:
+            if key not in once or key not in again or not same_expression(once[key], again[key]):
+                raise BlockError(
+                    f"{name}: equations() state another {kind} of {key} when they are asked again; expected the same "
+                    "expression each time, from u, x and p alone"
+                )
+
+
+def _checked(
+    name: str, kind: str, declared: Sequence[Port | State], stated: Mapping[str, SX], sizes: Sizes
+) -> dict[str, SX]:
+    known = {item.name: item for item in declared}
+    for key in stated:
+        if key not in known:
+            raise BlockError(f"{name}: equations state the {kind} of {key}, undeclared; {nearest(key, known)}")
+    checked = {}
+    for key, item in known.items():
+        if key not in stated:
+            if item.optional:
+                continue
+            raise BlockError(f"{name}: equations leave out the {kind} of {key}")
+        try:
+            expression = ca.SX(stated[key])
+        except (NotImplementedError, RuntimeError, TypeError):
+            found = type(stated[key]).__name__
+            raise BlockError(f"{name}: expected the {kind} of {key} to be an expression, found {found}") from None
+        unbound = [word for word in item.shape.split() if not word.isdigit() and word not in sizes.bound]
+        if unbound:
+            raise BlockError(f"{name}: nothing says how large {unbound[0]} is, which the {kind} of {key} has")
+        size = sizes.of(item.shape)
+        expected = (*size, 1, 1)[:2]
+        if expression.shape != expected:
+            raise BlockError(
+                f"{name}: expected the {kind} of {key} to have the shape {sizes.explain(item.shape)}, "
+                f"found {expression.shape[0]} x {expression.shape[1]}"
+            )
+        checked[key] = expression
+    return checked

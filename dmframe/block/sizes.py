@@ -1,0 +1,175 @@
+"""Binding the letters of shapes: one number a letter, for the whole diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from fractions import Fraction
+from typing import Any, final
+
+import numpy as np
+
+from dmframe.block.base import AbstractBlock
+from dmframe.block.faults import told_by
+from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault
+from dmframe.gain import Prior, Rows, check_definite
+from dmframe.parameter import PAIRS, array, specs
+from dmframe.port import Port, State
+from dmframe.robot.rational import decimal
+
+
+@final
+class Sizes:
+    """What each letter is, and who said so first."""
+
+    def __init__(self) -> None:
+        self.bound: dict[str, tuple[int, str]] = {}
+
+    def bind(self, letter: str, size: int, by: str, path: tuple[str, ...] = ()) -> ShapeError | None:
+        """Bind a letter, or return the fault where it is bound to another number."""
+        known, first = self.bound.setdefault(letter, (size, by))
+        if known == size:
+            return None
+        return ShapeError(f"{by}: expected {letter} = {known} (bound by {first}), found {size}", path=path)
+
+    def of(self, shape: str) -> tuple[int, ...]:
+        """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
+        return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
+
+    def matrix(self, shape: str) -> tuple[int, int]:
+        """Rows and columns: ``"n"`` -> (3, 1)."""
+        rows, columns, *_ = (*self.of(shape), 1, 1)
+        return rows, columns
+
+    def explain(self, shape: str) -> str:
+        """``(n p) with n = 3 (bound by robot ur10), p = 36 (bound by model)``."""
+        letters = [word for word in dict.fromkeys(shape.split()) if not word.isdigit()]
+        reasons = [f"{letter} = {self.bound[letter][0]} (bound by {self.bound[letter][1]})" for letter in letters]
+        return f"({shape})" + (" with " + ", ".join(reasons) if reasons else "")
+
+
+def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, list[DmframeError]]:
+    """Bind all letters from the robot, from the blocks that know a size, and from parameters written out in full."""
+    sizes, faults = Sizes(), list[DmframeError | None]()
+    if robot is not None:
+        for letter in "nmk":
+            faults.append(sizes.bind(letter, getattr(robot, letter), f"robot {robot.name}"))
+    for name, block in blocks.items():
+        if block.uses_robot and robot is None:
+            faults.append(
+                MissingError(
+                    f"{name}: this block needs a robot; add the key robot: {{model: ...}}", path=("blocks", name)
+                )
+            )
+            continue
+        faults += [sizes.bind(letter, size, name) for letter, size in _own(name, block, robot).items()]
+    for name, block in blocks.items():
+        faults += _from_parameters(name, block, sizes)
+    if not any(isinstance(fault, MissingError) for fault in faults):  # a robot would bind most letters
+        faults += [_unbound(name, letter) for name, letter in _unbound_letters(blocks, sizes)]
+    return sizes, [fault for fault in faults if fault is not None]
+
+
+def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
+    """The letters that a block binds by itself."""
+    try:
+        with told_by(name, "sizes()"):
+            found = block.sizes(robot)
+        if not isinstance(found, Mapping) or not all(
+            isinstance(letter, str) and isinstance(size, int) for letter, size in found.items()
+        ):
+            raise BlockError(f"{name}: expected sizes() to return a whole number for each letter, found {found!r:.60}")
+    except BlockError as fault:
+        fault.path = fault.path or ("blocks", name)
+        raise
+    return found
+
+
+def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[DmframeError | None]:
+    for parameter, spec in specs(type(block)).items():
+        value, letters = getattr(block, parameter), spec.shape.split()
+        if value is None or not letters:
+            continue
+        ends = value if spec.form in PAIRS else (value,)
+        for end in ends:
+            shape = np.shape(end)
+            if spec.form == "gain":
+                shape = shape[:1]
+            if shape and len(shape) == len(letters) and letters[-1] != "*" and not letters[-1].isdigit():
+                yield sizes.bind(letters[-1], shape[-1], f"{name}.{parameter}", ("blocks", name, parameter))
+
+
+def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Iterable[tuple[str, str]]:
+    for name, block in blocks.items():
+        needed = [port for port in block.outputs if not port.optional]
+        used: list[Port | State] = [*block.inputs, *needed, *block.states]
+        words = {word for item in used for word in item.shape.split() if not word.isdigit()}
+        yield from ((name, letter) for letter in sorted(words - sizes.bound.keys()))
+
+
+def _unbound(name: str, letter: str) -> DmframeError:
+    return MissingError(
+        f"{name}: nothing says how large {letter} is; add a robot, or write a parameter of that size as a list",
+        path=("blocks", name),
+    )
+
+
+def parameter_arrays(
+    name: str,
+    block: AbstractBlock,
+    sizes: Sizes,
+    blocks: Mapping[str, AbstractBlock] | None = None,
+    robot: Any = None,
+) -> tuple[dict[str, np.ndarray], list[DmframeError]]:
+    """The block's numeric parameters as arrays of their bound sizes; `blocks` and `robot` give what a `Prior` needs."""
+    values, faults = dict[str, np.ndarray](), list[DmframeError]()
+    for parameter, spec in specs(type(block)).items():
+        value = getattr(block, parameter)
+        if value is None:
+            continue
+        try:
+            if isinstance(value, Prior):
+                value = prior_rows(value, blocks or {name: block}, robot)
+            words = spec.shape.split()
+            size = (len(value), *sizes.of(" ".join(words[1:]))) if words[:1] == ["*"] else sizes.of(spec.shape)
+            values[parameter] = array(value, spec, size)
+        except DmframeError as fault:
+            fault.text, fault.path = f"{name}.{parameter}.{fault.text}", ("blocks", name, parameter)
+            faults.append(fault)
+        except ValueError as error:
+            faults.append(ShapeError(f"{name}.{parameter}: {error}", path=("blocks", name, parameter)))
+        except KeyError as error:
+            raise BlockError(f"{name}.{parameter}: the shape {spec.shape!r} uses the unbound letter {error}") from None
+    return values, faults
+
+
+def prior_rows(prior: Prior, blocks: Mapping[str, AbstractBlock], robot: Any) -> Rows:
+    """The gain that another block's model gives, in decimals, in which it is positive definite."""
+    if prior.inverse_of not in blocks:
+        raise UnknownNameError("inverse_of", "block", prior.inverse_of, blocks)
+    exact = blocks[prior.inverse_of].prior(robot, decimal(prior.others))
+    if exact is None:
+        able = "; ".join(name for name, block in blocks.items() if block.prior(robot, Fraction(1)) is not None)
+        raise ValueFault(
+            f"inverse_of: expected a block that models its parameters, found {prior.inverse_of}; the graph has "
+            f"{able or 'none'}"
+        )
+    try:
+        rows = tuple(tuple(float(decimal(prior.scale) * value) for value in row) for row in exact)
+    except OverflowError:
+        raise ValueFault(_too_large(prior)) from None
+    if not all(rows[i][i] for i in range(len(rows)) if exact[i][i]):
+        raise ValueFault(_too_large(prior))
+    try:
+        check_definite(rows)
+    except OverflowError:
+        raise ValueFault(_too_large(prior)) from None
+    except ValueError as error:
+        raise ValueFault(f"inverse_of: {error}; the model holds a link that is no physical body") from None
+    return rows
+
+
+def _too_large(prior: Prior) -> str:
+    return (
+        f"inverse_of: with scale {prior.scale:g} and others {prior.others:g} the gain's elements leave the range of "
+        "numbers; take numbers nearer to 1"
+    )

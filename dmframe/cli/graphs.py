@@ -1,0 +1,86 @@
+"""The graphs that a command names, with what ``--set`` says of them.
+
+``--set block.parameter=value`` goes for every graph, ``--set A.yaml:block.parameter=value`` for that one, and
+``--set block.parameter=1,10,100`` makes three of each, one a value.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from dmframe.config import load_experiment
+from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
+from dmframe.graph import Graph
+
+_FREE = ("title",)
+"""Keys whose text may hold commas."""
+_NESTED = re.compile(r"""("(?:\\.|[^"])*"|'(?:''|[^'])*'|[\[\](){}]|,)""")
+
+
+def graphs_of(names: Sequence[str], overrides: Sequence[str]) -> list[Graph]:
+    """A graph for each name and each combination of swept values. Raises what `load_experiment` does."""
+    mine = {place: list[str]() for place in range(len(names))}
+    for text in overrides:
+        places, rest = _addressed(text, names)
+        for place in places:
+            mine[place].append(rest)
+    return [
+        _loaded(name, chosen, alone=len(names) == 1)
+        for place, name in enumerate(names)
+        for chosen in itertools.product(*map(alternatives, mine[place]))
+    ]
+
+
+def one_graph(name: str, overrides: Sequence[str]) -> Graph:
+    """The one graph of a command that takes one."""
+    found = graphs_of([name], overrides)
+    if len(found) > 1:
+        raise ValueFault(f"--set: several values make {len(found)} graphs, expected one; `dmframe run` takes several")
+    return found[0]
+
+
+def _addressed(text: str, names: Sequence[str]) -> tuple[list[int], str]:
+    """Which graphs an override is for, and what it says."""
+    label, equals, value = text.partition("=")
+    graph, colon, key = label.rpartition(":")
+    if not colon:
+        return list(range(len(names))), text
+    places = [place for place, name in enumerate(names) if graph.strip() in (name, Path(name).stem)]
+    if not places:
+        raise UnknownNameError(f"--set {label}", "graph", graph.strip(), names)
+    return places, f"{key}{equals}{value}"
+
+
+def alternatives(text: str) -> list[str]:
+    """An override for each of its values, which commas part: ``a.b=1,10`` is ``a.b=1`` and ``a.b=10``.
+
+    Commas in brackets and quotes belong to one value.
+    """
+    label, _, value = text.partition("=")
+    if label.strip() in _FREE:
+        return [text]
+    parts, depth = [""], 0
+    for piece in _NESTED.split(value):
+        if piece == "," and depth == 0:
+            parts.append("")
+            continue
+        depth += (piece in "[({") - (piece in "])}") if len(piece) == 1 else 0
+        parts[-1] += piece
+    if len(parts) == 1:
+        return [text]
+    if not all(part.strip() for part in parts):
+        raise ValueFault(f"--set {text}: expected a value between commas; put a text that holds them in quotes")
+    return [f"{label}={part.strip()}" for part in parts]
+
+
+def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
+    try:
+        return Graph(load_experiment(name, overrides))
+    except DmframeError as error:
+        for fault in error.faults if isinstance(error, Faults) else (error,):
+            if not alone and not fault.location and name not in fault.text:
+                fault.location = name  # which of the graphs
+        raise

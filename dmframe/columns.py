@@ -1,0 +1,26 @@
+"""Rows of text in columns that line up."""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Iterable, Sequence
+
+
+def columns(rows: Iterable[Sequence[str]], indent: str = "  ", right: Sequence[int] = ()) -> str:
+    """A line a row; the columns that `right` counts, from 0, are aligned to the right."""
+    table = [list(row) for row in rows]
+    if not table:
+        return f"{indent}none"
+    widths = [max(width(row[k]) for row in table) for k in range(len(table[0]))]
+    lines = ("  ".join(_cell(cell, widths[k], k in right) for k, cell in enumerate(row)) for row in table)
+    return "\n".join(f"{indent}{line}".rstrip() for line in lines)
+
+
+def width(text: str) -> int:
+    """How many places a text takes: accents stand above their letters."""
+    return sum(not unicodedata.combining(letter) for letter in text)
+
+
+def _cell(text: str, wide: int, right: bool) -> str:
+    room = " " * (wide - width(text))
+    return room + text if right else text + room

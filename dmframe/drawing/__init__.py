@@ -1,0 +1,7 @@
+"""The picture of a diagram, from the same object that runs."""
+
+from dmframe.drawing.drawing import Drawing, check_ending
+from dmframe.drawing.flowchart import mermaid
+from dmframe.drawing.picture import svg
+
+__all__ = ["Drawing", "check_ending", "mermaid", "svg"]

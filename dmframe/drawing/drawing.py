@@ -1,0 +1,89 @@
+"""A diagram's picture, as a person holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Final, final
+
+from dmframe.diagram import Diagram
+from dmframe.drawing.flowchart import mermaid
+from dmframe.drawing.picture import svg
+from dmframe.errors import OutputError
+from dmframe.files import check_place, write_bytes, write_text
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Drawing:
+    """The block diagram of a graph; a notebook shows it.
+
+    Parameters
+    ----------
+    diagram
+        What is drawn.
+    title
+        What stands above it.
+    """
+
+    diagram: Diagram
+    title: str = ""
+
+    @cached_property
+    def svg(self) -> str:
+        """A stand-alone SVG."""
+        return svg(self.diagram, self.title)
+
+    @cached_property
+    def mermaid(self) -> str:
+        """A flowchart in Mermaid's language."""
+        return mermaid(self.diagram, self.title)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as SVG, PNG, PDF or Mermaid, by the ending of `path`.
+
+        Raises
+        ------
+        OutputError
+            Another ending, or a file that cannot be written.
+        """
+        path = Path(path)
+        check_ending(path)
+        check_place(path)
+        WRITERS[path.suffix.lower()](self, path)
+        return path
+
+    def __repr__(self) -> str:
+        return f"<Drawing of {self.title or 'a diagram'}: {len(self.diagram.blocks)} blocks>"
+
+    def __str__(self) -> str:
+        return self.mermaid
+
+    def _repr_svg_(self) -> str:
+        return self.svg
+
+
+def _printer(kind: str) -> Callable[[Drawing, Path], None]:
+    def write(drawing: Drawing, path: Path) -> None:
+        from dmframe.drawing.print import printed
+
+        write_bytes(path, printed(drawing.svg, kind))
+
+    return write
+
+
+WRITERS: Final[dict[str, Callable[[Drawing, Path], None]]] = {
+    ".svg": lambda drawing, path: write_text(path, drawing.svg),
+    ".png": _printer("png"),
+    ".pdf": _printer("pdf"),
+    ".mmd": lambda drawing, path: write_text(path, drawing.mermaid),
+}
+
+
+def check_ending(path: Path) -> None:
+    """Raise `OutputError` for an ending that names no kind of picture."""
+    if path.suffix.lower() not in WRITERS:
+        found = path.suffix or "no ending"
+        raise OutputError(f"{path}: expected a name that ends in {', '.join(WRITERS)}, found {found}")

@@ -1,0 +1,254 @@
+"""A graph: the one object through which a program or a notebook uses dmframe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from dmframe import notebook
+from dmframe.block import AbstractBlock, type_name
+from dmframe.config import Experiment, load_experiment
+from dmframe.config.document import document_of, read_document
+from dmframe.config.experiment import experiment_of
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, ValueFault
+from dmframe.graph.progress import Bar, shown
+from dmframe.results.run import Run
+from dmframe.units import plain, to_unit
+
+if TYPE_CHECKING:
+    from dmframe.drawing import Drawing
+    from dmframe.report import Analysis, Verification
+    from dmframe.simulate.engine import Choice
+
+TEXT = "graph"
+"""What messages call a graph that came from no file."""
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Graph:
+    """A controller, its robot, and how they are run; it never changes, and `set` returns another.
+
+    In a notebook it shows itself: the drawing, the title, the blocks. ``str`` of it is the page of ``dmframe check``.
+
+    Parameters
+    ----------
+    experiment
+        The graph file that has been read and checked.
+    """
+
+    experiment: Experiment
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self.experiment.name
+
+    @property
+    def title(self) -> str:
+        """The graph's title, one line."""
+        return self.experiment.file.title
+
+    @property
+    def clock(self) -> float | None:
+        """Sampling period of the controller [s]; None in continuous time."""
+        return self.experiment.file.clock
+
+    @property
+    def duration(self) -> float:
+        """Simulated time [s]."""
+        return self.experiment.file.duration
+
+    @property
+    def blocks(self) -> Mapping[str, AbstractBlock]:
+        """The blocks by name; their parameters are attributes, ``g.blocks["dynamics"].Gamma``."""
+        return self.experiment.blocks
+
+    @property
+    def robot(self) -> Any:
+        """The robot's chain of joints, a `dmframe.robot.SerialChain`; None without a robot."""
+        return self.experiment.robot
+
+    @cached_property
+    def diagram(self) -> Diagram:
+        """Blocks wired and flattened into one closed loop. Raises `DmframeError` with every fault of the wiring."""
+        return self.experiment.diagram()
+
+    @cached_property
+    def text(self) -> str:
+        """The graph as YAML with everything said, defaults filled in: it loads again and gives the same run."""
+        from dmframe.results.resolved import resolved_text
+
+        return resolved_text(self.experiment)
+
+    def set(self, values: Mapping[str, Any] | None = None, /, **keys: Any) -> Graph:
+        """Another graph with some values changed, ``g.set({"dynamics.Gamma": 50, "clock": "2 ms"})``.
+
+        Parameters
+        ----------
+        values
+            By ``block.parameter`` or a key of the graph file; numbers in the port's own units, texts with a unit, lists
+            and arrays.
+        keys
+            Keys of the graph file, ``g.set(clock="2 ms", duration=20)``.
+
+        Raises
+        ------
+        DmframeError
+            All faults of the new values at once.
+        """
+        return Graph(self.experiment.changed({**(values or {}), **keys}))
+
+    def until(self, duration: float | str) -> Graph:
+        """The same graph, run for another time, ``20`` or ``"20 s"``."""
+        return Graph(self.experiment.with_duration(seconds("until", duration)))
+
+    def baseline(self) -> Graph:
+        """The graph with the blocks of its key ``baseline``. Raises `MissingError` where it has none."""
+        return Graph(self.experiment.baseline())
+
+    def run(
+        self, until: float | str | None = None, *, engine: Choice = "auto", progress: bool | Bar | None = None
+    ) -> Run:
+        """Simulate it on its own clock, with its own solver, start and log.
+
+        Parameters
+        ----------
+        until
+            Simulated time, ``20``, ``"20 s"``, ``"2 min"``; the graph's duration without it.
+        engine
+            ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it.
+        progress
+            Show a bar, or advance one that is there; by default where a terminal or a notebook shows it.
+
+        Raises
+        ------
+        DmframeError
+            A start pose that cannot be reached, an integrator that fails at once, or a run too long to keep. (A run
+            that diverges is no fault: `Run.divergence` says where.)
+        """
+        graph = self if until is None else self.until(until)
+        with shown(progress, graph.name, graph.duration) as bar:
+            return Run(graph.experiment, graph.experiment.simulate(self.diagram, engine=engine, progress=bar))
+
+    def verify(self, *, seed: int = 0) -> Verification:
+        """Prove its Lyapunov derivative exactly, for all values of its gains and parameters, or say why not.
+
+        Parameters
+        ----------
+        seed
+            Of the random points and primes.
+        """
+        from dmframe.report import Verification
+
+        return Verification(self.experiment, self.diagram, self.experiment.verify(self.diagram, seed=seed), seed)
+
+    def analyse(self, horizon: float | str = 20.0) -> Analysis:
+        """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.
+
+        Parameters
+        ----------
+        horizon
+            Length of the simulations that look for the largest sampling period [s].
+
+        Raises
+        ------
+        DmframeError
+            No equilibrium, or no goal to follow.
+        """
+        from dmframe.analysis import analyse
+        from dmframe.config.experiment import placed
+        from dmframe.report import Analysis
+
+        experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
+        try:
+            found = analyse(
+                diagram,
+                self.clock,
+                solver=experiment.solver,
+                start=experiment.start,
+                horizon=until,
+                uncertain=experiment.intervals(diagram),
+            )
+        except DmframeError as error:
+            raise placed(error, experiment.document) from None
+        return Analysis(experiment, found)
+
+    def draw(self) -> Drawing:
+        """Its block diagram; a notebook shows it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""
+        from dmframe.drawing import Drawing
+
+        return Drawing(self.diagram, self.title)
+
+    def save(self, path: str | Path) -> Path:
+        """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
+        from dmframe.files import write_text
+
+        write_text(path, self.text, new=True)
+        return Path(path)
+
+    def __repr__(self) -> str:
+        clock = "in continuous time" if self.clock is None else f"every {plain(self.clock, 's')}"
+        return f"<Graph {self.name}: {len(self.blocks)} blocks, {clock}, for {plain(self.duration, 's')}>"
+
+    def __str__(self) -> str:
+        from dmframe.graph.pages import check_page
+
+        return check_page(self.experiment, self.diagram)
+
+    def _repr_html_(self) -> str:
+        rows = [(name, type_name(type(block)), block.side.value) for name, block in self.blocks.items()]
+        clock = "continuous time" if self.clock is None else f"sampled every {plain(self.clock, 's')}"
+        return (
+            notebook.heading(self.name, self.title)
+            + notebook.embedded(self.draw().svg, f"dm-{self.diagram.fingerprint[:8]}")
+            + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
+            + notebook.table(rows, ("block", "type", "side"))
+        )
+
+
+def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "") -> Graph:
+    """A graph from its name, a path, a text or data.
+
+    Parameters
+    ----------
+    source
+        The name of a packaged graph, ``"ur10_fast"``; the path of a graph file; its text, of more than one line; a
+        dictionary as the file would hold it; a `Graph` is returned as it is.
+    name
+        What a graph from a text or a dictionary is called.
+
+    Raises
+    ------
+    DmframeError
+        All faults of the graph at once, each with its line and column.
+
+    Notes
+    -----
+    A block type ``my_file.py:MyBlock`` runs that file.
+    """
+    if isinstance(source, Graph):
+        return source
+    if isinstance(source, Mapping):
+        return Graph(experiment_of(document_of(source, name or TEXT)))
+    if isinstance(source, str) and "\n" in source:
+        return Graph(experiment_of(read_document(source, name or TEXT)))
+    if not isinstance(source, str | Path):
+        found = type(source).__name__
+        raise ValueFault(f"load: expected a graph's name, its path, its text or a dictionary, found {found}")
+    return Graph(load_experiment(source))
+
+
+def seconds(what: str, value: float | str) -> float:
+    """A time above zero. Raises `ValueFault`."""
+    try:
+        found = to_unit(value, "s")
+    except DmframeError as error:
+        raise ValueFault(f"{what} {value}: {error.text}") from None
+    if not found > 0:
+        raise ValueFault(f"{what} {value}: expected a time above zero")
+    return found

@@ -1,0 +1,207 @@
+"""Pages of text: what a graph is, and what a block does."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shutil
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.columns import columns, width
+from dmframe.config import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Derived, Source, Time, Wire
+from dmframe.formula import Line
+from dmframe.formula.alone import in_yaml, options_of, plainest
+from dmframe.formula.docstring import check_docstring
+from dmframe.formula.latex import in_unicode
+from dmframe.formula.names import unicode_name
+from dmframe.formula.where import sizes_show, where
+from dmframe.formula.wrap import wrapped
+from dmframe.parameter import PAIRS, Spec, specs
+from dmframe.port import Access, Port, Side, State
+from dmframe.report.laws import law_of, prose
+from dmframe.units import plain
+
+
+def check_page(graph: Experiment, diagram: Diagram) -> str:
+    """Blocks, wires, sizes, states and clock of a graph that builds."""
+    loop = diagram.loop
+    clock = "continuous time" if graph.file.clock is None else f"every {plain(graph.file.clock, 's')}"
+    letters = ", ".join(f"{letter} = {size} ({by})" for letter, (size, by) in diagram.sizes.bound.items())
+    blocks = (
+        (name, diagram.type_of(name), block.side.value, _names(diagram.models[name].states))
+        for name, block in diagram.blocks.items()
+    )
+    wires = (_wire(diagram, name, port) for name, block in diagram.blocks.items() for port in block.inputs)
+    states = loop.state.numel()
+    own = sum(variable.symbol.numel() for variable in loop.controller)
+    parts = [
+        f"{graph.name}: {graph.file.title}".rstrip(": "),
+        f"clock     {clock}, for {plain(graph.file.duration, 's')}",
+        f"sizes     {letters}",
+        f"states    {states}, of which the controller's {own}",
+    ]
+    if diagram.robot is not None:
+        parts.append(f"robot     {diagram.robot.name}: {', '.join(diagram.robot.joint_names)}")
+        parts.append(f"          rotations made exact; the largest change is {diagram.robot.rotation_change:.1e}")
+    heads = ("name", "type", "side", "states")
+    return "\n".join([*parts, "", "blocks", columns([heads, *blocks]), "", "wires", columns(wires)])
+
+
+def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:
+    shape = " x ".join(str(size) for size in diagram.sizes.of(port.shape)) or "1"
+    source = diagram.sources[name, port.name]
+    return f"{name}.{port.name}", "<-", _source(source, name), shape, port.unit or "-"
+
+
+def _source(source: Source, name: str) -> str:
+    match source:
+        case Wire(block, port):
+            return f"{block}.{port}"
+        case Derived(of):
+            return f"d/dt {name}.{of}"
+        case Time():
+            return "time"
+        case _:
+            return "0 (nobody drives it)"
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(names) or "-"
+
+
+def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
+    """All block types, by the side on which they stand."""
+    parts = []
+    for side in Side:
+        mine = [(name, first_line(kind)) for name, kind in kinds.items() if kind.side is side]
+        parts.append(f"{side.value}\n{columns(mine)}")
+    return "\n\n".join(parts)
+
+
+def first_line(kind: type[AbstractBlock]) -> str:
+    """What a block type is, in a line."""
+    return _plain(prose((inspect.getdoc(kind) or "").split("\n")[0]))
+
+
+def block_page(kind: type[AbstractBlock]) -> str:
+    """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
+    about, wide = law_of(kind), _wide()
+    parts = [f"{type_name(kind)} ({kind.side.value})", textwrap.fill(_plain(about.summary), wide), *_laws(kind, wide)]
+    parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
+    for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
+        parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
+    states = ((s.name, unicode_name(s.name), f"({s.shape})", s.unit or "-", _said(s)) for s in kind.states)
+    parts.append(f"states\n{columns(states)}")
+    if kind.truth:
+        parts.append(f"true values, which its certificate alone reads\n{columns(_port(port) for port in kind.truth)}")
+    parts.append(f"parameters\n{columns(_parameters(kind))}")
+    names = dict[str, list[str]]()
+    for name, text in about.parameters.items():
+        names.setdefault(text, []).append(name)
+    said = [f"{', '.join(several)}: {_plain(text)}" for text, several in names.items()]
+    parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in said)] * bool(said)
+    parts += [textwrap.fill(_plain(text), wide) for text in (about.notes, about.source) if text]
+    return "\n\n".join(parts)
+
+
+def _wide() -> int:
+    """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
+    return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
+
+
+_INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}
+
+
+def _laws(kind: type[AbstractBlock], wide: int) -> Iterable[str]:
+    """The equations at the options' defaults, what each option changes, and what their signs mean."""
+    found = plainest(kind)
+    if found is None:
+        yield "law\n  none without numbers of its own: see it in a graph's report"
+        return
+    label, law = found
+    options = dict(options_of(kind))
+    shown = [*law.lines, *(line for lines in options.values() for line in lines)]
+    given = f", with {label}" * bool(label) + _EXAMPLE * sizes_show(shown)
+    stated = {line.name for line in law.truths}
+    own = [line for line in law.lines if line not in law.truths]
+    yield f"{textwrap.fill(f'law{given}', wide)}\n{_equations(own, wide)}"
+    for option, lines in options.items():
+        yield f"with {option}\n{_equations([line for line in lines if line.name not in stated], wide)}"
+    said = [("", list(law.truths))]
+    said += [(f"with {option}", [line for line in lines if line.name in stated]) for option, lines in options.items()]
+    told = [
+        f"  {option}\n{textwrap.indent(_equations(lines, wide - 2), '  ')}" if option else _equations(lines, wide)
+        for option, lines in said
+        if lines
+    ]
+    if told:
+        yield "\n".join(["true values that it states, for the certificates of other blocks", *told])
+    signs = where(shown)
+    if signs:
+        room = max(width(sign) for sign, _ in signs)
+        yield "\n".join(["where", *(_hanging(sign, text, room, wide) for sign, text in signs)])
+
+
+_EXAMPLE: Final = "; the sizes that show are those of an example, a robot of three joints with a task in a plane"
+
+
+def _hanging(sign: str, text: str, room: int, wide: int) -> str:
+    """A sign, and beside it what it is."""
+    lines = textwrap.wrap(text, max(20, wide - room - 4))
+    head = f"  {sign}{' ' * (room - width(sign))}  "
+    return "\n".join([head + lines[0], *(" " * (room + 4) + line for line in lines[1:])])
+
+
+def _equations(lines: Sequence[Line], wide: int) -> str:
+    """Equations under one another, equals signs too; a long one goes on in the next line, before a + or -."""
+    room = max((width(line.left.unicode) for line in lines), default=0)
+    rows = []
+    for line in lines:
+        left = line.left.unicode + " " * (room - width(line.left.unicode))
+        first, *more = wrapped(line.right.unicode, wide - room - 5)
+        rows += [f"  {left} = {first}", *(f"  {' ' * room}   {text}" for text in more)]
+    return "\n".join(rows) or "  none: each output is a state or a parameter as it stands"
+
+
+def _plain(text: str) -> str:
+    """Marked text without its marks, formulas in Unicode."""
+    pieces = re.split(r"\$([^$]*)\$", text)
+    text = "".join(in_unicode(piece) if place % 2 else piece for place, piece in enumerate(pieces))
+    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("`", ""))
+
+
+def _said(state: State) -> str:
+    sets = [name for name in (state.box, state.ball) if name]
+    return f"projected onto {' or '.join(sets)}" if sets else "optional" * state.optional
+
+
+def _port(port: Port) -> tuple[str, ...]:
+    said = [] if port.access is Access.INTERNAL else [port.access.value]
+    said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
+    return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
+
+
+def _parameters(kind: type[AbstractBlock]) -> Iterable[tuple[str, str, str, str]]:
+    known = specs(kind)
+    for name, field in kind.model_fields.items():
+        default = (
+            "needed"
+            if field.is_required()
+            else _absent(known.get(name))
+            if field.default is None
+            else in_yaml(field.default)
+        )
+        if name in known:
+            spec = known[name]
+            yield name, f"({spec.shape})", " ".join([spec.unit or "-", spec.sign]).strip(), default
+        else:
+            yield name, "", "option", default
+
+
+def _absent(spec: Spec | None) -> str:
+    return "no bound" if spec is not None and spec.form in PAIRS else "none"

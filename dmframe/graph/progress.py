@@ -1,0 +1,69 @@
+"""The bar of a long run, on standard error."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, final
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from dmframe.simulate.run import Progress as Bar
+
+__all__ = ["Bar", "Bars", "shown"]
+
+
+@final
+class Bars:
+    """A bar for each run; ``with Bars() as bars: bars.of("ur10_fast", 200.0)``.
+
+    Parameters
+    ----------
+    quiet
+        Show nothing; by default where nobody sees standard error.
+    transient
+        Take the bars away at the end.
+    """
+
+    def __init__(self, *, quiet: bool | None = None, transient: bool = False) -> None:
+        self._bars = Progress(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=30),
+            TextColumn("{task.completed:.0f} / {task.total:.0f} s"),
+            TextColumn("{task.fields[speed]}"),
+            TimeRemainingColumn(),
+            console=Console(stderr=True, markup=False, emoji=False, highlight=False),
+            disable=not sys.stderr.isatty() if quiet is None else quiet,
+            transient=transient,
+        )
+
+    def __enter__(self) -> Bars:
+        self._bars.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._bars.stop()
+
+    def of(self, name: str, total: float) -> Bar:
+        """A new bar for a run of `total` seconds; what it returns is called with the simulated time."""
+        task = self._bars.add_task(name, total=total, speed="")
+
+        def done(time: float) -> None:
+            elapsed = self._bars.tasks[task].elapsed
+            self._bars.update(task, completed=time, speed=f"{time / elapsed:.0f} x real time" if elapsed else "")
+
+        return done
+
+
+@contextmanager
+def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar | None]:
+    """A bar as `Graph.run` is asked for: one that is given, none, or one of its own."""
+    if callable(progress):
+        yield progress
+    elif progress is False or (progress is None and not sys.stderr.isatty()):
+        yield None
+    else:
+        with Bars(quiet=False, transient=True) as bars:
+            yield bars.of(name, total)

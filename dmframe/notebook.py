@@ -1,0 +1,63 @@
+"""HTML that a notebook shows of an object: a heading, tables, pictures; every text of others is escaped.
+
+An SVG that becomes a part of a page has no names that clash, no style that leaks, and no address of anything outside.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+_LEFT = "text-align:left"
+
+
+def heading(name: str, says: str = "") -> str:
+    """A name in bold, and what is said of it."""
+    said = f": {escape(says)}" if says else ""
+    return f"<p><b>{escape(name)}</b>{said}</p>"
+
+
+def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
+    """Rows of plain texts; all columns to the left."""
+    head = "".join(f'<th style="{_LEFT}">{escape(text)}</th>' for text in heads)
+    body = "".join(
+        "<tr>" + "".join(f'<td style="{_LEFT}">{escape(text)}</td>' for text in row) + "</tr>" for row in rows
+    )
+    return f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
+
+
+def paragraphs(texts: Iterable[str]) -> str:
+    """Plain texts, each a paragraph."""
+    return "".join(f"<p>{escape(text)}</p>" for text in texts)
+
+
+def picture(figure: Any, about: str) -> str:
+    """A matplotlib figure as a PNG within the page."""
+    held = io.BytesIO()
+    figure.savefig(held, format="png", dpi=120)
+    code = base64.b64encode(held.getvalue()).decode()
+    return f'<img alt="{escape(about)}" src="data:image/png;base64,{code}"/>'
+
+
+def embedded(svg: str, prefix: str) -> str:
+    """A stand-alone SVG as an element of HTML; `prefix` sets its names apart from those of other pictures."""
+    svg = re.sub(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL).strip()
+    svg = re.sub(r"\s+xmlns(?::\w+)?=\"[^\"]*\"", "", svg).replace("xlink:href", "href")
+    svg = re.sub(r"\bid=\"([^\"]+)\"", rf'id="{prefix}-\1"', svg)
+    svg = re.sub(r"href=\"#([^\"]+)\"", rf'href="#{prefix}-\1"', svg)
+    svg = re.sub(r"url\(#([^)]+)\)", rf"url(#{prefix}-\1)", svg)
+    svg = re.sub(r"<style[^>]*>(.*?)</style>", lambda found: _scoped(found[1], prefix), svg, flags=re.DOTALL)
+    return re.sub(r"^<svg", f'<svg id="{prefix}"', svg)
+
+
+def _scoped(style: str, prefix: str) -> str:
+    """Each rule of a picture's style, for this picture alone."""
+    rules = list[str]()
+    for selectors, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style):
+        own = ", ".join(f"#{prefix} {selector.strip()}" for selector in selectors.split(","))
+        rules.append(f"{own} {{{body}}}")
+    return "<style>" + "\n".join(rules) + "</style>"

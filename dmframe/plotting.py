@@ -1,0 +1,175 @@
+"""How figures look and how they are saved: readable at a journal's column width, in grey, and small as SVG."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+COLUMN, PAGE = 3.5, 7.16
+"""Widths of one column and of a page of two [inch]."""
+
+COLORS = ("#00467f", "#e69f00", "#c8503c", "#56b4e9", "#1a1a1a", "#009e73")
+"""Told apart by those who see no red or green; neighbours differ in lightness, for grey printing."""
+
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.5)), (0, (5, 1.2, 1, 1.2)), (0, (1, 1)), (0, (7, 2)), (0, (3, 1, 1, 1, 1, 1)))
+
+GREY = "#9a9a9a"
+FLAT = 1e-3
+"""Relative change below which a curve is drawn as nearly flat."""
+
+POINTS = 30_000
+"""Points of all the curves in a figure; an SVG spends about 25 bytes on one."""
+
+_STYLE: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.use_mathtext": True,
+    "axes.formatter.useoffset": False,
+    "axes.grid": True,
+    "axes.labelsize": 8,
+    "axes.linewidth": 0.6,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 8,
+    "figure.constrained_layout.h_pad": 0.03,
+    "figure.constrained_layout.w_pad": 0.03,
+    "figure.facecolor": "white",
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.4,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.4,
+    "lines.dash_capstyle": "butt",
+    "lines.linewidth": 1.0,
+    "lines.scale_dashes": True,
+    "path.simplify": True,
+    "savefig.dpi": 200,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "dmframe",
+    "xtick.labelsize": 7.5,
+    "xtick.major.width": 0.6,
+    "ytick.labelsize": 7.5,
+    "ytick.major.width": 0.6,
+}
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Within, matplotlib draws in this style; outside, the user's settings are as they were."""
+    import matplotlib as mpl
+
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        mpl.rcParams.update(_STYLE)
+        yield
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure that no global registry knows; sizes in inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def figure_svg(figure: Any) -> str:
+    """A matplotlib figure as SVG text."""
+    text = io.StringIO()
+    with styled():
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()
+
+
+def save(figure: Any, folder: Path, name: str, about: str) -> None:
+    """Write ``name.png`` and ``name.svg``; the same figure gives the same bytes."""
+    from dmframe.version import version
+
+    source = f"dmframe {version()}"
+    with styled():
+        figure.savefig(folder / f"{name}.png", metadata={"Software": source, "Title": name, "Description": about})
+        figure.set_layout_engine("none")  # what was laid out stays; to do it again takes as long as to draw
+        meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
+        figure.savefig(folder / f"{name}.svg", metadata=meta)
+
+
+def look(index: int) -> dict[str, Any]:
+    """Colour and dashes of the index-th curve; no two of the first 36 are alike."""
+    return {
+        "color": COLORS[index % len(COLORS)],
+        "linestyle": DASHES[(index + index // len(COLORS)) % len(DASHES)],
+    }
+
+
+def thin(values: np.ndarray, most: int) -> np.ndarray:
+    """Indices that draw a curve with about `most` points and keep each stretch's lowest and highest value."""
+    size = len(values)
+    if size <= most:
+        return np.arange(size)
+    edges = np.linspace(0, size, max(most // 2, 1) + 1).astype(int)
+    kept = {0, size - 1}
+    for first, last in pairwise(edges.tolist()):
+        part = values[first:last]
+        kept |= {first + int(np.argmin(part)), first + int(np.argmax(part))}
+    return np.array(sorted(kept))
+
+
+def tame(values: np.ndarray) -> np.ndarray:
+    """Values that can be scaled and drawn without overflow; no panel shows what a diverged run reaches at last."""
+    return np.asarray(np.clip(values, -1e30, 1e30))
+
+
+def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 2000, **kind: Any) -> None:
+    """A thinned curve."""
+    values = tame(values)
+    kept = thin(values, most)
+    axes.plot(times[kept], values[kept], **kind)
+
+
+def frame(axes: Any, curves: Sequence[tuple[np.ndarray, bool]], *, zero: bool = False) -> None:
+    """Limits that show every curve in full, and a diverged one up to its last stretch, which would dwarf the rest."""
+    ends = [span(values, diverged) for values, diverged in curves if len(values)]
+    if not ends:
+        return
+    low, high = min(end[0] for end in ends), max(end[1] for end in ends)
+    if zero:
+        low, high = min(low, 0.0), max(high, 0.0)
+    # what hardly changes is drawn as flat: ticks of many digits would say more than they mean
+    room = max(0.06 * (high - low), FLAT * max(abs(low), abs(high)) - (high - low) / 2, 1e-12)
+    axes.set_ylim(low - room, high + room)
+
+
+def span(values: np.ndarray, diverged: bool) -> tuple[float, float]:
+    """Lowest and highest value; of a diverged run, before its last tenth."""
+    shown = values[: max(1, int(0.9 * len(values)))] if diverged else values
+    return float(np.min(shown)), float(np.max(shown))
+
+
+def unit_text(unit: str) -> str:
+    """A unit as print has it: ``1/s^2`` with a raised 2."""
+    return unit.replace("^2", "²").replace("^3", "³")
+
+
+NAME_LINE = 0.16
+"""Height of a legend's line [inch]; figures have room for two."""
+
+
+def names_above(figure: Any, axes: Any, width: float, extra: Sequence[Any] = ()) -> None:
+    """A legend above all panels, where it covers nothing; as many columns as the width carries."""
+    handles, labels = axes.get_legend_handles_labels()
+    handles, labels = [*handles, *extra], [*labels, *(str(handle.get_label()) for handle in extra)]
+    if not labels:
+        return
+    room = 0.45 + 0.062 * max(map(len, labels))  # handle and letters [inch]
+    columns = max(1, min(len(labels), int(width / room)))
+    figure.set_figheight(figure.get_figheight() + NAME_LINE * max(0, -(-len(labels) // columns) - 2))
+    figure.legend(handles, labels, loc="outside upper center", ncols=columns)

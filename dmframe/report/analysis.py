@@ -1,0 +1,142 @@
+"""The linear analysis of a graph, as a person holds it."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, final
+
+from dmframe import notebook
+from dmframe.columns import columns
+from dmframe.config import Experiment
+from dmframe.report.linear import JOINT_HEADS, LinearView, rows_of
+from dmframe.units import plain
+
+if TYPE_CHECKING:
+    from dmframe.analysis import LoopAnalysis, TieGain
+
+LOOP_HEADS: Final = ("", "at rest", "moving (no slope of Coulomb friction)")
+TIE_HEADS: Final = ("joint", "K_c of the graph", "least K_c", "least without friction")
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Analysis:
+    """Margins and passivity of the servo, poles, the largest stable sampling period, and the least K_c.
+
+    ``str`` of it is the terminal's page.
+
+    Parameters
+    ----------
+    experiment
+        The graph.
+    found
+        The numbers.
+    """
+
+    experiment: Experiment
+    found: LoopAnalysis
+
+    @property
+    def name(self) -> str:
+        """The graph's name."""
+        return self.experiment.name
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What ``dmframe analyse --json`` prints of it."""
+        return dict(self._view.numbers)
+
+    @property
+    def conclusion(self) -> str:
+        """What it comes to, in one sentence."""
+        return f"{self._near} {self._run}"
+
+    @cached_property
+    def _view(self) -> LinearView:
+        return rows_of(self.name, self.found)
+
+    @property
+    def _near(self) -> str:
+        found = self.found
+        if found.clock is None:
+            poles = (*found.at_rest.poles, *found.moving.poles)
+            slowest = max((float(pole.real) for pole in poles), default=0.0)
+            if slowest < 0:
+                return "Near the set-point the loop is stable in continuous time;"
+            return f"Near the set-point the loop is unstable: a pole has the real part {slowest:.3g} 1/s;"
+        radius = max(linear.spectral_radius(found.clock) for linear in (found.at_rest, found.moving))
+        least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)
+        clock = plain(found.clock, "s")
+        if radius > 1:
+            until = "on no clock that was looked at" if least.stable == 0 else f"up to {plain(least.stable, 's', 4)}"
+            return f"Sampled every {clock} the loop is unstable near its set-point; it is stable {until};"
+        if math.isinf(least.unstable):
+            return f"Sampled every {clock} the loop is stable near its set-point, as on every clock looked at;"
+        room = least.stable / found.clock
+        return (
+            f"Sampled every {clock} the loop is stable near its set-point, and would be up to "
+            f"{plain(least.stable, 's', 4)}, {room:.2g} times as long;"
+        )
+
+    @property
+    def _run(self) -> str:
+        bracket, clock = self.found.periods.simulated, self.found.clock
+        if bracket.stable == 0:
+            return "its own run stays bounded on no clock that was looked at."
+        if math.isinf(bracket.unstable):
+            return f"its own run stays bounded up to {plain(bracket.stable, 's', 4)}, the longest looked at."
+        text = f"its own run stays bounded up to about {plain(bracket.stable, 's', 4)}"
+        return f"{text}." if clock is None or bracket.stable >= clock else f"{text}, less than its clock."
+
+    def __repr__(self) -> str:
+        return f"<Analysis of {self.name}: {self.conclusion}>"
+
+    def __str__(self) -> str:
+        view = self._view
+        parts = [
+            f"{self.name}: {self.experiment.file.title}".rstrip(": "),
+            "",
+            "joint loops: servo, motor, diagonal of M and viscous friction at the set-point, other joints held",
+            columns([JOINT_HEADS, *view.joints]),
+            "",
+            "closed loop, linearised at the set-point, estimates at their true values",
+            columns([LOOP_HEADS, *view.loop]),
+            "",
+            "largest stable sampling period",
+            columns([row[:2] for row in view.periods]),
+            *(f"    {line}" for line in textwrap.wrap(self.found.periods.simulated.meaning, 106)),
+            "",
+            *self._least_K_c(),
+            *(f"  {line}" for line in textwrap.wrap(view.numbers["note"], 110)),
+            "",
+            *textwrap.wrap(self.conclusion, 112),
+        ]
+        return "\n".join(parts)
+
+    def _repr_html_(self) -> str:
+        view, ties = self._view, self.found.ties
+        return (
+            notebook.heading(self.name, self.experiment.file.title)
+            + notebook.paragraphs([self.conclusion])
+            + notebook.table([row[:2] for row in view.periods], ("largest stable sampling period", ""))
+            + notebook.table(view.loop, LOOP_HEADS)
+            + notebook.table(view.joints, JOINT_HEADS)
+            + (notebook.table(map(_tie, ties), TIE_HEADS) if ties else "")
+        )
+
+    def _least_K_c(self) -> Iterator[str]:
+        ties: Sequence[TieGain] = self.found.ties
+        if ties:
+            over = "the intervals of uncertain:" if self.experiment.file.uncertain else "the graph's own servo gains"
+            yield f"K_c of the PID inverse [1/s]: the least that makes M̄ ≥ 0 over {over}, rounded upwards"
+            yield columns([TIE_HEADS, *map(_tie, ties)])
+            yield ""
+
+
+def _tie(tie: TieGain) -> tuple[str, ...]:
+    own = f"{float(tie.own):.6g}" + ("" if tie.holds else ", too small")
+    return tie.joint, own, f"{float(tie.least):g}", f"{float(tie.least_without_friction):g}"

@@ -1,0 +1,115 @@
+"""A verdict for a terminal: what was decided, on what it rests, and what follows."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterable, Iterator
+from textwrap import fill
+from typing import Any, Final
+
+from dmframe.certify import Verdict
+from dmframe.certify.checked import Checked
+from dmframe.columns import columns
+from dmframe.report.notation import spelled
+
+HARD: Final = "\N{NO-BREAK SPACE}"
+WIDEST: Final = 116
+
+
+def verdict_text(name: str, verdict: Verdict) -> str:
+    """The page; `name` is the graph's."""
+    parts = [f"{name}: {verdict.headline}", fill(f"  {spelled(verdict.reason)}", **_wrapped())]
+    if verdict.test is not None and verdict.test.zero:
+        bound = verdict.test.log2_error_bound
+        parts.append(
+            f"  wrong with probability below 2^{bound:.0f}, over {verdict.test.trials} random points and primes"
+        )
+    if verdict.bounds:
+        parts += [spelled("  dV/dt may be above minus the dissipation by"), columns(_bounds(verdict), "    ")]
+    if verdict.refutation is not None:
+        signals = ", ".join(verdict.refutation.signals)
+        parts.append(f"  fewest signals that refute it: {signals or 'none; it is false with all of them at zero'}")
+        parts.append("  the exact point is in --json")
+    if verdict.conditions:
+        rows = [(spelled(c.name), "" if c.value is None else f"{c.value:.4g}", _mark(c)) for c in verdict.conditions]
+        parts.append(f"  conditions{_over(verdict)}; a margin must be above zero, or, with ≥, not below")
+        parts.append(columns(rows, "    "))
+    if verdict.controls:
+        refuted = sum(control.refuted for control in verdict.controls)
+        parts.append(f"  negative controls: {refuted} of {len(verdict.controls)} seeded faults refuted")
+    if verdict.assumptions:
+        parts += ["  assumed", *(_line(item.text) for item in verdict.assumptions)]
+    if verdict.statements and verdict.outcome == "proved":
+        parts += ["  so", *_followed(verdict)]
+    parts += [f"  notice: {notice}" for notice in verdict.notices]
+    if verdict.claim is not None:
+        parts.append(spelled(f"  {verdict.build:.2f} s to write V and dV/dt, {verdict.check:.2f} s to decide"))
+    return "\n".join(parts)
+
+
+def _followed(verdict: Verdict) -> Iterator[str]:
+    """What follows: the signals of each kind, and last the conclusions, each with its step."""
+    for says in dict.fromkeys(item.says for item in verdict.statements):
+        found = [item for item in verdict.statements if item.says == says and not item.concludes]
+        grouped = dict[tuple[str, ...], list[str]]()
+        for item in found:
+            own = item.assumes == (f"the derivative of {item.signal} is bounded",)
+            grouped.setdefault(("its own derivative is bounded",) if own else item.assumes, []).append(item.signal)
+        for assumes, signals in grouped.items():
+            given = f", each if {' and '.join(assumes)}" if assumes else ""
+            yield _told(f"{says.removeprefix('is ')}{given}: ", map(spelled, dict.fromkeys(signals)))
+    states = verdict.states
+    if states is not None and states.unfelt:
+        yield _told("may drift together unfelt by all else, as joints that turn round and round: ", states.unfelt)
+    if states is not None and states.open:
+        yield _told("not known to be bounded, so that this is not the stability of the whole loop: ", states.open)
+    if verdict.claim is not None:
+        lines = [(block, line) for block, law in verdict.claim.laws.items() for line in law.definitions]
+        told = {line.name: {other.whole.text for _, other in lines if other.name == line.name} for _, line in lines}
+        named = dict.fromkeys(
+            line.whole.unicode + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
+        )
+        if named:
+            yield _told("where ", named)
+    for item in (item for item in verdict.statements if item.concludes):
+        assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
+        yield _line(f"=> {item.signal} {item.says}: {item.step}{assumed}")
+
+
+def _told(lead: str, items: Iterable[str]) -> str:
+    kept = ", ".join(item.replace(" ", HARD) for item in items)  # a formula is not broken between lines
+    return fill(f"    {lead}{kept}", **_wrapped()).replace(HARD, " ")
+
+
+def _line(text: str) -> str:
+    """A sentence, wrapped below itself."""
+    return fill(f"    {spelled(text)}", **_wrapped())
+
+
+def _wrapped() -> dict[str, Any]:
+    width = min(WIDEST, shutil.get_terminal_size((WIDEST, 24)).columns)
+    return {"width": max(width, 40), "subsequent_indent": " " * 8, "break_on_hyphens": False}
+
+
+def _over(verdict: Verdict) -> str:
+    """The intervals over which the conditions were decided."""
+    return f", over the intervals of {', '.join(verdict.uncertain)}" if verdict.uncertain else ""
+
+
+def _bounds(verdict: Verdict) -> list[tuple[str, str]]:
+    """Each term of the residual with its bound."""
+    rows = []
+    for bound in verdict.bounds:
+        kappa = "kappa * " if bound.weight == "kappa" else ""
+        unknown = "a constant of the motion" if bound.constant else "no known bound"
+        number = unknown if bound.value is None else f"<= {kappa}{bound.value:.4g}"
+        value = f"{number} {'times ' if bound.value is None and bound.times else ''}{bound.times}".strip()
+        rows.append((spelled(f"{bound.block}: {bound.term}"), spelled(value)))
+    return rows
+
+
+def _mark(condition: Checked) -> str:
+    """What samples show is not said to hold."""
+    if condition.holds:
+        return "sampled, not proved" if condition.how == "sampled" else "holds"
+    return "FAILS"

@@ -1,0 +1,132 @@
+"""A graph's verdict, as a person holds it: the terminal's page, the report's first page, the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+from dmframe.certify import Verdict
+from dmframe.certify.summary import summary
+from dmframe.config import Experiment
+from dmframe.diagram import Diagram
+from dmframe.report.verdict_text import verdict_text
+
+if TYPE_CHECKING:
+    from dmframe.certificate import Assumption
+    from dmframe.certify.checked import Checked
+    from dmframe.certify.statements import Statement
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Verification:
+    """What was found of a graph's certificate.
+
+    ``str`` of it is the terminal's page, a notebook shows the report's first page, and `report` writes all of it.
+
+    Parameters
+    ----------
+    experiment, diagram
+        What was proved.
+    verdict
+        The outcome with everything it rests on.
+    seed
+        Of the random points and primes.
+    """
+
+    experiment: Experiment
+    diagram: Diagram
+    verdict: Verdict
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        """The graph's name."""
+        return self.experiment.name
+
+    @property
+    def outcome(self) -> str:
+        """``proved``, ``refuted`` or ``not_applicable``."""
+        return self.verdict.outcome
+
+    @property
+    def proved(self) -> bool:
+        """Is it proved?"""
+        return self.verdict.outcome == "proved"
+
+    @property
+    def headline(self) -> str:
+        """The outcome in words, with what a proof does not reach."""
+        return self.verdict.headline
+
+    @property
+    def reason(self) -> str:
+        """Why the outcome is what it is, in a sentence."""
+        return self.verdict.reason
+
+    @property
+    def conditions(self) -> tuple[Checked, ...]:
+        """What had to hold at the graph's numbers, with margins."""
+        return self.verdict.conditions
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """What is assumed and not proved."""
+        return self.verdict.assumptions
+
+    @property
+    def conclusions(self) -> tuple[Statement, ...]:
+        """What follows in the end, such as that x - x_d goes to zero; none unless it is proved."""
+        return tuple(item for item in self.verdict.statements if item.concludes) if self.proved else ()
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What ``dmframe verify --json`` prints of it."""
+        return summary(self.name, self.verdict)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, a web page, Markdown or JSON by the ending of `path`; the graph is simulated for it.
+
+        Raises
+        ------
+        OutputError
+            Another ending, or a file that cannot be written.
+        """
+        from dmframe.report.write import write_report
+
+        write_report(path, [self])
+        return Path(path)
+
+    def __repr__(self) -> str:
+        return f"<Verification of {self.name}: {self.headline}>"
+
+    def __str__(self) -> str:
+        return verdict_text(self.name, self.verdict)
+
+    def _repr_html_(self) -> str:
+        from dmframe.report.content import opening
+        from dmframe.report.page import first_page
+
+        return first_page(opening(self.experiment, self.verdict))
+
+
+def command(found: Sequence[Verification], path: Path) -> list[str]:
+    """The command that writes the same report, of graphs that have names of their own."""
+    from dmframe.catalogue import graphs
+
+    known = graphs()
+
+    def place(item: Verification) -> str:
+        packaged = item.name in known and str(known[item.name]) == item.experiment.document.name
+        return item.name if packaged else item.experiment.document.name
+
+    same = len({item.experiment.overrides for item in found}) == 1
+    changes = [
+        f"{'' if same else f'{place(item)}:'}{text}"
+        for item in (found[:1] if same else found)
+        for text in item.experiment.overrides
+    ]
+    said = [word for text in changes for word in ("--set", text)]
+    return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]

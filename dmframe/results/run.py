@@ -1,0 +1,193 @@
+"""A graph that has run, as a person holds it: numbers with names and units, figures, files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, final
+
+import numpy as np
+
+from dmframe import notebook
+from dmframe.columns import columns
+from dmframe.config import Experiment
+from dmframe.errors import UnknownNameError
+from dmframe.results.dataset import dataset
+from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.summary import summary
+from dmframe.simulate import Divergence, Recording
+from dmframe.units import plain
+
+if TYPE_CHECKING:
+    import xarray
+
+    from dmframe.results.figures import Figures
+
+HEADS = ("graph", "clock", "error", "first eighth", "last eighth", "speed", "engine")
+RIGHT = (1, 3, 4, 5)
+NOTE = "error: root mean square of its Euclidean norm; speed: times real time"
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Run:
+    """A graph with what its run recorded.
+
+    ``run["arm.q"]`` is a signal as an xarray, time by joint, with its unit; ``run.data`` holds all of them.
+
+    Parameters
+    ----------
+    experiment
+        The graph that ran.
+    recording
+        Its states and outputs as plain arrays.
+    label
+        What tables and legends call it; the graph's name.
+    """
+
+    experiment: Experiment
+    recording: Recording
+    label: str = field(default="")
+
+    @property
+    def name(self) -> str:
+        """What tables and legends call it."""
+        return self.label or self.experiment.name
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N,), the instants that were kept [s]."""
+        return self.recording.time
+
+    @property
+    def divergence(self) -> Divergence | None:
+        """Where the run left the finite numbers first, if it did."""
+        return self.recording.divergence
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the run has to say of itself."""
+        return self.recording.notices
+
+    @cached_property
+    def data(self) -> xarray.Dataset:
+        """Every recorded signal ``block.signal`` over time, with its unit and the names of its elements."""
+        return dataset(self.recording, self.experiment)
+
+    @cached_property
+    def error(self) -> TrackingError | None:
+        """The tracking error, actual minus desired; None for a graph without a goal."""
+        return tracking_error(self.recording)
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What ``dmframe run --json`` prints of it."""
+        return summary(self.experiment.name, self.recording)
+
+    def __getitem__(self, label: str) -> xarray.DataArray:
+        if label not in self:
+            raise UnknownNameError(f"run[{label!r}]", "signal", label, self)
+        return self.data[label]
+
+    def __contains__(self, label: object) -> bool:
+        return label in self.recording.states or label in self.recording.outputs
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self.recording.states
+        yield from self.recording.outputs
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self)
+
+    def plot(self, *signals: str) -> Figures:
+        """The figures of the command line, or one of some signals, ``run.plot("arm.q", "dynamics.tau_dc")``.
+
+        Raises
+        ------
+        UnknownNameError
+            The run recorded no such signal.
+        """
+        from dmframe.results.figures import figures_of, signals_figure
+
+        runs = {self.name: self.recording}
+        return signals_figure(runs, signals) if signals else figures_of(runs)
+
+    def save(self, folder: str | Path, *, plots: bool = True) -> Path:
+        """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
+
+        Raises
+        ------
+        OutputError
+            The folder has files in it, or cannot be written.
+        """
+        from dmframe.results.folder import write_run
+
+        write_run(folder, [self], plots=plots)
+        return Path(folder)
+
+    def __repr__(self) -> str:
+        return f"<Run {self.name}: {plain(float(self.time[-1]), 's')}, {self._ended()}{self._followed()}>"
+
+    def __str__(self) -> str:
+        return table_of([self])
+
+    def _repr_html_(self) -> str:
+        from dmframe.results.figures import error_picture
+
+        rows = [row(self)]
+        told = [*(f"notice: {notice}" for notice in self.notices), *ended(self)]
+        return (
+            notebook.heading(self.name, self.experiment.file.title)
+            + notebook.table(rows, HEADS)
+            + notebook.paragraphs([NOTE, *told])
+            + error_picture({self.name: self.recording})
+        )
+
+    def _ended(self) -> str:
+        if self.divergence is not None:
+            return f"diverged: {self.divergence}"
+        return "stopped" if self.recording.interrupted else "to its end"
+
+    def _followed(self) -> str:
+        error = self.error
+        if error is None or error.rms_final is None:
+            return ""
+        return f", |{error.signal}| {plain(error.rms_final, error.unit)} RMS in the last eighth"
+
+
+def row(run: Run) -> tuple[str, ...]:
+    """A run under `HEADS`."""
+    told = run.summary
+    error = told["error"]
+    clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
+    first, last = (_rms(error, index) for index in (0, -1))
+    factor = told["real_time_factor"]
+    speed = "-" if factor is None else f"{factor:.0f} x"
+    return run.name, clock, error["signal"] if error else "-", first, last, speed, told["engine"]
+
+
+def _rms(error: Mapping[str, Any] | None, index: int) -> str:
+    if error is None or error["rms_by_eighth"][index] is None:
+        return "-"
+    return plain(error["rms_by_eighth"][index], error["unit"])
+
+
+def ended(run: Run) -> list[str]:
+    """How a run ended, where it did not end well."""
+    told = list[str]()
+    if run.divergence is not None:
+        told.append(f"diverged: {run.divergence}")
+    if run.recording.interrupted:
+        told.append(f"stopped at {plain(float(run.time[-1]), 's')}; what was done is kept")
+    return told
+
+
+def table_of(runs: Sequence[Run]) -> str:
+    """Runs for a terminal: a line each, then their notices."""
+    lines = [columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE]
+    for run in runs:
+        lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
+        lines += [f"{run.name}: {text}" for text in ended(run)]
+    return "\n".join(lines)

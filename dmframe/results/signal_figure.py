@@ -1,0 +1,71 @@
+"""Signals that a user asks for, over time: a panel each, a curve for each element of each run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dmframe.diagram.closed_loop import Signal, Variable
+from dmframe.errors import UnknownNameError, raise_all
+from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
+from dmframe.results.dataset import element_labels
+from dmframe.results.drawn_runs import Runs, mark_divergence, set_times, told
+from dmframe.results.estimate_figure import element
+from dmframe.simulate import Recording
+
+NAMED = 12
+"""How many curves of a panel a legend names."""
+
+
+def signal_figure(runs: Runs, labels: Sequence[str]) -> Any:
+    """The figure; raises `UnknownNameError` for a signal that no run recorded."""
+    known = {label for run in runs.values() for label in (*run.states, *run.outputs)}
+    strangers = [label for label in dict.fromkeys(labels) if label not in known]
+    raise_all([UnknownNameError(f"plot {label}", "signal", label, known) for label in strangers])
+    most = max(200, min(2000, POINTS // (len(labels) * max(1, sum(_width(runs, label) for label in labels)))))
+    with styled():
+        figure = new_figure(PAGE, 0.5 + 1.7 * len(labels))
+        panels = figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, label in zip(panels, labels, strict=True):
+            _panel(axes, runs, label, most)
+        mark_divergence(panels, runs)
+        set_times(panels[-1], list(runs.values()))
+        figure.align_ylabels(panels)
+    return figure
+
+
+def _width(runs: Runs, label: str) -> int:
+    return sum(run[label].shape[1] for run in runs.values() if _has(run, label))
+
+
+def _has(run: Recording, label: str) -> bool:
+    return label in run.states or label in run.outputs
+
+
+def _panel(axes: Any, runs: Runs, label: str, most: int) -> None:
+    curves, count, unit = list[tuple[np.ndarray, bool]](), 0, ""
+    for name, run in runs.items():
+        if not _has(run, label):
+            continue
+        item, values = _declared(run, label), tame(run[label])
+        unit = item.unit
+        letter = item.shape if len(item.shape.split()) == 1 else ""
+        names = element_labels(run.diagram, letter, values.shape[1])
+        for column in range(values.shape[1]):
+            part = element(names[column], letter) if values.shape[1] > 1 else ""
+            said = " ".join(word for word in (told(name, run) if len(runs) > 1 else "", part) if word)
+            draw_curve(axes, run.time, values[:, column], most, label=said or None, **look(count))
+            curves.append((values[:, column], run.divergence is not None))
+            count += 1
+    frame(axes, curves)
+    axes.set_ylabel(f"{label}\n[{unit_text(unit or '1')}]")
+    if 1 < count <= NAMED:
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), borderaxespad=0.0)
+
+
+def _declared(run: Recording, label: str) -> Variable | Signal:
+    loop = run.diagram.loop
+    items: list[Variable | Signal] = [*loop.controller, *loop.plant, *loop.outputs]
+    return next(item for item in items if item.label == label)

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+import random
+from itertools import combinations
+
+import pytest
+
+from dmframe.drawing.layout import lay_out, segments
+from dmframe.drawing.netlist import Box, Netlist, Pin, columns
+from dmframe.port import Side
+
+
+def random_netlist(seed: int) -> Netlist:
+    """Any wires between any blocks, feedback and self-loops included, with and without a plant."""
+    rng = random.Random(seed)
+    count = rng.randint(1, 11)
+    sides = [rng.choice((Side.SOURCE, Side.CONTROLLER, Side.CONTROLLER, Side.PLANT)) for _ in range(count)]
+    names = [f"block{i}" for i in range(count)]
+    outputs = {name: [f"{name}_y{j}" for j in range(rng.randint(0, 3))] for name in names}
+    every = [(name, port) for name in names for port in outputs[name]]
+    nets, inputs = {}, {name: [] for name in names}
+    for name, side in zip(names, sides, strict=True):
+        for j in range(0 if side is Side.SOURCE or not every else rng.randint(0, 5)):
+            source = rng.choice(every)
+            nets.setdefault(source, []).append((name, f"u{j}"))
+            inputs[name].append(Pin(f"u{j}", source))
+            if rng.random() < 0.2:
+                inputs[name].append(Pin(f"du{j}", source, 1, f"u{j}"))
+    boxes = {
+        name: Box(
+            name, "kind", side, ("a", "b_hat") * rng.randint(0, 3), tuple(inputs[name]),
+            tuple(port for port in outputs[name] if (name, port) in nets),
+        )
+        for name, side in zip(names, sides, strict=True)
+    }  # fmt: skip
+    return Netlist(boxes, {end: tuple(targets) for end, targets in nets.items()})
+
+
+def overlap(one, other):
+    """The length that two pieces have in common, where they lie on one line."""
+    ((a, b), (c, d)), ((e, f), (g, h)) = one, other
+    if b == d == f == h:
+        return min(max(a, c), max(e, g)) - max(min(a, c), min(e, g))
+    if a == c == e == g:
+        return min(max(b, d), max(f, h)) - max(min(b, d), min(f, h))
+    return -1.0
+
+
+def crosses(piece, item):
+    (a, b), (c, d) = piece
+    inner = 0.01
+    return (
+        max(a, c) > item.x + inner
+        and min(a, c) < item.x + item.width - inner
+        and max(b, d) > item.y + inner
+        and min(b, d) < item.y + item.height - inner
+    )
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_wires_cross_no_box_and_lie_on_no_other_wire(seed):
+    layout = lay_out(random_netlist(seed))
+    pieces = list(segments(layout))
+    for end, begin, finish in pieces:
+        assert begin[0] == finish[0] or begin[1] == finish[1]
+        assert not any(crosses((begin, finish), item) for item in layout.placed.values()), end
+    for (one, *first), (other, *second) in combinations(pieces, 2):
+        assert one == other or overlap(first, second) <= 0, (one, other)
+
+
+@pytest.mark.parametrize("seed", range(120))
+def test_boxes_do_not_overlap_and_every_net_is_in_one_piece(seed):
+    layout = lay_out(random_netlist(seed))
+    for one, other in combinations(layout.placed.values(), 2):
+        apart = one.x + one.width <= other.x or other.x + other.width <= one.x
+        assert apart or one.y + one.height <= other.y or other.y + other.height <= one.y
+    for end, targets in layout.net.nets.items():
+        pieces = [(begin, finish) for name, begin, finish in segments(layout) if name == end]
+        source = layout.placed[end[0]]
+        reached = {(source.x + source.width, source.output_y(end[1]))}
+        for _ in pieces:
+            for begin, finish in pieces:
+                if any(on(point, (begin, finish)) for point in reached) or any(
+                    on(p, other) for p in (begin, finish) for other in pieces if reached & set(other)
+                ):
+                    reached |= {begin, finish}
+        for target, pin in targets:
+            item = layout.placed[target]
+            assert (item.x, item.input_y(pin)) in reached
+
+
+def on(point, piece):
+    (x, y), ((a, b), (c, d)) = point, piece
+    return min(a, c) <= x <= max(a, c) and min(b, d) <= y <= max(b, d)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_plant_stands_right_of_the_wall_and_the_rest_left_of_it(seed):
+    layout = lay_out(random_netlist(seed))
+    sides = {item.box.side is Side.PLANT for item in layout.placed.values()}
+    assert (layout.wall is not None) == (sides == {True, False})
+    for item in layout.placed.values():
+        if layout.wall is not None:
+            assert (item.x > layout.wall) == (item.box.side is Side.PLANT)
+
+
+def test_signals_flow_from_left_to_right_and_feedback_is_told_apart():
+    def box(name, *inputs, side=Side.CONTROLLER):
+        return Box(name, "kind", side, (), tuple(Pin(f"{s}_out", (s, "y")) for s in inputs), ("y",))
+
+    net = Netlist(
+        {
+            "observer": box("observer", "generator"),
+            "generator": box("generator", "path", "observer"),
+            "path": box("path", side=Side.SOURCE),
+            "inverse": box("inverse", "generator"),
+            "arm": box("arm", "servo", side=Side.PLANT),
+            "servo": box("servo", "inverse", "arm", side=Side.PLANT),
+        },
+        {
+            ("path", "y"): (("generator", "path_out"),),
+            ("observer", "y"): (("generator", "observer_out"),),
+            ("generator", "y"): (("observer", "generator_out"), ("inverse", "generator_out")),
+            ("inverse", "y"): (("servo", "inverse_out"),),
+            ("servo", "y"): (("arm", "servo_out"),),
+            ("arm", "y"): (("servo", "arm_out"),),
+        },
+    )
+    order = columns(net)
+    place = {name: index for index, names in enumerate(order) for name in names}
+    assert place["path"] < place["generator"] < place["inverse"] < place["servo"] < place["arm"]

@@ -1,0 +1,253 @@
+"""The front door: one graph to hold, changed, run, proved, analysed and drawn."""
+
+from __future__ import annotations
+
+import inspect
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import dmframe as dm
+from dmframe.catalogue import graphs
+from dmframe.errors import DmframeError, OutputError, UnknownNameError, ValueFault
+from dmframe.report import Verification
+from dmframe.simulate import simulate
+
+TEXT = graphs()["pendulum"].read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> dm.Graph:
+    return dm.load("pendulum").set(duration="0.5 s")
+
+
+def test_a_graph_comes_from_its_name_a_path_a_text_and_data() -> None:
+    named = dm.load("pendulum")
+    data = named.experiment.document.data
+    others = [dm.load(graphs()["pendulum"]), dm.load(str(graphs()["pendulum"])), dm.load(TEXT), dm.load(data)]
+    assert {other.diagram.fingerprint for other in others} == {named.diagram.fingerprint}
+    assert dm.load(named) is named
+    assert [dm.load(TEXT).name, dm.load(data, name="mine").name] == ["graph", "mine"]
+
+
+def test_data_may_hold_arrays_tuples_and_numbers_of_numpy() -> None:
+    data = dict(dm.load("arm2_joint").experiment.document.data)
+    servo = next(name for name, block in data["blocks"].items() if block["type"] == "pi_servo")
+    data["blocks"] = data["blocks"] | {servo: data["blocks"][servo] | {"K_P": np.array([60.0, 60.0])}}
+    data["duration"] = np.float64(0.5)
+    loaded = dm.load(data)
+    assert (loaded.duration, loaded.blocks[servo].K_P) == (0.5, (60.0, 60.0))  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("source", "text"),
+    [
+        ("pendulumm", "pendulumm: unknown graph; did you mean pendulum?"),
+        (TEXT.replace("clock", "clokc"), "graph:4:1: clokc: unknown key; did you mean clock?"),
+        ({"dmframe": 1}, "graph: blocks: this key is missing"),
+        ({}, "graph: expected a graph, found no keys; a graph begins with dmframe: 1"),
+        ({1: 2}, "graph: a key is a text, found 1"),
+        ({"dmframe": 1, "clock": {1}}, "clock: expected a number, a text, a list or keys with values, found set"),
+        ({"dmframe": 1, "duration": float("nan")}, "duration: expected a finite number, found nan"),
+        (7, "load: expected a graph's name, its path, its text or a dictionary, found int"),
+    ],
+)
+def test_what_is_no_graph_is_told_with_its_place(source: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as told:
+        dm.load(source)
+    assert text in str(told.value)
+
+
+def test_a_value_that_is_set_gives_another_graph_and_leaves_this_one(pendulum: dm.Graph) -> None:
+    other = pendulum.set({"dynamics.Gamma": 3, "clock": "2 ms"})
+    assert (other.clock, pendulum.clock) == (0.002, None)
+    assert other.blocks["dynamics"].Gamma == 3.0  # type: ignore[attr-defined]
+    assert pendulum.blocks["dynamics"].Gamma != 3.0  # type: ignore[attr-defined]
+    assert other.experiment.overrides == ('duration="0.5 s"', "dynamics.Gamma=3", 'clock="2 ms"')
+
+
+def test_what_is_set_is_what_the_command_line_would_set(pendulum: dm.Graph) -> None:
+    from dmframe.config import load_experiment
+
+    set_here = pendulum.set({"dynamics.Gamma": 3, "start": {"q": [0.2]}, "inverse.w_box": [0, 2]})
+    assert load_experiment("pendulum", set_here.experiment.overrides).data == set_here.experiment.data
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"dynamics.Gama": 1}, "set dynamics.Gama=1: blocks.dynamics.Gama: unknown parameter of dynamic_compensator"),
+        ({"dynamics.Gamma": -1}, "set dynamics.Gamma=-1: blocks.dynamics.Gamma"),
+        ({"dynamic.Gamma": 1}, "set dynamic.Gamma=1: unknown block or key; did you mean dynamics?"),
+        ({"dynamics.Gamma": np.nan}, "set dynamics.Gamma: dynamics.Gamma: expected a finite number, found nan"),
+        ({3: 1}, "set: expected a text such as 'task.gamma' as the name, found 3"),
+        ({"dynamics": 1}, "expected a parameter of a block, dynamics.parameter=value"),
+    ],
+)
+def test_a_value_that_cannot_be_set_is_told_with_its_name(pendulum: dm.Graph, values: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as told:
+        pendulum.set(values)
+    assert text in str(told.value)
+
+
+def test_all_faults_of_several_values_are_told_at_once(pendulum: dm.Graph) -> None:
+    with pytest.raises(DmframeError) as told:
+        pendulum.set({"dynamics.Gamma": -1, "inverse.K_c": 0})
+    assert "dynamics.Gamma" in str(told.value)
+    assert "inverse.K_c" in str(told.value)
+
+
+def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
+    graph = dm.load("arm2_joint").set(
+        {"clock": "2 ms", "solver.step": 0.0005, "start": {"q": [0.1, 0.2]}, "log.signals": ["arm.q"], "duration": 0.1}
+    )
+    run, file = graph.run(), graph.experiment.file
+    assert (run.recording.clock, run.recording.solver.step) == (0.002, 0.0005)
+    assert run["arm.q"].values[0].tolist() == [0.1, 0.2]
+    assert "arm.dq" not in run
+    by_hand = simulate(
+        graph.diagram, file.duration, clock=file.clock, solver=graph.experiment.solver, start={"q": [0.1, 0.2]}
+    )
+    assert np.array_equal(run["arm.q"].values, by_hand["arm.q"])
+
+
+@pytest.mark.parametrize("until", [0.2, "0.2 s", "200 ms", np.float64(0.2)])
+def test_a_run_lasts_as_long_as_it_is_asked_to(pendulum: dm.Graph, until: Any) -> None:
+    run = pendulum.run(until)
+    assert (run.time[-1], run.experiment.file.duration) == (0.2, 0.2)
+
+
+@pytest.mark.parametrize("until", [0, "-1 s", "soon", np.inf, True])
+def test_a_time_that_is_none_is_refused(pendulum: dm.Graph, until: Any) -> None:
+    with pytest.raises(DmframeError, match=f"until {until}: expected"):
+        pendulum.run(until)
+
+
+def test_signals_have_names_units_and_a_nearest_one() -> None:
+    run = dm.load("arm2_joint").run("0.1 s")
+    q = run["arm.q"]
+    assert (q.dims, q.attrs["units"], list(q.joint.values)) == (("time", "joint"), "rad", ["joint1", "joint2"])
+    assert run.data["arm.q"].identical(q)
+    with pytest.raises(UnknownNameError, match="did you mean arm.q?"):
+        run["arm.qq"]
+    assert "arm.q" in run._ipython_key_completions_()
+
+
+def test_short_texts_and_pages_for_a_notebook(pendulum: dm.Graph) -> None:
+    run, found = pendulum.run(), pendulum.verify()
+    analysis = pendulum.analyse(0.1)
+    things: list[Any] = [pendulum, run, found, analysis, pendulum.draw(), dm.compare([run]), dm.blocks(), dm.robots()]
+    for thing in things:
+        assert len(repr(thing)) < 1500 if isinstance(thing, type(dm.blocks())) else len(repr(thing)) < 400
+    for thing in (*things[:4], *things[5:], pendulum.blocks["dynamics"], dm.blocks()["circle"], run.plot()):
+        page = thing._repr_html_()
+        assert "<" in page
+        assert "None" not in page
+    assert ET.fromstring(things[4]._repr_svg_()).tag.endswith("svg")
+    assert repr(found) == "<Verification of pendulum: proved>"
+    assert str(found).startswith("pendulum: proved\n")
+    assert pendulum.title in pendulum._repr_html_()
+    for name in pendulum.blocks:
+        assert name in pendulum._repr_html_()
+
+
+def test_a_title_that_is_a_script_stands_as_text(pendulum: dm.Graph) -> None:
+    graph = pendulum.set(title="<script>alert(1)</script>")
+    for page in (graph._repr_html_(), graph.run()._repr_html_(), graph.verify()._repr_html_()):
+        assert "<script" not in page
+        assert "&lt;script" in page
+
+
+def test_a_verification_says_what_the_command_line_says(pendulum: dm.Graph, tmp_path: Path) -> None:
+    found = pendulum.verify(seed=3)
+    assert isinstance(found, Verification)
+    assert (found.proved, found.outcome, found.summary["seed"]) == (True, "proved", 3)
+    assert [item.signal for item in found.conclusions] == ["q - q_d", "d(q - q_d)/dt"]
+    assert all(condition.holds for condition in found.conditions)
+    found.report(tmp_path / "r.md")
+    assert (tmp_path / "r.md").read_text(encoding="utf-8").startswith("# pendulum: proved")
+
+
+@pytest.mark.parametrize("ending", ["svg", "png", "pdf", "mmd"])
+def test_a_drawing_is_written_by_its_ending(pendulum: dm.Graph, tmp_path: Path, ending: str) -> None:
+    file = pendulum.draw().save(tmp_path / f"a.{ending}")
+    start = {"svg": b"<svg", "png": b"\x89PNG", "pdf": b"%PDF", "mmd": b"---"}[ending]
+    assert file.read_bytes().startswith(start)
+    with pytest.raises(OutputError, match="expected a name that ends in"):
+        pendulum.draw().save(tmp_path / "a.doc")
+
+
+def test_a_png_shows_each_block_where_the_svg_has_it(pendulum: dm.Graph, tmp_path: Path) -> None:
+    drawing = pendulum.draw()
+    with Image.open(drawing.save(tmp_path / "a.png")) as image:
+        pixels = np.asarray(image.convert("L"))
+    root = ET.fromstring(drawing.svg)
+    scale = pixels.shape[1] / float(root.get("width", 0))
+    assert pixels.shape[0] == pytest.approx(scale * float(root.get("height", 0)), abs=2)
+    space = "{http://www.w3.org/2000/svg}"
+    shift = float(next(g for g in root.iter(f"{space}g") if g.get("transform")).get("transform", "")[12:-1])
+    boxes = [box for box in root.iter(f"{space}rect") if box.get("class") == "box"]
+    assert len(boxes) == len(pendulum.blocks)
+    for box in boxes:
+        x, y, wide = (float(box.get(key, 0)) for key in ("x", "y", "width"))
+        row, left, right = (round(scale * value) for value in (y + shift, x + 25, x + wide - 25))
+        edge = pixels[row - 2 : row + 3, left:right].min(axis=0)
+        assert (edge < 128).all()  # the line of the box is drawn all along
+
+
+def test_a_saved_graph_loads_again_and_is_not_overwritten(pendulum: dm.Graph, tmp_path: Path) -> None:
+    file = pendulum.set({"dynamics.Gamma": 7}).save(tmp_path / "mine.yaml")
+    again = dm.load(file)
+    assert again.blocks["dynamics"].Gamma == 7.0  # type: ignore[attr-defined]
+    with pytest.raises(OutputError, match="expected a new file, found one"):
+        pendulum.save(file)
+
+
+def test_every_public_name_has_a_docstring_and_typed_arguments() -> None:
+    assert set(dir(dm)) == set(dm.__all__)
+    for name in dm.__all__:
+        thing = getattr(dm, name)
+        if name == "__version__":
+            continue
+        assert inspect.getdoc(thing), name
+        if inspect.isfunction(thing):
+            signature = inspect.signature(thing)
+            assert all(p.annotation is not inspect.Parameter.empty for p in signature.parameters.values()), name
+            assert signature.return_annotation is not inspect.Signature.empty, name
+    for kind in (dm.Graph, dm.Run, dm.Runs):
+        for name, member in inspect.getmembers(kind, inspect.isfunction):
+            if not name.startswith("_"):
+                assert inspect.getdoc(member), f"{kind.__name__}.{name}"
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="has no attribute 'simulate_all'"):
+        dm.simulate_all  # noqa: B018 - asking is the test
+
+
+def test_importing_it_imports_nothing_heavy() -> None:
+    code = "import sys, dmframe; print(sorted({'casadi', 'numpy', 'pydantic', 'xarray'} & sys.modules.keys()))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_functions_stay_functions_when_the_rooms_are_imported() -> None:
+    code = (
+        "import dmframe as dm, importlib, pkgutil\n"
+        "for m in pkgutil.walk_packages(dm.__path__, 'dmframe.'):\n"
+        "    m.name.endswith('__main__') or importlib.import_module(m.name)\n"
+        "print([name for name in dm.__all__ if type(getattr(dm, name)).__name__ == 'module'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
+def test_an_unknown_engine_is_told(pendulum: dm.Graph) -> None:
+    with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
+        pendulum.run("0.1 s", engine="fast")  # type: ignore[arg-type]
