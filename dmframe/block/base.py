@@ -9,7 +9,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, ClassVar, final
+from typing import TYPE_CHECKING, Any, ClassVar, final
 
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
@@ -21,6 +21,9 @@ from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
 from dmframe.port import Port, Side, State
+
+if TYPE_CHECKING:
+    from dmframe.block.evaluate import Values
 
 
 @final
@@ -134,6 +137,33 @@ class AbstractBlock(BaseModel):
         """The inequalities that the block's proof needs."""
         del p, truth
         return ()
+
+    def evaluate(
+        self, inputs: Mapping[str, Any] | None = None, states: Mapping[str, Any] | None = None, *, robot: Any = None
+    ) -> Values:
+        """The equations at numbers.
+
+        Parameters
+        ----------
+        inputs, states
+            By name, in the port's units: a number, (n,) or (n, p). An optional input that is left out is zero; a state
+            is where a parameter of its name says, or zero.
+        robot
+            Of a block that uses one: a `dmframe.robot.SerialChain`, or a robot's name.
+
+        Returns
+        -------
+        Values
+            Arrays by name: `outputs`, and `rates` of the states.
+
+        Raises
+        ------
+        DmframeError
+            Names that there are not, sizes that do not agree, and a size that nothing says.
+        """
+        from dmframe.block.evaluate import evaluate  # which needs this class
+
+        return evaluate(self, inputs or {}, states or {}, robot)
 
     def _repr_html_(self) -> str:
         """For a notebook: the block's parameters with their units."""

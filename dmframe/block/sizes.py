@@ -47,9 +47,14 @@ class Sizes:
         return f"({shape})" + (" with " + ", ".join(reasons) if reasons else "")
 
 
-def bind_sizes(blocks: Mapping[str, AbstractBlock], robot: Any) -> tuple[Sizes, list[DmframeError]]:
-    """Bind all letters from the robot, from the blocks that know a size, and from parameters written out in full."""
-    sizes, faults = Sizes(), list[DmframeError | None]()
+def bind_sizes(
+    blocks: Mapping[str, AbstractBlock], robot: Any, bound: Sizes | None = None
+) -> tuple[Sizes, list[DmframeError]]:
+    """Bind all letters from the robot, from the blocks that know a size, and from parameters written out in full.
+
+    `bound` holds letters that something else has bound before.
+    """
+    sizes, faults = bound or Sizes(), list[DmframeError | None]()
     if robot is not None:
         for letter in "nmk":
             faults.append(sizes.bind(letter, getattr(robot, letter), f"robot {robot.name}"))

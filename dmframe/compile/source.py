@@ -31,7 +31,7 @@ def control_source(control: Any) -> tuple[str, int]:
     """The C of one step of a controller, (z, measured, t, T, p) -> (z', u), and how many constants follow from p."""
     inputs = [ca.SX.sym(f"i{k}", control.numel_in(k)) for k in range(5)]
     (step,), constants = split({"control": (inputs[:4], control(*inputs))}, inputs[4])
-    sizes = {"Z": control.numel_out(0)}
+    sizes = {"Z": control.numel_out(0), "M": control.numel_in(1), "U": control.numel_out(1)}
     return _assembled(sizes, [constants, step], "control.c"), constants.numel_out(0)
 
 

@@ -92,7 +92,9 @@ class SolverSection(_Section):
     """How the continuous part is integrated."""
 
     method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
-    step: Seconds = Field(0.001, description="longest step of rk4")
+    step: Seconds | None = Field(
+        None, description="longest step of rk4; without it 1 ms, or less where the plant is too stiff for that"
+    )
     output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
 

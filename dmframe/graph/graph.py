@@ -22,6 +22,7 @@ from dmframe.units import plain, to_unit
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.report import Analysis, Verification
+    from dmframe.simulate import Controller
     from dmframe.simulate.engine import Choice
 
 TEXT = "graph"
@@ -177,6 +178,27 @@ class Graph:
         except DmframeError as error:
             raise placed(error, experiment.document) from None
         return Analysis(experiment, found)
+
+    def controller(self, *, engine: Choice = "auto") -> Controller:
+        """Its controller alone, one sample at a time, for a loop in real time.
+
+        Parameters
+        ----------
+        engine
+            ``auto`` compiles where there is a compiler.
+
+        Raises
+        ------
+        DmframeError
+            It runs in continuous time, or commands nothing.
+        """
+        from dmframe.simulate import Controller
+
+        if self.clock is None:
+            raise ValueFault(
+                f"{self.name}: expected a clock such as 8 ms, found continuous; set one: set(clock='8 ms')"
+            )
+        return Controller(self.diagram, self.clock, start=self.experiment.start, engine=engine)
 
     def draw(self) -> Drawing:
         """Its block diagram; a notebook shows it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""

@@ -28,7 +28,7 @@ def resolved(experiment: Experiment) -> dict[str, Any]:
     data["duration"] = file.duration
     if experiment.start:
         data["start"] = _plain(experiment.start)
-    data["solver"] = _plain(file.solver.model_dump())
+    data["solver"] = _plain(file.solver.model_dump(exclude_none=True))
     log = _plain(file.log.model_dump(exclude_none=True))
     if log:
         data["log"] = log

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -29,6 +30,9 @@ class Controller:
     The plant's blocks of the diagram are not computed; they only say where states start. A step is the one that
     `simulate` takes: commands from what is measured now, then one explicit Euler step of the states, projected onto
     their boxes. It allocates nothing: write to the arrays of `measured`, call `step`, read those of `commanded`.
+
+    A sample that is not finite, or from which something follows that is not, is refused: commands and states stay as
+    they were, and `refused` counts it.
 
     Parameters
     ----------
@@ -74,16 +78,20 @@ class Controller:
         self._call = call or self._virtual_machine(function)
         self.reset()
 
-    def step(self, t: float) -> None:
-        """Commands at time t [s], and the states one period later."""
+    def step(self, t: float) -> bool:
+        """Commands at time t [s], and the states one period later. False for a sample that was refused."""
         self._t[0] = t
-        self._call()
+        if self._call():
+            return True
+        self.refused += 1
+        return False
 
     def reset(self) -> None:
-        """Put the states where they started."""
+        """Put the states where they started, and count refused samples anew."""
         self._z[:] = self._start
+        self.refused = 0
 
-    def _machine_code(self, function: Any) -> Callable[[], object] | None:
+    def _machine_code(self, function: Any) -> Callable[[], bool] | None:
         try:
             source, constants = control_source(function)
         except EngineError:
@@ -93,26 +101,33 @@ class Controller:
             return None
         c, tick = np.zeros(max(1, constants)), library.dm_tick
         library.dm_prepare(address(self._p), address(c))
-        tick.restype = None
+        tick.restype = ctypes.c_int
         arrays = (self._z, self._held[0], self._t, self._period, self._p, c, self._held[1])
         addresses = tuple(address(array) for array in arrays)
 
-        def call(kept: tuple[np.ndarray, ...] = arrays) -> None:
-            tick(*addresses)
+        def call(kept: tuple[np.ndarray, ...] = arrays) -> bool:
+            return bool(tick(*addresses))
 
         return call
 
-    def _virtual_machine(self, function: Any) -> Callable[[], object]:
-        after = np.zeros(self._z.size)
+    def _virtual_machine(self, function: Any) -> Callable[[], bool]:
+        after, command = np.zeros(self._z.size), np.zeros(self._held[1].size)
+        measured, t = self._held[0], self._t
         buffer, trigger = function.buffer()
         for k, array in enumerate((self._z, self._held[0], self._t, self._period, self._p)):
             buffer.set_arg(k, array.data)
         buffer.set_res(0, after.data)
-        buffer.set_res(1, self._held[1].data)
+        buffer.set_res(1, command.data)
 
-        def call(kept: Any = (buffer, function)) -> None:
+        def call(kept: Any = (buffer, function)) -> bool:
+            if not (np.isfinite(measured).all() and np.isfinite(t[0])):
+                return False
             trigger()
+            if not (np.isfinite(after).all() and np.isfinite(command).all()):
+                return False
             np.copyto(self._z, after)
+            np.copyto(self._held[1], command)
+            return True
 
         return call
 

@@ -14,6 +14,7 @@ from dmframe.errors import DmframeError, ValueFault
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.keep import Log
 from dmframe.simulate.run import Recording, prepare
+from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver
 
 START = "start"
@@ -81,6 +82,7 @@ def simulate_many(
     if threads is not None and threads < 1:
         raise ValueFault(f"threads: expected at least 1, found {threads}")
     prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
+    prepared = prepared.stepping(diagram, start_state(diagram, start or {}, prepared.starts))
     chosen = prepared.engine(engine, len(variants))
     symbolic = Lock()  # CasADi's expressions count their owners without regard to threads
 
@@ -88,7 +90,10 @@ def simulate_many(
         try:
             numbers = {key: value for key, value in variant.items() if key != START}
             begin = {**(start or {}), **variant.get(START, {})}
-            run = prepared.run(with_values(diagram, numbers), chosen, begin, guard=symbolic)
+            with symbolic:
+                varied = with_values(diagram, numbers)
+                state = start_state(varied, begin, prepared.starts)
+            run = prepared.run(varied, chosen, state, guard=symbolic)
             if reduce is None:
                 return run
             with symbolic:

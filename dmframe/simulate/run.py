@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from typing import Any, final
@@ -14,14 +14,17 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, Faults, ValueFault, raise_all
+from dmframe.simulate.bounds import Divergence, beyond
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
-from dmframe.simulate.step import RK4_STABLE, Solver, Step, build_step, substeps_of
+from dmframe.simulate.step import MOST_SUBSTEPS, RK4_STABLE, Solver, Step, build_step, substeps_of
+from dmframe.units import plain
 
 BREATH = 0.05
 """Progress is told, and Ctrl-C is heard, about this often [s]."""
@@ -29,26 +32,14 @@ BREATH = 0.05
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
 
+RK4_TAKES = 0.8 * RK4_STABLE
+"""h |lambda| of the steps that are chosen for rk4."""
+
 MOST_SLOPE = 1e12
 """No solver takes a plant whose rates change faster [1/s, or its other units]."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
-
-
-@final
-@dataclass(frozen=True)
-class Divergence:
-    """Where a run left the finite numbers first, or moved too fast for the integrator: `how` says which."""
-
-    block: str
-    state: str
-    element: int
-    time: float
-    how: str = "is no longer finite"
-
-    def __str__(self) -> str:
-        return f"{self.block}.{self.state}[{self.element}] {self.how} at t = {self.time:.6g} s"
 
 
 @final
@@ -125,8 +116,9 @@ def simulate(
         not above zero.
     """
     prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
-    chosen = prepared.engine(engine)
-    return prepared.run(diagram, chosen, start or {}, progress)
+    state = start_state(diagram, start or {}, prepared.starts)
+    prepared = prepared.stepping(diagram, state)
+    return prepared.run(diagram, prepared.engine(engine), state, progress)
 
 
 @final
@@ -140,12 +132,33 @@ class Prepared:
     ticks: int
     matrices: Sequence[Signal]
     keeping: Keeping
+    recorded: SX
     starts: Made = field(default_factory=dict)
+    notices: tuple[str, ...] = ()
 
     @cached_property
     def jacobian(self) -> Any:
         """Of the plant's rate."""
         return self.step.rate.jacobian()
+
+    def stepping(self, diagram: Diagram, state: np.ndarray) -> Prepared:
+        """The same, with the integrator that the plant takes at that start, where nobody has chosen its step."""
+        if self.solver.method != "rk4" or self.solver.step is not None:
+            return self
+        h, speed = self.step.period / self.step.substeps, _speed(diagram, self.step, self.jacobian, state)
+        if not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
+            return replace(self, solver=replace(self.solver, step=h))
+        h = float(f"{RK4_TAKES / speed:.2g}")
+        if self.step.period / h > MOST_SUBSTEPS:
+            solver = replace(self.solver, method="cvodes")
+            told = "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+        else:
+            solver = replace(self.solver, step=h)
+            told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
+        step = build_step(diagram.loop, self.clock, solver, self.recorded)
+        return Prepared(
+            self.clock, solver, step, self.ticks, self.matrices, self.keeping, self.recorded, self.starts, (told,)
+        )
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
         """What is to run it, `runs` times."""
@@ -156,22 +169,21 @@ class Prepared:
         self,
         diagram: Diagram,
         engine: Engine,
-        start: Mapping[str, Any],
+        state: np.ndarray,
         progress: Progress | None = None,
         guard: AbstractContextManager[Any] | None = None,
     ) -> Recording:
-        """Run with the numbers of `diagram`; `guard` is entered where CasADi's expressions are used."""
+        """Run from a state with the numbers of `diagram`; `guard` is entered where CasADi's expressions are used."""
         guard = guard or nullcontext()
+        p, state = diagram.loop.p_values, state.copy()
         with guard:
-            state, p = start_state(diagram, start, self.starts), diagram.loop.p_values
-            stiff = _stiffness(diagram, self.step, self.jacobian, self.solver, state, p)
+            stiff = _stiffness(diagram, self.step, self.jacobian, self.solver, state)
         begin = time.perf_counter()
         rows, end, done = _march(engine, self.step, self.keeping, state, p, self.ticks, progress)
         wall = time.perf_counter() - begin
         with guard:
-            return self._told(
-                diagram, engine, rows, _divergence(diagram, self.step, end, done, state, p), end, wall, stiff
-            )
+            divergence = _divergence(diagram, self.step, end, done, state, p)
+            return self._told(diagram, engine, rows, divergence, end, wall, stiff)
 
     def _told(
         self,
@@ -183,7 +195,12 @@ class Prepared:
         wall: float,
         stiff: tuple[str, ...],
     ) -> Recording:
-        times = np.arange(len(rows)) * self.keeping.every * self.step.period
+        apart = self.keeping.every * self.step.period
+        wild = beyond(diagram, self.keeping.columns, rows, apart)
+        if wild is not None:
+            divergence = wild
+            rows = rows[: max(1, round(wild.time / apart))]
+        times = np.arange(len(rows)) * apart
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
         for matrix in self.matrices:
@@ -201,6 +218,7 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
+                *self.notices,
                 *self.keeping.notices,
                 *engine.notices,
                 *stiff,
@@ -212,9 +230,11 @@ class Prepared:
 
 def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: Solver, log: Log) -> Prepared:
     """Check what is asked, and build the functions of a tick."""
-    ticks, matrices, plain = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
-    step = build_step(diagram.loop, clock, solver, stack(signal.expression for signal in (*plain, *matrices)))
-    return Prepared(clock, solver, step, ticks, matrices, keeping(diagram, log, plain, matrices, step.period, ticks))
+    ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
+    recorded = stack(signal.expression for signal in (*outputs, *matrices))
+    step = build_step(diagram.loop, clock, solver, recorded)
+    kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
+    return Prepared(clock, solver, step, ticks, matrices, kept, recorded)
 
 
 def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
@@ -346,21 +366,28 @@ def _divergence(
     raise EngineError("a state outside the diagram diverged")
 
 
-def _stiffness(
-    diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray, p: np.ndarray
-) -> tuple[str, ...]:
-    """Is the plant too stiff, at the start, for a fixed-step method? At rest the friction law is steepest."""
-    if solver.method != "rk4" or not diagram.loop.plant:
-        return ()
+def _speed(diagram: Diagram, step: Step, slope: Any, state: np.ndarray) -> float:
+    """The largest modulus of an eigenvalue of the plant at a state [1/s]; at rest the friction law is steepest."""
+    if not diagram.loop.plant:
+        return 0.0
     size = stack(v.symbol for v in diagram.loop.plant).numel()
-    jacobian = slope(state, 0, p, 0)[0].full()[:, -size:]
-    h = step.period / step.substeps
+    jacobian = slope(state, 0, diagram.loop.p_values, 0)[0].full()[:, -size:]
     if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
+        return math.inf
+    return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+
+
+def _stiffness(diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray) -> tuple[str, ...]:
+    """Is the plant too stiff, at the start, for a fixed-step method?"""
+    if solver.method != "rk4":
+        return ()
+    speed, h = _speed(diagram, step, slope, state), step.period / step.substeps
+    if math.isinf(speed):
         return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
-    fastest = h * float(np.max(np.abs(np.linalg.eigvals(jacobian))))
-    if fastest > 0.9 * RK4_STABLE:
+    if h * speed > 0.9 * RK4_STABLE:
         return (
-            f"the plant is stiff: at rest h |lambda| = {fastest:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
-            f"{RK4_STABLE}; take solver.step: {0.8 * h * 1e3 * RK4_STABLE / fastest:.2g} ms, or solver.method: cvodes",
+            f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
+            f"{RK4_STABLE}; take solver.step: {RK4_TAKES / speed * 1e3:.2g} ms, leave it out, or take "
+            "solver.method: cvodes",
         )
     return ()

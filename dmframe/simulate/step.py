@@ -37,6 +37,10 @@ MOST_SUBSTEPS = 2000
 """Steps of rk4 in a tick; they are written out one by one in the tick's function."""
 
 
+PLAIN_STEP = 0.001
+"""The longest step of rk4 where nothing says otherwise [s]."""
+
+
 @final
 @dataclass(frozen=True)
 class Solver:
@@ -47,7 +51,8 @@ class Solver:
     method
         ``rk4`` or ``cvodes``.
     step
-        Of rk4, the longest step [s]; a tick is divided into equal ones.
+        Of rk4, the longest step [s]; a tick is divided into equal ones. None: `PLAIN_STEP`, or less where the plant is
+        too stiff for it.
     output
         With a continuous clock, how often a result is kept [s].
     tolerance
@@ -55,7 +60,7 @@ class Solver:
     """
 
     method: Method = "rk4"
-    step: float = 0.001
+    step: float | None = None
     output: float = 0.01
     tolerance: float = 1e-9
 
@@ -65,7 +70,7 @@ class Solver:
             raise ValueFault(f"solver.method: expected {' or '.join(get_args(Method))}, found {self.method!r}")
         for name in ("step", "output", "tolerance"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueFault(f"solver.{name}: expected a positive number, found {value}")
 
 
@@ -150,6 +155,8 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
     if solver.method != "rk4":
         return 1
     period = clock if clock is not None else solver.output
+    if solver.step is None:
+        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEP, 9))))
     steps = period / solver.step
     if steps > MOST_SUBSTEPS:
         tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")

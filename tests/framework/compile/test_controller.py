@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.compile import compiler as compilers
 from dmframe.config.experiment import Experiment, load_experiment
@@ -88,3 +89,26 @@ def test_wrong_calls_are_told() -> None:
         Controller(diagram, 0, start=graph.start)
     with pytest.raises(ValueFault, match="engine: expected auto, compiled, interpreted, found 'fast'"):
         Controller(diagram, 0.002, start=graph.start, engine="fast")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
+def test_a_sample_that_is_not_finite_is_refused_and_spoils_nothing(engine: Any, bad: float) -> None:
+    controller = dm.load("ur10_fast_tuned").controller(engine=engine)
+    good = {label: np.full_like(array, 0.1) for label, array in controller.measured.items()}
+    for label, value in good.items():
+        controller.measured[label][:] = value
+    assert controller.step(0.0) is True
+    states = {label: array.copy() for label, array in controller.states.items()}
+    commands = {label: array.copy() for label, array in controller.commanded.items()}
+    controller.measured["arm.dq"][1] = bad
+    assert controller.step(0.008) is False
+    assert controller.refused == 1
+    for held, before in ((controller.states, states), (controller.commanded, commands)):
+        for label, array in held.items():
+            assert np.array_equal(array, before[label])
+    controller.measured["arm.dq"][:] = good["arm.dq"]
+    assert controller.step(0.016) is True
+    assert controller.step(np.nan) is False
+    controller.reset()
+    assert controller.refused == 0

@@ -134,7 +134,7 @@ def test_signals_have_names_units_and_a_nearest_one() -> None:
     q = run["arm.q"]
     assert (q.dims, q.attrs["units"], list(q.joint.values)) == (("time", "joint"), "rad", ["joint1", "joint2"])
     assert run.data["arm.q"].identical(q)
-    with pytest.raises(UnknownNameError, match="did you mean arm.q?"):
+    with pytest.raises(UnknownNameError, match=r"did you mean arm\.q\?"):
         run["arm.qq"]
     assert "arm.q" in run._ipython_key_completions_()
 

@@ -36,7 +36,7 @@ def test_a_key_that_cannot_be_swept_is_told_before_anything_runs() -> None:
         dm.sweep("pendulum", {"dynamics.Gamma": [1, -1, 0]}, until=0.1)
     assert "Gamma=-1" in str(told.value)
     assert "Gamma=0" in str(told.value)
-    with pytest.raises(DmframeError, match="sweep dynamics.Gamma: expected at least one value, found none"):
+    with pytest.raises(DmframeError, match=r"sweep dynamics\.Gamma: expected at least one value, found none"):
         dm.sweep("pendulum", {"dynamics.Gamma": []})
 
 

@@ -208,13 +208,14 @@ def test_cvodes_and_rk4_agree_on_a_driven_plant(clock: float | None) -> None:
     np.testing.assert_allclose(runs[0]["plant.y"], runs[1]["plant.y"], atol=1e-8)
 
 
-def test_a_diverging_run_names_block_state_element_and_time_and_keeps_what_came_before() -> None:
-    run = run_alone(Doubling(), 2.0, [1, 1], clock=0.01, solver=Solver(step=0.0002))
+@pytest.mark.parametrize(("clock", "how"), [(0.01, "is beyond 1e+10"), (1.0, "is no longer finite")])
+def test_a_diverging_run_names_block_state_element_and_time_and_keeps_what_came_before(clock: float, how: str) -> None:
+    run = run_alone(Doubling(), 2.0, [1, 1], clock=clock, solver=Solver(step=0.0005))
     assert run.divergence is not None
     assert (run.divergence.block, run.divergence.state, run.divergence.element) == ("plant", "y", 1)
-    assert 0.6 < run.divergence.time < 0.8
-    assert str(run.divergence) == f"plant.y[1] is no longer finite at t = {run.divergence.time:.6g} s"
-    assert run.time[-1] == pytest.approx(run.divergence.time - 0.01)
+    first = clock * np.ceil(np.log(1e10) / 1000 / clock)
+    assert str(run.divergence) == f"plant.y[1] {how} at t = {first:.6g} s"
+    assert run.time[-1] == pytest.approx(first - clock)
     assert np.all(np.isfinite(run["plant.y"]))
     np.testing.assert_allclose(run["plant.y"][:, 0], 1)
 
@@ -257,9 +258,36 @@ def test_a_stiff_plant_is_noticed_for_rk4_alone() -> None:
     (notice,) = run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver(step=0.001)).notices
     assert notice == (
         "the plant is stiff: at rest h |lambda| = 5.00 for rk4 at 1 ms, stable up to 2.785; "
-        "take solver.step: 0.45 ms, or solver.method: cvodes"
+        "take solver.step: 0.45 ms, leave it out, or take solver.method: cvodes"
     )
     assert run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver(step=0.0004)).notices == ()
+
+
+def test_where_nobody_chooses_rk4s_step_it_is_one_that_the_plant_takes() -> None:
+    run = run_alone(Stiff(), 0.1, [1, 1], clock=0.01)
+    assert run.notices == ("the plant is stiff: rk4 takes steps of 450 µs",)
+    assert run.solver == Solver(step=0.00045)
+    np.testing.assert_allclose(run["plant.y"][-1], 0, atol=1e-20)
+    easy = run_alone(Pendulum(), 0.1, [0.5, 0], clock=0.01)
+    assert (easy.notices, easy.solver) == ((), Solver(step=0.001))
+
+
+def test_a_plant_too_stiff_for_any_step_of_rk4_is_run_by_cvodes() -> None:
+    run = run_alone(Stiff(), 100.0, [1, 1], clock=10.0)
+    assert run.solver.method == "cvodes"
+    assert "cvodes runs it" in run.notices[0]
+    np.testing.assert_allclose(run["plant.y"][-1], 0, atol=1e-6)
+
+
+def test_a_joint_beyond_a_hundred_times_its_limit_has_diverged() -> None:
+    graph = load_experiment("pendulum", ["start.dq=[400]", "clock=2 ms", "duration=1 ms"])
+    limit = graph.robot.joints[0].velocity
+    assert np.isfinite(limit)
+    for speed, diverged in ((99 * limit, False), (101 * limit, True)):
+        run = load_experiment("pendulum", [f"start.dq=[{speed}]", "clock=2 ms", "duration=2 ms"]).simulate()
+        assert (run.divergence is not None) is diverged
+    assert run.divergence is not None
+    assert "100 times the joint's limit" in str(run.divergence)
     assert run_alone(Stiff(), 0.01, [1, 1], clock=0.01, solver=Solver("cvodes")).notices == ()
 
 

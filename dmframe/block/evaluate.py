@@ -1,0 +1,121 @@
+"""A block's equations at numbers: what a test, a lesson or a doubt needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.base import AbstractBlock
+from dmframe.block.model import BlockModel, model_block
+from dmframe.block.names import type_name
+from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
+from dmframe.block.symmetric import unique
+from dmframe.errors import DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault, raise_all
+from dmframe.parameter import specs
+from dmframe.port import Port, State
+
+
+@final
+@dataclass(frozen=True)
+class Values:
+    """What equations give: arrays by name, (n,) for a column, (n, p) for a matrix, a number for a scalar."""
+
+    outputs: Mapping[str, np.ndarray]
+    rates: Mapping[str, np.ndarray]
+
+
+def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[str, Any], robot: Any) -> Values:
+    """See `AbstractBlock.evaluate`."""
+    name, chain = type_name(type(block)), _chain(robot)
+    given = {
+        **_arrays(
+            name, "input", block.inputs, inputs, needed={port.name for port in block.inputs if not port.optional}
+        ),
+        **_arrays(name, "state", block.states, states, needed=set()),
+    }
+    sizes = Sizes()
+    declared: dict[tuple[str, str], Port | State] = {
+        **{("input", port.name): port for port in block.inputs},
+        **{("state", state.name): state for state in block.states},
+    }
+    faults = [
+        fault for key, array in given.items() if (fault := _bound(sizes, f"{name}.{key[1]}", declared[key], array))
+    ]
+    raise_all(faults)
+    sizes, wrong = bind_sizes({name: block}, chain, sizes)
+    raise_all(wrong)
+    values, wrong = parameter_arrays(name, block, sizes, {name: block}, chain)
+    raise_all(wrong)
+    symbolic = None
+    if chain is not None:
+        from dmframe.robot.symbolic import SymbolicRobot
+
+        symbolic = SymbolicRobot(chain)
+    return _evaluated(model_block(name, block, values, sizes, symbolic), given, values, sizes)
+
+
+def _chain(robot: Any) -> Any:
+    if not isinstance(robot, str):
+        return robot
+    from dmframe.robot.library import load
+
+    return load(robot)
+
+
+def _arrays(
+    name: str, kind: str, items: Sequence[Port | State], values: Mapping[str, Any], needed: set[str]
+) -> dict[tuple[str, str], np.ndarray]:
+    known, faults, found = {item.name for item in items}, list[DmframeError](), dict[tuple[str, str], np.ndarray]()
+    for key, value in values.items():
+        if key not in known:
+            faults.append(UnknownNameError(f"{name}.{key}", kind, key, known))
+            continue
+        try:
+            found[kind, key] = np.asarray(value, dtype=float)
+        except (TypeError, ValueError):
+            faults.append(ValueFault(f"{name}.{key}: expected numbers, found {value!r:.60}"))
+    lacking = sorted(needed - values.keys())
+    if lacking:
+        faults.append(MissingError(f"{name}: evaluate needs the {kind}s {', '.join(lacking)}"))
+    raise_all(faults)
+    return found
+
+
+def _bound(sizes: Sizes, label: str, item: Port | State, array: np.ndarray) -> DmframeError | None:
+    """Bind the letters of a shape to the array's, or tell why it does not fit."""
+    words = item.shape.split()
+    if array.ndim != len(words):
+        found = " x ".join(map(str, array.shape)) or "one number"
+        return ShapeError(f"{label}: expected the shape ({item.shape}), found {found}")
+    for word, size in zip(words, array.shape, strict=True):
+        if word.isdigit() and int(word) != size:
+            return ShapeError(f"{label}: expected the shape ({item.shape}), found {size} for {word}")
+        if not word.isdigit() and (fault := sizes.bind(word, size, label)):
+            return fault
+    return None
+
+
+def _evaluated(
+    model: BlockModel, given: Mapping[tuple[str, str], np.ndarray], values: Mapping[str, np.ndarray], sizes: Sizes
+) -> Values:
+    pairs = [(symbol, given.get(("input", key), 0.0)) for key, symbol in model.inputs.items()]
+    pairs += [(symbol, given.get(("state", key), values.get(key, 0.0))) for key, symbol in model.states.items()]
+    spec = specs(type(model.block))
+    pairs += [unique(spec.get(key), symbol, model.values[key]) for key, symbol in model.parameters.items()]
+    if model.robot is not None:
+        numbers = model.robot.values()
+        pairs += [(constant.symbol, numbers[constant.name]) for constant in model.robot.constants]
+    outputs, rates = model.equations.outputs, model.equations.rates
+    stated = [ca.densify(expression) for expression in (*outputs.values(), *rates.values())]
+    found = ca.Function("evaluate", [symbol for symbol, _ in pairs], stated).call([ca.DM(value) for _, value in pairs])
+    items: list[Port | State] = [*model.block.states, *model.block.outputs]
+    declared = {item.name: item for item in items}
+    arrays = [
+        value.full().reshape(sizes.of(declared[key].shape), order="F")
+        for key, value in zip((*outputs, *rates), found, strict=True)
+    ]
+    return Values(dict(zip(outputs, arrays, strict=False)), dict(zip(rates, arrays[len(outputs) :], strict=True)))

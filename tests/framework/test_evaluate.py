@@ -1,0 +1,77 @@
+"""Blocks at numbers, against what their papers' formulas and Pinocchio say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import dmframe as dm
+from dmframe.errors import DmframeError
+from dmframe.robot.library import load
+
+
+def block(kind: str, **parameters: Any) -> Any:
+    return dm.blocks()[kind](**parameters)
+
+
+def test_the_compensator_gives_its_torque_and_the_rate_of_its_estimate() -> None:
+    Y, sigma, a = np.arange(6.0).reshape(2, 3), np.array([1.0, -2.0]), np.array([0.5, 1.0, 2.0])
+    found = block("dynamic_compensator", Gamma=10).evaluate({"Y_d": Y, "sigma": sigma}, {"a_d_hat": a})
+    assert np.allclose(found.outputs["tau_dc"], Y @ a)
+    assert np.allclose(found.rates["a_d_hat"], -10 * Y.T @ sigma)
+
+
+def test_a_full_gain_is_taken_whole() -> None:
+    Y, sigma, gain = np.eye(2), np.array([1.0, 2.0]), [[2.0, 1.0], [1.0, 3.0]]
+    found = block("dynamic_compensator", Gamma=gain).evaluate({"Y_d": Y, "sigma": sigma})
+    assert np.allclose(found.rates["a_d_hat"], -np.array(gain) @ sigma)
+    assert np.allclose(found.outputs["tau_dc"], 0)  # the estimate starts at zero
+
+
+def test_a_block_that_uses_a_robot_has_pinocchios_jacobian() -> None:
+    chain, q, dq = load("ur5"), np.linspace(-1, 1, 6), np.linspace(1, 2, 6)
+    found = block("kinematics").evaluate({"q": q, "dq": dq, "x": [0, 0, 0]}, robot="ur5")
+    data = chain.model.createData()
+    pin.computeJointJacobians(chain.model, data, q)
+    pin.updateFramePlacements(chain.model, data)
+    frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    J = pin.getFrameJacobian(chain.model, data, chain.model_tool, frame)[:3]
+    assert np.allclose(found.outputs["J_hat"], J, atol=1e-9)
+
+
+def test_a_state_begins_where_its_parameter_says_and_a_scalar_is_a_number() -> None:
+    found = block("circle", center=[0, 0, 1], radius=2, rate=1).evaluate({"t": 0})
+    assert np.allclose(np.linalg.norm(found.outputs["x_d"] - [0, 0, 1]), 2)
+    found = block("pid_inverse", K_c=1, Lambda=1, Lambda_P=1, Lambda_I=1, w=3, w_P=2, w_I=1).evaluate(
+        {"dq_r": [1.0], "q": [0.0], "dq": [0.0], "q_c": [0.0], "tau_dc": [1.0]}
+    )
+    assert all(np.all(np.isfinite(value)) for value in found.outputs.values())
+
+
+@pytest.mark.parametrize(
+    ("inputs", "states", "text"),
+    [
+        ({"Y_d": np.eye(2)}, {}, "dynamic_compensator: evaluate needs the inputs sigma"),
+        (
+            {"Y_d": np.eye(2), "sigma": [1, 2, 3]},
+            {},
+            "sigma: expected n = 2 (bound by",
+        ),
+        ({"Y_d": [1, 2], "sigma": [1, 2]}, {}, "Y_d: expected the shape (n p), found 2"),
+        ({"Y_d": np.eye(2), "sgma": [1, 2]}, {}, "dynamic_compensator.sgma: unknown input; did you mean sigma?"),
+        ({"Y_d": np.eye(2), "sigma": "x"}, {}, "dynamic_compensator.sigma: expected numbers, found 'x'"),
+        ({"Y_d": np.eye(2), "sigma": [1, 2]}, {"a": 1}, "dynamic_compensator.a: unknown state"),
+    ],
+)
+def test_what_does_not_fit_is_told(inputs: Any, states: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as told:
+        block("dynamic_compensator", Gamma=1).evaluate(inputs, states)
+    assert text in str(told.value)
+
+
+def test_a_robot_that_is_missing_is_told() -> None:
+    with pytest.raises(DmframeError, match="this block needs a robot"):
+        block("kinematics").evaluate({"q": [0], "dq": [0], "x": [0]})
