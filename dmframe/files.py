@@ -134,14 +134,15 @@ def _claimed(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(path: str | Path, kind: str = "file") -> Iterator[None]:
-    """A fault of the operating system as an `OutputError` that names what was to be written, a file or a folder."""
+    """A fault of the operating system as an `OutputError` that names what was to be written, `kind`."""
     try:
         yield
     except OSError as error:
-        hint = f"name another {kind}"
+        thing = "file" if kind == "file" else "folder"
+        hint = f"name another {thing}"
         if error.errno in _FULL:
-            hint = f"free some space, or name a {kind} on another disk"
+            hint = f"free some space, or name a {thing} on another disk"
         elif error.errno == errno.ENAMETOOLONG:
             hint = "name a shorter one"
-        what = "" if kind == "file" else "the results "
+        what = {"file": "", "folder": "the results ", "figures": "signals and summary are written, the figures "}[kind]
         raise OutputError(f"{path}: {what}cannot be written: {reason(error)}; {hint}") from error

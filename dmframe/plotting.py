@@ -11,6 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.files import write_bytes
+from dmframe.version import version
+
 COLUMN, PAGE = 3.5, 7.16
 """Widths of one column and of a page of two [inch]."""
 
@@ -92,14 +95,15 @@ def figure_svg(figure: Any) -> str:
 
 def save(figure: Any, folder: Path, name: str, about: str) -> None:
     """Write ``name.png`` and ``name.svg``; the same figure gives the same bytes."""
-    from dmframe.version import version
-
     source = f"dmframe {version()}"
+    png, svg = io.BytesIO(), io.BytesIO()
     with styled():
-        figure.savefig(folder / f"{name}.png", metadata={"Software": source, "Title": name, "Description": about})
+        figure.savefig(png, format="png", metadata={"Software": source, "Title": name, "Description": about})
         figure.set_layout_engine("none")  # what was laid out stays; to do it again takes as long as to draw
         meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
-        figure.savefig(folder / f"{name}.svg", metadata=meta)
+        figure.savefig(svg, format="svg", metadata=meta)
+    write_bytes(folder / f"{name}.png", png.getvalue())
+    write_bytes(folder / f"{name}.svg", svg.getvalue())
 
 
 def look(index: int) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final, final
 
 import numpy as np
@@ -13,6 +13,8 @@ from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
 from dmframe.simulate.start import goals
+from dmframe.simulate.step import MOST_SUBSTEPS
+from dmframe.units import plain
 
 SHORTEST, LONGEST = 1e-5, 10.0
 """Sampling periods that are looked at [s]."""
@@ -130,23 +132,36 @@ def simulated_period(
     solver: Solver | None = None,
     start: Mapping[str, Any] | None = None,
     horizon: float = 20.0,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> Bracket:
     """Bisection over clocks for an error that stays bounded over the horizon; see `Bracket`.
 
     The bound is `FACTOR` times the largest error of a run on the first clock, from the graph's own on and halving, that
-    gives a finite one.
+    gives a finite one. A run that leaves it counts only where one with a quarter of the integrator's step does so too.
+    `tell` is called with what is done.
     """
     if not (np.isfinite(horizon) and horizon > 0):
         raise ValueFault(f"horizon: expected a positive number of seconds, found {horizon}")
     if not goals(diagram.loop):
         raise EngineError("largest stable period: expected a goal to follow, such as x_d for x, found none")
 
-    def error(period: float) -> float:
-        return _largest_error(diagram, period, solver, start, horizon)
+    def error(period: float, step: float | None = None) -> tuple[float, float]:
+        own = solver or Solver()
+        chosen = own.step if step is None else step
+        if chosen is not None:  # no more steps than a tick may have
+            own = replace(own, step=max(chosen, period / MOST_SUBSTEPS))
+        tell(f"simulating {horizon:g} s on a clock of {plain(period, 's')}")
+        return _largest_error(diagram, period, own, start, horizon)
+
+    def bounded(period: float, bound: float) -> bool:
+        found, step = error(period)
+        return found < bound or error(period, step / 4)[0] < bound
 
     period, reference = min(clock or 0.001, horizon / 8), np.inf
     while not np.isfinite(reference) and period >= SHORTEST * 10:
-        reference = error(period)
+        reference, step = error(period)
+        if not np.isfinite(reference):
+            reference, _ = error(period, step / 4)
         period = period if np.isfinite(reference) else period / 2
     bound = FACTOR * max(reference, 1e-6) if np.isfinite(reference) else np.inf
     meaning = (
@@ -156,27 +171,25 @@ def simulated_period(
     if not np.isfinite(reference):
         return Bracket(0.0, period * 2, f"no run of {horizon:g} s stays finite, down to the shortest clock looked at")
     lower, upper = period, period * 2
-    while error(upper) < bound:
+    while bounded(upper, bound):
         lower, upper = upper, upper * 2
         if upper > min(LONGEST, horizon / 8):
             return Bracket(lower, float("inf"), meaning)
     for _ in range(STEPS):
         middle = (lower + upper) / 2
-        lower, upper = (middle, upper) if error(middle) < bound else (lower, middle)
+        lower, upper = (middle, upper) if bounded(middle, bound) else (lower, middle)
     return Bracket(lower, upper, meaning)
 
 
 def _largest_error(
     diagram: Diagram, period: float, solver: Solver | None, start: Mapping[str, Any] | None, horizon: float
-) -> float:
-    """The largest norm of actual minus desired; infinite for a run that diverges."""
-    try:
-        run = simulate(diagram, horizon, clock=period, solver=solver, start=start)
-    except EngineError:
-        return float("inf")
+) -> tuple[float, float]:
+    """The largest norm of actual minus desired, infinite for a run that diverges; and the integrator's step [s]."""
+    run = simulate(diagram, horizon, clock=period, solver=solver, start=start)
+    step = run.solver.step or period
     if run.divergence is not None:
-        return float("inf")
+        return float("inf"), step
     desired, actual, *_ = goals(diagram.loop)[0]
     with np.errstate(over="ignore"):
         norms = np.linalg.norm(run[actual] - run[desired], axis=1)
-    return float(np.max(norms))
+    return float(np.max(norms)), step

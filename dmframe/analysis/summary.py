@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
@@ -58,23 +58,27 @@ def analyse(
     start: Mapping[str, Any] | None = None,
     horizon: float = 20.0,
     uncertain: Mapping[str, Sequence[Interval]] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> LoopAnalysis:
     """Linearise, find margins and poles, search for the largest stable sampling period, and find the least K_c.
 
-    The least K_c holds over the intervals of `uncertain`; all else is at the graph's numbers.
+    The least K_c holds over the intervals of `uncertain`; all else is at the graph's numbers. `tell` is called with
+    what is done, which may take half a minute.
 
     Raises
     ------
     DmframeError
         See `linearise`, `servo_transfer` and `largest_stable_period`.
     """
+    tell("linearising")
     at_rest = linearise(diagram, start=start)
     moving = linearise(diagram, at_rest.point, moving=True)
     periods = StablePeriods(
         linearised_period(at_rest),
         linearised_period(moving),
-        simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
+        simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon, tell=tell),
     )
+    tell("finding the least K_c")
     ties = tie_gains(diagram, uncertain)
     return LoopAnalysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties)
 

@@ -26,6 +26,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Certificate, Dissipated
 from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.certify.labels import labelled
+from dmframe.certify.risky import risky
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
@@ -137,6 +138,14 @@ class Claim:
     def consumption(self) -> SX:
         """What all cascades consume together."""
         return total([part.consumption for part in self.parts])
+
+    @cached_property
+    def risks(self) -> Mapping[str, tuple[tuple[int, SX], ...]]:
+        """What each block's equations divide by, or need to be defined, with the instruction that does."""
+        return {
+            name: tuple(risky([*model.equations.outputs.values(), *model.equations.rates.values()]))
+            for name, model in self.diagram.models.items()
+        }
 
     @cached_property
     def payments(self) -> tuple[tuple[Part, Part | None], ...]:

@@ -13,47 +13,14 @@ from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.identity import ATTEMPTS
+from dmframe.certify.risky import DEFINED, DIVISIONS
 from dmframe.certify.symbols import Group, symbols_of
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
 
-DEFINED: Final = {
-    getattr(ca, f"OP_{name}"): name.lower()
-    for name in "LOG LOG1P ASIN ACOS ACOSH ATANH TAN POW CONSTPOW ERFINV SQRT FMOD REMAINDER".split()
-}
-"""Functions that are not defined, or not bounded, everywhere."""
-DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
-"""Instructions that divide, with the place of the divisor."""
 AWAY: Final = "{} stays away from zero"
 SHOWN = 60
 """Letters of a divisor that are written out."""
-
-
-def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
-    """Instructions that divide or are not defined everywhere, with what must keep away from a bad value."""
-    todo = [element for output in outputs for element in ca.vertsplit(ca.vec(ca.densify(output)))]
-    seen = set[int]()
-    while todo:
-        x = todo.pop()
-        if x.element_hash() in seen or not x.n_dep():
-            continue
-        seen.add(x.element_hash())
-        code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
-        if code in DIVISIONS:
-            yield code, parts[DIVISIONS[code]]
-        elif code in DEFINED and not _is_safe(code, parts):
-            yield code, parts[1] if code in (ca.OP_FMOD, ca.OP_REMAINDER) else parts[0]
-        todo += parts
-
-
-def _is_safe(code: int, parts: Sequence[SX]) -> bool:
-    """A root of max(x, c), c > 0, and a whole power that is not negative, are defined everywhere."""
-    if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
-        floors = [parts[0].dep(k) for k in range(2)]
-        return any(floor.is_constant() and float(floor) > 0 for floor in floors)
-    if code in (ca.OP_POW, ca.OP_CONSTPOW) and parts[1].is_constant():
-        return float(parts[1]) >= 0 and float(parts[1]).is_integer()
-    return False
 
 
 def written(divisor: SX) -> str:
@@ -103,7 +70,7 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
     for name, model in claim.diagram.models.items():
         if model.block.side is Side.SOURCE:  # a trajectory is a leaf
             continue
-        parts = [part for _, part in risky([*model.equations.outputs.values(), *model.equations.rates.values()])]
+        parts = [part for _, part in claim.risks[name]]
         parts += [pivot for inverted in model.inverted for pivot in inverted.pivots]
         yield from claim.loop.joined([resolver.expand(name, part) for part in parts])
 
@@ -114,15 +81,27 @@ def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed
         return
     owners = [group.label for group in groups for _ in range(group.symbol.numel())]
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
-    made, signs = list[frozenset[str]](), list[_Sign]()
-    for node in tape.nodes:
+    made, signs = dict[int, frozenset[str]](), dict[int, _Sign]()
+    for place in _below(tape, [k for k, _ in asked]):
+        node = tape.nodes[place]
         of = [made[k] for k in node.operands]
-        made.append(frozenset().union(*of) if node.code != ca.OP_INPUT else frozenset({owners[node.a]}))
-        signs.append(_sign(node, [signs[k] for k in node.operands]))
+        made[place] = frozenset().union(*of) if node.code != ca.OP_INPUT else frozenset({owners[node.a]})
+        signs[place] = _sign(node, [signs[k] for k in node.operands])
     for k, text in asked:
         moving = sorted(made[k] - fixed)
         if moving and signs[k] is not _Sign.ABOVE:
             yield text.format(f"something made of {', '.join(moving[:4])}")
+
+
+def _below(tape: Tape, places: Sequence[int]) -> list[int]:
+    """Instructions of which some others are made, these too, in the order of the tape."""
+    found, todo = set[int](), list(places)
+    while todo:
+        place = todo.pop()
+        if place not in found:
+            found.add(place)
+            todo += tape.nodes[place].operands
+    return sorted(found)
 
 
 def _asked(node: Any) -> Iterator[tuple[int, str]]:

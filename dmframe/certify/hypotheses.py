@@ -13,7 +13,8 @@ from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
-from dmframe.certify.divisors import DEFINED, DIVISIONS, brought_in, risky, written
+from dmframe.certify.divisors import brought_in, written
+from dmframe.certify.risky import DEFINED, DIVISIONS
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.wiring import Wire
@@ -70,10 +71,9 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
         text = _definite(claim, model, inverted)
         if text:
             yield Assumption(f"{name}: {text}", "its equations invert it")
-    outputs = [*model.equations.outputs.values(), *model.equations.rates.values()]
     known = {pivot.element_hash() for inverted in model.inverted for pivot in inverted.pivots}
     seen = dict[str, None]()
-    for code, divisor in risky(outputs):
+    for code, divisor in claim.risks[name]:
         if divisor.element_hash() in known or not symbols_in([divisor]) & model.moving:
             continue
         if code in DIVISIONS:
@@ -86,7 +86,7 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
 def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Divisors and arguments made of parameters alone that are not what they have to be at the graph's numbers."""
     for name, model in claim.diagram.models.items():
-        for code, part in risky([*model.equations.outputs.values(), *model.equations.rates.values()]):
+        for code, part in claim.risks[name]:
             if symbols_in([part]) & model.moving or not symbols_in([part]):
                 continue
             if not _defined(code, part, numbers):

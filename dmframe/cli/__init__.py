@@ -11,6 +11,7 @@ from dmframe.cli.streams import OutputGone, drop_output, prepare
 
 FAULT = 2
 STOPPED = 130
+COMPLETING = "_DMFRAME_COMPLETE"
 
 
 def main() -> None:
@@ -58,6 +59,8 @@ def _told() -> int:
     except (KeyboardInterrupt, OutputGone):
         raise
     except BaseException as error:  # a user's block may raise anything, SystemExit(0) too, the status of what is proved
+        if isinstance(error, SystemExit) and COMPLETING in os.environ:  # a shell asks for words, and no block runs
+            raise
         _say(_unexpected(error))
         return FAULT
     return status if isinstance(status, int) else 0

@@ -16,17 +16,54 @@ app = typer.Typer(
     name="dmframe",
     help="Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-Graphs = Annotated[list[str], typer.Argument(metavar="GRAPH...", help="Graph files, or names of packaged graphs.")]
-OneGraph = Annotated[str, typer.Argument(metavar="GRAPH", help="A graph file, or the name of a packaged graph.")]
-Overrides = Annotated[
-    list[str], typer.Option("--set", metavar="BLOCK.PARAM=VALUE", help="Change a value of the graph; may be repeated.")
+
+def _graphs(begin: str) -> list[str]:
+    """For a shell's completion: packaged graphs, and graph files."""
+    from dmframe.catalogue import graphs as packaged
+
+    folder = Path(begin).parent
+    try:
+        files = [str(path) for path in folder.iterdir() if path.suffix in (".yaml", ".yml")]
+    except OSError:
+        files = []
+    return [name for name in (*files, *packaged()) if name.startswith(begin)]
+
+
+def _types(begin: str) -> list[str]:
+    from dmframe.catalogue import block_modules
+
+    return [name for name in block_modules() if name.startswith(begin)]
+
+
+def _robots(begin: str) -> list[str]:
+    from dmframe.robot.library import robots as known
+
+    return [name for name in known() if name.startswith(begin)]
+
+
+Graphs = Annotated[
+    list[str],
+    typer.Argument(metavar="GRAPH...", help="Graph files, or names of packaged graphs.", autocompletion=_graphs),
 ]
+OneGraph = Annotated[
+    str,
+    typer.Argument(metavar="GRAPH", help="A graph file, or the name of a packaged graph.", autocompletion=_graphs),
+]
+Overrides = Annotated[
+    list[str],
+    typer.Option(
+        "--set",
+        metavar="BLOCK.PARAM=VALUE",
+        help="Change a value; may be repeated. A.yaml:BLOCK.PARAM=VALUE: of that graph alone.",
+    ),
+]
+SCHEMA = "dmframe.schema.json"
+"""Beside a new graph; the editors' YAML server finds it by the graph's first line."""
 HORIZON, TUBE = "20", "0.05 rad"
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 
@@ -66,17 +103,21 @@ def robots() -> None:
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.")],
+    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=_graphs)],
     file: Annotated[Path | None, typer.Argument(help="The new file; NAME.yaml without it.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
-    """Copy a packaged graph to a file of your own, to edit it."""
+    """Copy a packaged graph to a file of your own, to edit it; an editor completes it from the schema beside it."""
     from dmframe.catalogue import graphs as packaged
+    from dmframe.config.schema import json_schema
 
     known = packaged()
     if name not in known:
         raise UnknownNameError(name, "graph", name, known)
     target = file or Path(f"{name}.yaml")
-    write_text(target, known[name].read_text(encoding="utf-8"), new=True)
+    text = known[name].read_text(encoding="utf-8")
+    write_text(target, f"# yaml-language-server: $schema={SCHEMA}\n{text}", new=not force)
+    write_text(target.with_name(SCHEMA), json.dumps(json_schema(), indent=1) + "\n")
     tell(f"wrote {target}; try: dmframe run {target}")
 
 
@@ -101,9 +142,13 @@ def run(
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Simulate graphs and write signals, figures and a summary; several graphs are overlaid in one figure."""
+    """Simulate graphs and write signals, figures and a summary; several are overlaid.
+
+    Several values, --set task.gamma=1,2,5, make a graph of each.
+    """
     from dmframe.cli.graphs import graphs_of
     from dmframe.cli.run import run_graphs
 
@@ -114,6 +159,7 @@ def run(
         engine=engine,
         baseline=baseline,
         plots=not no_plots,
+        force=force,
         as_json=as_json,
     )
 
@@ -223,7 +269,11 @@ def draw(
 
 
 @app.command()
-def blocks(kind: Annotated[str | None, typer.Argument(metavar="TYPE", help="Print this block's page.")] = None) -> None:
+def blocks(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="TYPE", help="Print this block's page.", autocompletion=_types)
+    ] = None,
+) -> None:
     """List the block types, or print one block's page."""
     from dmframe.catalogue import block_types, find_block
     from dmframe.graph.pages import block_list, block_page
@@ -244,7 +294,7 @@ def schema(
 
 @app.command()
 def regressor(
-    robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.")],
+    robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.", autocompletion=_robots)],
     base: Annotated[bool, typer.Option("--base", help="Exact base parameters instead of all.")] = False,
     kinematic: Annotated[bool, typer.Option("--kinematic", help="Y_k instead of Y_d.")] = False,
     symbolic: Annotated[bool, typer.Option("--symbolic", help="Print each entry; up to 3 joints.")] = False,

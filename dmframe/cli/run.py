@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
 from typing import cast, get_args
@@ -13,15 +14,18 @@ from dmframe.cli import STOPPED
 from dmframe.cli.options import quantity
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError, ValueFault
+from dmframe.errors import OutputError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled
-from dmframe.results.folder import reserved, safe_name, write_run
+from dmframe.results.folder import draw_figures, safe_name, write_data
+from dmframe.results.place import Place, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
 
 DIVERGED = 1
+MOST = 100
+"""Runs that may begin in one millisecond."""
 
 
 def run_graphs(
@@ -32,6 +36,7 @@ def run_graphs(
     engine: str,
     baseline: bool,
     plots: bool,
+    force: bool,
     as_json: bool,
 ) -> int:
     """Run graphs one after another and write one folder of results; returns the exit status.
@@ -46,25 +51,47 @@ def run_graphs(
         graphs = [graph.until(duration) for graph in graphs]
     for graph in graphs:  # faults of every graph are told before the first runs
         _ = graph.diagram
-    with reserved(out or _default_folder(graphs)) as place:
+    with _place(out, graphs, force=force) as place:
         found, interrupted = _run_all(graphs, choice, as_json)
         if not found:
             return STOPPED
         runs = labelled(found)
-        try:
-            if not as_json:
-                tell(str(runs))  # figures take seconds; the numbers are there now
-        finally:  # printing may fail, results are written all the same
-            _say(f"writing {place.path}", as_json)
-            with held_off() as signals:
-                summaries = write_run(place, runs, plots=plots)
-    if as_json:
-        tell(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
-    else:
-        tell(f"results: {place.path}")
+        with held_off() as signals:
+            summaries = write_data(place, runs)
+        try:  # printing may fail, and figures are drawn all the same
+            if as_json:
+                tell(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
+            else:
+                tell(f"{runs}\nresults: {place.path}")
+        finally:
+            if plots and not signals:
+                _say("drawing the figures", as_json)
+                draw_figures(place, runs)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0
+
+
+@contextmanager
+def _place(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
+    """The folder that was named, or one named by the time, of which two runs may not have the same."""
+    if out is not None:
+        with reserved(out, force=force) as place:
+            yield place
+        return
+    first, count = _default_folder(graphs), 1
+    path = first
+    with ExitStack() as stack:
+        while True:
+            try:
+                place = stack.enter_context(reserved(path))
+                break
+            except OutputError:
+                if not path.is_dir() or count > MOST:
+                    raise
+                count += 1
+                path = first.with_name(f"{first.name}_{count}")
+        yield place
 
 
 def _run_all(graphs: Sequence[Graph], engine: Choice, as_json: bool) -> tuple[list[Run], bool]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dmframe.cli.streams import tell
 from dmframe.graph import Graph
+from dmframe.graph.progress import telling
 
 NOT_PROVED = 1
 
@@ -25,7 +26,9 @@ def verify_graphs(
     found = [graph.verify(seed=seed) for graph in graphs]
     try:
         if report is not None:  # on the disk before anything is printed: printing may fail
-            write_report(report, found, [*replay, "--seed", str(seed), "--report", report.name])
+            words = [*replay, "--seed", str(seed), "--report", report.name]
+            with telling("report", quiet=as_json) as progress:
+                write_report(report, found, replay=words, tell=progress)
     finally:
         if as_json:
             told = [each.summary for each in found]

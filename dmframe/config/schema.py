@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 from typing import Any
 
 from dmframe.block import AbstractBlock
+from dmframe.block.prose import about
 from dmframe.catalogue import block_types
 from dmframe.config.experiment import NAME
 from dmframe.config.grammar import GraphFile
+from dmframe.formula.unmarked import unmarked
 from dmframe.parameter import Spec, spec_of
+from dmframe.robot.library import robots
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 NUMBER = {"type": ["number", "string"]}
@@ -47,17 +49,23 @@ def json_schema() -> dict[str, Any]:
             "allOf": chosen,
         },
     }
+    models = {"anyOf": [{"enum": list(robots())}, {"type": "string", "pattern": r"\.urdf$"}]}
     robot = schema["properties"]["robot"]
-    robot["anyOf"] = [{"type": "string"}, *robot["anyOf"]]
+    robot["anyOf"] = [models, *robot["anyOf"]]
+    schema["$defs"]["RobotSection"]["properties"]["model"] |= models
     return {"$schema": DRAFT, **schema, "title": "dmframe graph"}
 
 
 def _block(kind: type[AbstractBlock]) -> dict[str, Any]:
     plain = kind.model_json_schema()
-    properties: dict[str, Any] = {"type": {"description": inspect.getdoc(kind).split("\n")[0]}}  # type: ignore[union-attr]  # at least AbstractBlock's
+    said = about(kind)
+    properties: dict[str, Any] = {"type": {"description": unmarked(said.summary)}}
     for name, field in kind.model_fields.items():
         spec = spec_of(field)
         properties[name] = plain["properties"][name] if spec is None else _number(spec)
+        prose = unmarked(said.parameters.get(name, ""))
+        told = "; ".join(text for text in (properties[name].get("description", ""), prose) if text)
+        properties[name] = {**properties[name], **({"description": told} if told else {})}
     required = [name for name, field in kind.model_fields.items() if field.is_required()]
     schema = {
         "type": "object",

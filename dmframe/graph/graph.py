@@ -15,7 +15,7 @@ from dmframe.config.document import document_of, read_document
 from dmframe.config.experiment import experiment_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault
-from dmframe.graph.progress import Bar, shown
+from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
 from dmframe.units import plain, to_unit
 
@@ -146,7 +146,10 @@ class Graph:
         """
         from dmframe.report import Verification
 
-        return Verification(self.experiment, self.diagram, self.experiment.verify(self.diagram, seed=seed), seed)
+        with telling(self.name) as tell:
+            tell("proving")
+            verdict = self.experiment.verify(self.diagram, seed=seed)
+        return Verification(self.experiment, self.diagram, verdict, seed)
 
     def analyse(self, horizon: float | str = 20.0) -> Analysis:
         """Linearise it at its set-point: margins and passivity of the servo, poles, the largest stable period.
@@ -167,14 +170,16 @@ class Graph:
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
         try:
-            found = analyse(
-                diagram,
-                self.clock,
-                solver=experiment.solver,
-                start=experiment.start,
-                horizon=until,
-                uncertain=experiment.intervals(diagram),
-            )
+            with telling(self.name) as tell:
+                found = analyse(
+                    diagram,
+                    self.clock,
+                    solver=experiment.solver,
+                    start=experiment.start,
+                    horizon=until,
+                    uncertain=experiment.intervals(diagram),
+                    tell=tell,
+                )
         except DmframeError as error:
             raise placed(error, experiment.document) from None
         return Analysis(experiment, found)

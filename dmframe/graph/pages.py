@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import inspect
-import re
 import shutil
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.prose import about, prose
 from dmframe.columns import columns, width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
@@ -17,13 +17,12 @@ from dmframe.diagram.wiring import Derived, Source, Time, Wire
 from dmframe.formula import Line
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.docstring import check_docstring
-from dmframe.formula.latex import in_unicode
 from dmframe.formula.names import unicode_name
+from dmframe.formula.unmarked import unmarked
 from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
-from dmframe.report.laws import law_of, prose
 from dmframe.units import plain
 
 
@@ -85,13 +84,17 @@ def block_list(kinds: Mapping[str, type[AbstractBlock]]) -> str:
 
 def first_line(kind: type[AbstractBlock]) -> str:
     """What a block type is, in a line."""
-    return _plain(prose((inspect.getdoc(kind) or "").split("\n")[0]))
+    return unmarked(prose((inspect.getdoc(kind) or "").split("\n")[0]))
 
 
 def block_page(kind: type[AbstractBlock]) -> str:
     """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
-    about, wide = law_of(kind), _wide()
-    parts = [f"{type_name(kind)} ({kind.side.value})", textwrap.fill(_plain(about.summary), wide), *_laws(kind, wide)]
+    said, wide = about(kind), _wide()
+    parts = [
+        f"{type_name(kind)} ({kind.side.value})",
+        textwrap.fill(unmarked(said.summary), wide),
+        *_laws(kind, wide),
+    ]
     parts += [f"docstring\n{columns((fault.text,) for fault in faults)}"] if (faults := check_docstring(kind)) else []
     for title, ports in (("inputs", kind.inputs), ("outputs", kind.outputs)):
         parts.append(f"{title}\n{columns(_port(port) for port in ports)}")
@@ -101,11 +104,11 @@ def block_page(kind: type[AbstractBlock]) -> str:
         parts.append(f"true values, which its certificate alone reads\n{columns(_port(port) for port in kind.truth)}")
     parts.append(f"parameters\n{columns(_parameters(kind))}")
     names = dict[str, list[str]]()
-    for name, text in about.parameters.items():
+    for name, text in said.parameters.items():
         names.setdefault(text, []).append(name)
-    said = [f"{', '.join(several)}: {_plain(text)}" for text, several in names.items()]
-    parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in said)] * bool(said)
-    parts += [textwrap.fill(_plain(text), wide) for text in (about.notes, about.source) if text]
+    lines = [f"{', '.join(several)}: {unmarked(text)}" for text, several in names.items()]
+    parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in lines)] * bool(lines)
+    parts += [textwrap.fill(unmarked(text), wide) for text in (said.notes, said.source) if text]
     return "\n\n".join(parts)
 
 
@@ -166,13 +169,6 @@ def _equations(lines: Sequence[Line], wide: int) -> str:
         first, *more = wrapped(line.right.unicode, wide - room - 5)
         rows += [f"  {left} = {first}", *(f"  {' ' * room}   {text}" for text in more)]
     return "\n".join(rows) or "  none: each output is a state or a parameter as it stands"
-
-
-def _plain(text: str) -> str:
-    """Marked text without its marks, formulas in Unicode."""
-    pieces = re.split(r"\$([^$]*)\$", text)
-    text = "".join(in_unicode(piece) if place % 2 else piece for place, piece in enumerate(pieces))
-    return re.sub(r"\[(\w+)\]", r"[\1]", text.replace("`", ""))
 
 
 def _said(state: State) -> str:

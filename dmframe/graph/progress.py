@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, final
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
 
 from dmframe.simulate.run import Progress as Bar
 
-__all__ = ["Bar", "Bars", "shown"]
+__all__ = ["Bar", "Bars", "shown", "telling"]
 
 
 @final
@@ -67,3 +68,14 @@ def shown(progress: bool | Bar | None, name: str, total: float) -> Iterator[Bar 
     else:
         with Bars(quiet=False, transient=True) as bars:
             yield bars.of(name, total)
+
+
+@contextmanager
+def telling(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
+    """Say what is done, in one line that comes and goes; where nobody sees standard error, nothing."""
+    if quiet or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    with console.status(Text(name)) as status:
+        yield lambda text: status.update(Text(f"{name}: {text}"))

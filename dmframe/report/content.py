@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, final
 
+from dmframe.block.prose import About, about
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.certify.statements import Statement
@@ -16,11 +17,11 @@ from dmframe.diagram import Diagram
 from dmframe.formula import PrintedLaw, laws_of
 from dmframe.formula.where import where
 from dmframe.parameter import specs
-from dmframe.report.laws import Law, Row, law_of
 from dmframe.report.linear import LinearView, linear_view
 from dmframe.report.measured import Measured, measure
 from dmframe.report.notation import marked, marked_prose, signal_latex
 from dmframe.report.planar import RobotModel, robot_model
+from dmframe.report.rows import Row
 from dmframe.report.terms import Terms, parameter_text, rows_of_lines, terms_of
 from dmframe.report.words import Meaning, meaning_of
 from dmframe.units import plain
@@ -45,7 +46,7 @@ class BlockLaw:
     name: str
     type: str
     side: str
-    law: Law
+    law: About
     equations: tuple[Row, ...]
     values: tuple[Value, ...]
 
@@ -163,8 +164,16 @@ def opening(experiment: Experiment, verdict: Verdict) -> Opening:
     )
 
 
-def gather(experiment: Experiment, diagram: Diagram, verdict: Verdict, *, command: list[str], seed: int) -> Content:
-    """Everything about one graph; it is simulated for this."""
+def gather(
+    experiment: Experiment,
+    diagram: Diagram,
+    verdict: Verdict,
+    *,
+    command: list[str],
+    seed: int,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Content:
+    """Everything about one graph; it is simulated for this, and `tell` is called with what is done."""
     from dmframe.drawing import mermaid, svg
     from dmframe.results.folder import provenance
     from dmframe.results.resolved import resolved_text
@@ -188,8 +197,8 @@ def gather(experiment: Experiment, diagram: Diagram, verdict: Verdict, *, comman
         controls=tuple((marked(control.fault), control.refuted) for control in verdict.controls),
         witness=_witness(verdict),
         uncertain=tuple((label, str(ends)) for label, ends in experiment.file.uncertain.items()),
-        measured=measure(experiment, diagram, verdict),
-        linear=linear_view(experiment, diagram),
+        measured=measure(experiment, diagram, verdict, tell),
+        linear=linear_view(experiment, diagram, tell),
         model=robot_model(diagram.robot),
         summary=summary(experiment.name, verdict),
         provenance=provenance(experiment, resolved, seed=seed, command=command),
@@ -221,7 +230,7 @@ def _facts(experiment: Experiment, diagram: Diagram) -> list[tuple[str, str]]:
 
 def _law(diagram: Diagram, name: str, printed: PrintedLaw) -> BlockLaw:
     block = diagram.blocks[name]
-    law, units = law_of(type(block)), {key: spec.unit for key, spec in specs(type(block)).items()}
+    law, units = about(type(block)), {key: spec.unit for key, spec in specs(type(block)).items()}
     values, model = list[Value](), diagram.models[name]
     for key in type(block).model_fields:
         if key in model.values:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -47,7 +47,7 @@ class LinearView:
     numbers: Mapping[str, Any] = field(default_factory=dict)
 
 
-def linear_view(experiment: Experiment, diagram: Diagram) -> LinearView:
+def linear_view(experiment: Experiment, diagram: Diagram, tell: Callable[[str], None] = lambda _: None) -> LinearView:
     """Linearise at the set-point where the path begins; a fault of the analysis is told, not raised."""
     from dmframe.analysis import analyse, bode_svg, nyquist_svg
 
@@ -59,6 +59,7 @@ def linear_view(experiment: Experiment, diagram: Diagram) -> LinearView:
             solver=experiment.solver,
             start=experiment.start,
             horizon=min(LONGEST, experiment.file.duration),
+            tell=tell,
         )
     except DmframeError as error:
         return LinearView(f"This loop has no linear analysis: {error.text}.")

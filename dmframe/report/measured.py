@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, final
 
@@ -17,7 +17,7 @@ from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
 from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error
-from dmframe.simulate import Recording, simulate
+from dmframe.simulate import Log, Recording
 from dmframe.units import plain
 
 ROUNDING = 1e-6
@@ -56,14 +56,18 @@ class Measured:
     table: tuple[tuple[float, float], ...] = ()
 
 
-def measure(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> Measured:
+def measure(
+    experiment: Experiment, diagram: Diagram, verdict: Verdict, tell: Callable[[str], None] = lambda _: None
+) -> Measured:
     """Simulate the graph as its file says, and evaluate V along it where V means something."""
     clock = experiment.file.clock
+    tell(f"simulating {plain(experiment.file.duration, 's')}")
     try:
-        run = simulate(diagram, experiment.file.duration, clock=clock, solver=experiment.solver, start=experiment.start)
+        run = experiment.simulate(diagram, log=Log())
     except DmframeError as error:
         return Measured(f"{_sentence(clock)} The graph could not be simulated: {error.text}.")
     facts, numbers = _run_facts(run)
+    tell("evaluating V along the run")
     found, why = _along(verdict, run)
     if found is None:
         return Measured(f"{_sentence(clock)} {why}", tuple(facts), numbers)

@@ -9,10 +9,10 @@ from typing import Any
 
 from dmframe.notebook import embedded
 from dmframe.report.content import Content, Opening
-from dmframe.report.laws import Row
 from dmframe.report.linear import JOINT_HEADS
 from dmframe.report.mathml import breakable, mathml, terms
 from dmframe.report.references import reference
+from dmframe.report.rows import Row
 
 MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\[([A-Z]\w+\d{4}\w?)\]")
 

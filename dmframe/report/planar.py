@@ -9,7 +9,7 @@ from typing import Final, final
 
 from dmframe.regressor.readable import Factor, Style, Term, latex_name
 from dmframe.regressor.typeset import MOST_JOINTS, Matrix, write_out
-from dmframe.report.laws import Row
+from dmframe.report.rows import Row
 from dmframe.robot.chain import SerialChain
 
 _MOMENT: Final = "mc_{"

@@ -19,7 +19,7 @@ from dmframe.formula.names import latex_name
 from dmframe.formula.tree import Name, Node
 from dmframe.parameter import Spec
 from dmframe.port import Port, State
-from dmframe.report.laws import Row
+from dmframe.report.rows import Row
 
 FEW = 4
 """Elements of a diagonal up to which each is written out."""

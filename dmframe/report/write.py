@@ -27,7 +27,13 @@ WRITERS: Final[dict[str, Callable[[Sequence[Content]], str]]] = {
 }
 
 
-def write_report(path: str | Path, found: Sequence[Verification], replay: Sequence[str] = ()) -> None:
+def write_report(
+    path: str | Path,
+    found: Sequence[Verification],
+    *,
+    replay: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> None:
     """Write one report on one or several graphs: a web page, Markdown or JSON, by the ending of `path`.
 
     Each graph is simulated as its file says, to show V along the run. The file is there in full or not at all.
@@ -38,6 +44,8 @@ def write_report(path: str | Path, found: Sequence[Verification], replay: Sequen
         ``.html`` (one file that opens offline and prints), ``.md`` or ``.json``.
     replay
         The command that writes it again, where it is known.
+    tell
+        Called with what is done, which may take half a minute a graph.
 
     Raises
     ------
@@ -47,7 +55,17 @@ def write_report(path: str | Path, found: Sequence[Verification], replay: Sequen
     path = Path(path)
     check_place(path)
     said = list(replay) or command(found, path)
-    contents = [gather(each.experiment, each.diagram, each.verdict, command=said, seed=each.seed) for each in found]
+    contents = [
+        gather(
+            each.experiment,
+            each.diagram,
+            each.verdict,
+            command=said,
+            seed=each.seed,
+            tell=lambda text, name=each.name: tell(f"{name}: {text}"),  # type: ignore[misc]
+        )
+        for each in found
+    ]
     write_text(path, WRITERS[path.suffix.lower()](contents))
 
 

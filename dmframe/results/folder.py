@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
-import os
 import platform
 import re
 import shutil
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import nullcontext
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final, final
+from typing import Any, Final
 
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
-from dmframe.files import encoded, hidden_name, is_hidden, writing
+from dmframe.files import encoded, writing
+from dmframe.results.place import Place, built, reserved
 from dmframe.results.resolved import companions, resolved_text, robot_source
 from dmframe.results.run import Run
 from dmframe.results.summary import summary
@@ -42,95 +40,6 @@ _LONGEST: Final = 150
 """Bytes of a graph's name in that of a folder or figure; a file system takes 255."""
 
 
-@final
-@dataclass(frozen=True)
-class Place:
-    """A folder that is held for results: as the user names it, where it really lies, and was it made for them?"""
-
-    path: Path
-    folder: Path
-    new: bool
-
-
-def reserve(path: str | Path) -> Path:
-    """Check that results can be written to the folder `path`, and leave nothing behind.
-
-    Raises
-    ------
-    OutputError
-        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there.
-    """
-    with reserved(path) as place:
-        return place.path
-
-
-@contextmanager
-def reserved(path: str | Path) -> Iterator[Place]:
-    """Make and hold a folder for results; where nothing was written to it, what was made goes again.
-
-    Within a long simulation, so that it does not end in a place that cannot be used. Raises what `reserve` raises.
-    """
-    path, made = Path(path), list[Path]()
-    try:
-        with writing(path, "folder"):
-            folder = Path(os.path.realpath(path))
-            _make(folder, path, made)
-            lock = _locked(folder, path)
-        try:
-            with writing(path, "folder"):
-                _check_usable(folder, path, ours=lock is not None)
-            yield Place(path, folder, folder in made)
-        finally:
-            if lock is not None:
-                os.close(lock)
-    finally:
-        for each in reversed(made):
-            with contextlib.suppress(OSError):  # results lie there
-                each.rmdir()
-
-
-def _make(folder: Path, path: Path, made: list[Path]) -> None:
-    """Make a folder and those above it."""
-    for each in (*reversed(folder.parents), folder):
-        try:
-            each.mkdir()
-            made.append(each)
-        except OSError:
-            if not each.is_dir():
-                if each == folder and each.exists():
-                    raise OutputError(f"{path}: expected a folder, found a file; name another folder") from None
-                raise
-
-
-def _check_usable(folder: Path, path: Path, *, ours: bool) -> None:
-    """The folder is empty, and what is done at the end can be done."""
-    for item in list(folder.iterdir()):
-        if not (ours and is_hidden(item.name)):
-            raise OutputError(f"{path}: expected an empty or a new folder, found one with files; name another folder")
-        shutil.rmtree(item)  # of a run that was killed, for nobody else holds this folder
-    trial = folder / hidden_name()
-    trial.mkdir()
-    trial.rmdir()
-
-
-def _locked(folder: Path, path: Path) -> int | None:
-    """Hold a folder as long as this process lives; None where the system cannot."""
-    try:
-        import fcntl
-    except ImportError:
-        return None
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(lock)
-        raise OutputError(f"{path}: another run writes there; name another folder") from None
-    except OSError:  # some network drives have no locks
-        os.close(lock)
-        return None
-    return lock
-
-
 def write_run(
     path: str | Path | Place,
     runs: Sequence[Run],
@@ -143,8 +52,8 @@ def write_run(
     """Write runs to a new folder, and return their summaries.
 
     One graph's files lie in the folder itself, several graphs' in a folder for each; figures, in which they are
-    overlaid, lie in the folder itself. Everything is built in a hidden folder and moved when it is whole, so that it
-    is there in full or not at all.
+    overlaid, lie in the folder itself. Data are built in a hidden folder and moved when they are whole, so that they
+    are there in full or not at all. Figures come after them: what cannot be drawn loses nothing.
 
     Parameters
     ----------
@@ -162,20 +71,47 @@ def write_run(
     OutputError
         The folder has files in it, or cannot be written.
     """
-    names = _names(runs)
     with nullcontext(path) if isinstance(path, Place) else reserved(path) as place:
-        folders = [place.path / name if len(runs) > 1 else place.path for name in names]
-        summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
-        with _built(place) as building:
-            for run, folder, told in zip(runs, folders, summaries, strict=True):
-                own = building / folder.relative_to(place.path)
-                own.mkdir(exist_ok=True)
-                _write_one(own, run, told, seed, command, now)
-            if plots:
-                from dmframe.results.figures import figures_of
-
-                figures_of(dict(zip(names, (run.recording for run in runs), strict=True))).save(building)
+        summaries = write_data(place, runs, seed=seed, command=command, now=now)
+        if plots:
+            draw_figures(place, runs)
     return summaries
+
+
+def write_data(
+    place: Place,
+    runs: Sequence[Run],
+    *,
+    seed: int | None = None,
+    command: Sequence[str] | None = None,
+    now: datetime | None = None,
+) -> list[dict[str, Any]]:
+    """All of `write_run` but the figures."""
+    names = _names(runs)
+    folders = [place.path / name if len(runs) > 1 else place.path for name in names]
+    summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
+    with built(place) as building:
+        for run, folder, told in zip(runs, folders, summaries, strict=True):
+            own = building / folder.relative_to(place.path)
+            own.mkdir(exist_ok=True)
+            _write_one(own, run, told, seed, command, now)
+    return summaries
+
+
+def draw_figures(place: Place, runs: Sequence[Run]) -> None:
+    """Draw the runs' figures beside their data. Raises `OutputError` where that cannot be done."""
+    from dmframe.results.figures import figures_of
+
+    try:
+        with writing(place.path, "figures"):
+            figures_of(dict(zip(_names(runs), (run.recording for run in runs), strict=True))).save(place.folder)
+    except OutputError:
+        raise
+    except Exception as error:  # whatever a plotting library raises at names and numbers of others
+        reason = (str(error).splitlines() or [""])[0]
+        raise OutputError(
+            f"{place.path}: signals and summary are written, the figures are not: {type(error).__name__}: {reason}"
+        ) from error
 
 
 def safe_name(name: str) -> str:
@@ -259,28 +195,3 @@ def _version(package: str) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-@contextmanager
-def _built(place: Place) -> Iterator[Path]:
-    """A hidden folder that takes its place when all went well, and vanishes when not.
-
-    In the place itself where that was there before: nothing can be renamed over the working folder or a whole drive.
-    """
-    building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
-    with writing(place.path, "folder"):
-        try:
-            building.mkdir()
-            yield building
-            with contextlib.suppress(OSError):
-                os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
-                return
-            for item in list(building.iterdir()):
-                moved.append(item.rename(place.folder / item.name))
-            building.rmdir()
-        except BaseException:
-            for item in (building, *moved):
-                shutil.rmtree(item, ignore_errors=True)
-                with contextlib.suppress(OSError):
-                    item.unlink()
-            raise

@@ -242,6 +242,12 @@ def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
     for name, value in (("duration", duration), ("clock", clock)):
         if value is not None and not (math.isfinite(value) and value > 0):
             raise ValueFault(f"{name}: expected a positive number of seconds, found {value}", path=(name,))
+    if clock is not None and clock > duration * (1 + 1e-9):
+        raise ValueFault(
+            f"clock: expected at most the simulated time, {plain(duration, 's')}, found {plain(clock, 's')}; take a "
+            "faster clock, or run longer",
+            path=("clock",),
+        )
     substeps_of(clock, solver)
     ticks = duration / (clock if clock is not None else solver.output)
     if ticks > MOST_TICKS:

@@ -145,9 +145,9 @@ def run(asked: Sequence[Cell], told: Callable[[int], object] = lambda count: Non
     """Simulate cells, those of one graph, clock and step together."""
     from dmframe.config.experiment import load_experiment
     from dmframe.results.metrics import tracking_error
-    from dmframe.simulate import Run, simulate_many
+    from dmframe.simulate import Recording, simulate_many
 
-    def result(done: Run) -> tuple[float, float]:
+    def result(done: Recording) -> tuple[float, float]:
         if any("stiff" in notice for notice in done.notices):
             raise RuntimeError(f"{done.notices}")
         if done.divergence is not None:

@@ -13,6 +13,7 @@ import pytest
 from faulty import verdict_with
 from jsonschema import Draft202012Validator
 
+import dmframe as dm
 from dmframe import linalg
 from dmframe.certify import Verdict, verify
 from dmframe.config.experiment import load_experiment
@@ -258,23 +259,9 @@ def test_editors_know_the_forms_of_a_gain() -> None:
         assert not gain.is_valid(value), value
 
 
-def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dmframe.cli import main
-
-    for name in ("report.md",):
-        words = [
-            "dmframe",
-            "verify",
-            "arm2_joint",
-            "--set",
-            with_full("arm2_joint")[0],
-            "--report",
-            str(tmp_path / name),
-        ]
-        monkeypatch.setattr("sys.argv", words)
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        assert not stopped.value.code
+def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path) -> None:
+    gain = json.loads(full(22))
+    dm.load("arm2_joint").set({"dynamics.Gamma": gain, "duration": 0.1}).verify().report(tmp_path / "report.md")
     assert "| 22 x 22, diagonal from" in (tmp_path / "report.md").read_text()
 
 

@@ -31,9 +31,9 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """All of a few, half of some, a sixth of more, fewer of many; `make mutants` tries them all."""
+    """All of a few, half of some, a seventh of more, fewer of many; `make mutants` tries them all."""
     found = list(mutants)
-    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 6 if len(found) < 60 else 13]
+    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 7 if len(found) < 60 else 16]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
@@ -44,7 +44,7 @@ def tried(mutants: Sequence[Mutant]) -> list[Result]:
     return results
 
 
-def test_of_more_than_200_faults_in_the_equations_of_all_blocks_none_is_proved_unless_dv_dt_is_true_all_the_same() -> (
+def test_of_more_than_100_faults_in_the_equations_of_all_blocks_none_is_proved_unless_dv_dt_is_true_all_the_same() -> (
     None
 ):
     blocks = {kind: block for kind, block in known_blocks().items() if block.side is not Side.SOURCE}
@@ -52,7 +52,7 @@ def test_of_more_than_200_faults_in_the_equations_of_all_blocks_none_is_proved_u
     mutants = [mutant for kind in provable for mutant in some(block_mutants(kind, blocks[kind]))]
     results = tried(mutants)
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert len(results) >= 200
+    assert len(results) >= 100
     acting = [r for r in results if r.outcome != "no diagram" and r.reason != "the rates are unchanged"]
     assert Counter(result.outcome for result in acting)["refuted"] > 0.9 * len(acting)
     # V does not weigh a redundant robot's self-motion; without a term in the error any reference falls along V
@@ -74,7 +74,7 @@ def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothi
 def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> None:
     mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ != "equations"]
     provable = [mutant for mutant in mutants if homes(mutant.owner, loops())]
-    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::40])
+    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::50])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
 

@@ -45,7 +45,7 @@ def test_a_file_says_robot_clock_duration_solver_start_and_blocks(tmp_path: Path
     graph = load_experiment(tmp_path / "own.yaml")
     assert graph.name == "own"
     assert (graph.file.clock, graph.file.duration) == (0.005, 30.0)
-    assert graph.solver == Solver("cvodes", 0.001, 0.02, 1e-6)
+    assert graph.solver == Solver("cvodes", None, 0.02, 1e-6)
     assert graph.start == {"q": pytest.approx(np.pi / 36), "dq": [0.25]}
     assert list(graph.blocks) == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]
     assert graph.robot.name == "pendulum"

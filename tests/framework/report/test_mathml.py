@@ -5,16 +5,16 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from dmframe.block.prose import about
 from dmframe.catalogue import block_types
 from dmframe.formula.alone import options_of, plainest
-from dmframe.report.laws import law_of
 from dmframe.report.mathml import breakable, mathml, terms
 
 MARKED = re.compile(r"\$([^$]+)\$")
 
 
 def formulas(kind):
-    law, found = law_of(kind), plainest(kind)
+    law, found = about(kind), plainest(kind)
     options = (line for _, lines in options_of(kind) for line in lines)
     for line in (*(found[1].lines if found else ()), *options):
         yield from (line.left.latex, f"= {line.right.latex}")

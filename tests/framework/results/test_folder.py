@@ -14,10 +14,16 @@ import dmframe.results.folder as folder_module
 from dmframe.config.experiment import load_experiment
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name
-from dmframe.results import Run, reserve, reserved, write_run
+from dmframe.results import Run, reserved, write_run
 from dmframe.results.folder import safe_name
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import simulate
+
+
+def reserve(path):
+    """Hold a folder for a moment."""
+    with reserved(path) as place:
+        return place.path
 
 
 def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
@@ -144,6 +150,28 @@ def test_a_full_disk_is_told_with_the_folder_and_a_remedy_and_leaves_nothing(tmp
     with pytest.raises(OutputError, match="out: the results cannot be written: no space left on device; free some"):
         write_run(tmp_path / "out", [ur10])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
+    for fault, text in (
+        (OSError(errno.ENOSPC, "No space left on device"), "written, the figures cannot be written: no space left"),
+        (ValueError("a name that no parser reads"), "the figures are not: ValueError: a name that no parser reads"),
+    ):
+
+        def fail(*_, fault=fault):
+            raise fault
+
+        place = tmp_path / type(fault).__name__
+        monkeypatch.setattr("dmframe.results.figures.figures_of", fail)
+        with pytest.raises(OutputError, match="signals and summary are written") as told:
+            write_run(place, [ur10])
+        assert text in told.value.text
+        assert {item.name for item in place.iterdir()} == {
+            "signals.nc",
+            "summary.json",
+            "graph.yaml",
+            "provenance.json",
+        }
 
 
 def test_hdf5_never_meets_the_disk_itself(tmp_path, ur10, monkeypatch):

@@ -1,4 +1,4 @@
-"""A block's page: what its docstring says in words. Its equations come from its code, see `dmframe.formula`."""
+"""What a block's docstring says in words. Its equations come from its code, see `dmframe.formula`."""
 
 from __future__ import annotations
 
@@ -8,24 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
-from dmframe.block import AbstractBlock
+from dmframe.block.base import AbstractBlock
 
 _SECTION: Final = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.MULTILINE)
 
 
 @final
 @dataclass(frozen=True)
-class Row:
-    """One line of aligned equations: what stands left and right of the alignment, and its number."""
-
-    left: str
-    right: str
-    tag: str = ""
-
-
-@final
-@dataclass(frozen=True)
-class Law:
+class About:
     """What a block's docstring says in words.
 
     Parameters
@@ -44,12 +34,12 @@ class Law:
     source: str = ""
 
 
-def law_of(block: type[AbstractBlock]) -> Law:
+def about(block: type[AbstractBlock]) -> About:
     """Read a block's docstring; what it leaves out is empty."""
     text = inspect.cleandoc(block.__doc__ or "")
     pieces = _SECTION.split(text)
     sections = dict(zip(pieces[1::2], pieces[2::2], strict=True))
-    return Law(
+    return About(
         summary=prose(pieces[0].partition("\n\n")[0]),
         parameters=_parameters(sections.get("Parameters", "")),
         notes=prose(sections.get("Notes", "")),

@@ -1,0 +1,143 @@
+"""The folder of a run's results: held while the run lasts, and filled in one step."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import final
+
+from dmframe.errors import OutputError
+from dmframe.files import hidden_name, is_hidden, writing
+
+
+@final
+@dataclass(frozen=True)
+class Place:
+    """A folder that is held for results.
+
+    Parameters
+    ----------
+    path, folder
+        As the user names it, and where it really lies.
+    new
+        It was made for them.
+    """
+
+    path: Path
+    folder: Path
+    new: bool
+
+
+@contextmanager
+def reserved(path: str | Path, *, force: bool = False) -> Iterator[Place]:
+    """Make and hold a folder for results; where nothing was written to it, what was made goes again.
+
+    A long simulation is held within, so that it does not end in a place that cannot be used.
+
+    Parameters
+    ----------
+    force
+        The folder may hold files; those of the same names will be replaced.
+
+    Raises
+    ------
+    OutputError
+        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there.
+    """
+    path, made = Path(path), list[Path]()
+    try:
+        with writing(path, "folder"):
+            folder = Path(os.path.realpath(path))
+            _make(folder, path, made)
+            lock = _locked(folder, path)
+        try:
+            with writing(path, "folder"):
+                _check_usable(folder, path, ours=lock is not None, force=force)
+            yield Place(path, folder, folder in made)
+        finally:
+            if lock is not None:
+                os.close(lock)
+    finally:
+        for each in reversed(made):
+            with contextlib.suppress(OSError):  # results lie there
+                each.rmdir()
+
+
+def _make(folder: Path, path: Path, made: list[Path]) -> None:
+    """Make a folder and those above it."""
+    for each in (*reversed(folder.parents), folder):
+        try:
+            each.mkdir()
+            made.append(each)
+        except OSError:
+            if not each.is_dir():
+                if each == folder and each.exists():
+                    raise OutputError(f"{path}: expected a folder, found a file; name another folder") from None
+                raise
+
+
+def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
+    """The folder is empty, and what is done at the end can be done."""
+    for item in list(folder.iterdir()):
+        if not (ours and is_hidden(item.name)):
+            if force:
+                continue
+            raise OutputError(
+                f"{path}: expected an empty or a new folder, found one with files; name another folder, or take --force"
+            )
+        shutil.rmtree(item)  # of a run that was killed, for nobody else holds this folder
+    trial = folder / hidden_name()
+    trial.mkdir()
+    trial.rmdir()
+
+
+def _locked(folder: Path, path: Path) -> int | None:
+    """Hold a folder as long as this process lives; None where the system cannot."""
+    try:
+        import fcntl
+    except ImportError:
+        return None
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise OutputError(f"{path}: another run writes there; name another folder") from None
+    except OSError:  # some network drives have no locks
+        os.close(lock)
+        return None
+    return lock
+
+
+@contextmanager
+def built(place: Place) -> Iterator[Path]:
+    """A hidden folder that takes its place when all went well, and vanishes when not.
+
+    In the place itself where that was there before: nothing can be renamed over the working folder or a whole drive.
+    """
+    building, moved = (place.folder.parent if place.new else place.folder) / hidden_name(), list[Path]()
+    with writing(place.path, "folder"):
+        try:
+            building.mkdir()
+            yield building
+            with contextlib.suppress(OSError):
+                os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+                return
+            for item in list(building.iterdir()):
+                target = place.folder / item.name
+                if target.is_dir() and not target.is_symlink():
+                    shutil.rmtree(target)  # --force: results of before
+                item.replace(target)
+                moved.append(target)
+            building.rmdir()
+        except BaseException:
+            for item in (building, *moved):
+                shutil.rmtree(item, ignore_errors=True)
+                with contextlib.suppress(OSError):
+                    item.unlink()
+            raise
