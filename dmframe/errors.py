@@ -44,6 +44,11 @@ class DmframeError(Exception):
         self.path = tuple(path)
         self.location = location
 
+    @property
+    def faults(self) -> tuple[DmframeError, ...]:
+        """The faults that it stands for: itself, or each of several."""
+        return (self,)
+
     def __str__(self) -> str:
         return f"{self.location}: {self.text}" if self.location else self.text
 
@@ -53,8 +58,13 @@ class Faults(DmframeError):
     """Several faults found in one pass; `faults` holds them in the order of the file."""
 
     def __init__(self, faults: Sequence[DmframeError]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("\n".join(str(fault) for fault in self.faults))
+        self._faults = tuple(faults)
+        super().__init__("\n".join(str(fault) for fault in self._faults))
+
+    @property
+    def faults(self) -> tuple[DmframeError, ...]:
+        """Each of them."""
+        return self._faults
 
 
 def raise_all(faults: Sequence[DmframeError]) -> None:

@@ -24,7 +24,7 @@ NOTE = (
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LoopAnalysis:
     """The linear analysis of a diagram at its set-point, which is its trajectory at t = 0.
 
@@ -48,6 +48,9 @@ class LoopAnalysis:
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
     ties: tuple[TieGain, ...]
+
+    def __repr__(self) -> str:
+        return f"<LoopAnalysis of {len(self.at_rest.states)} states>"
 
 
 def analyse(

@@ -33,7 +33,7 @@ Outcome = Literal["proved", "refuted", "not_applicable"]
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Verdict:
     """The outcome of `verify`, with everything it rests on.
 
@@ -93,6 +93,9 @@ class Verdict:
     def residual_bound(self) -> float | None:
         """The most that dV/dt can be above minus the dissipation; None where a signal scales it."""
         return total_bound(list(self.bounds), as_float(self.kappa.chosen) if self.kappa else 1.0)
+
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.headline}>"
 
 
 def verify(

@@ -40,7 +40,7 @@ def _told() -> int:
     import typer
 
     from dmframe.cli.app import app
-    from dmframe.errors import DmframeError, Faults
+    from dmframe.errors import DmframeError
 
     # typer carries a click of its own in some versions and not in others; this is the exception that both have.
     bases = typer.BadParameter.__mro__
@@ -48,7 +48,7 @@ def _told() -> int:
     try:
         status = app(standalone_mode=False)
     except DmframeError as error:
-        for fault in error.faults if isinstance(error, Faults) else (error,):
+        for fault in error.faults:
             _say(str(fault))
         return FAULT
     except usage_error as error:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from dmframe.config import load_experiment
-from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
 
 _FREE = ("title",)
@@ -80,7 +80,7 @@ def _loaded(name: str, overrides: Sequence[str], *, alone: bool) -> Graph:
     try:
         return Graph(load_experiment(name, overrides))
     except DmframeError as error:
-        for fault in error.faults if isinstance(error, Faults) else (error,):
+        for fault in error.faults:
             if not alone and not fault.location and name not in fault.text:
                 fault.location = name  # which of the graphs
         raise

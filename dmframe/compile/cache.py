@@ -15,7 +15,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -32,6 +32,9 @@ STALE: Final = 3600.0
 """A folder in which nobody has worked for so long was left by a process that was killed [s]."""
 
 _PART: Final = ".part-"
+
+Works = Callable[[Path], bool]
+"""Does a library do what it should? See `dmframe.compile.trial`."""
 
 
 def cache_folder() -> Path:
@@ -80,19 +83,21 @@ def find(folder: Path, key: str) -> Path | None:
     return None
 
 
-def make(folder: Path, key: str, source: str, compiler: Compiler, most: int = MOST_BYTES) -> Path:
-    """Compile an entry into the cache.
+def make(
+    folder: Path, key: str, source: str, compiler: Compiler, works: Works = lambda _: True, most: int = MOST_BYTES
+) -> Path:
+    """Compile an entry into the cache; `works` is asked of the library before it is kept.
 
     Raises
     ------
     OSError
         The folder cannot be written.
     CompileFailed
-        The compiler refused, or the disk is full.
+        The compiler refused, or the disk is full, or the library does not work.
     """
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    prepare(folder)
     with _working(folder) as place:
-        library = built(place, source, compiler)
+        library = built(place, source, compiler, works)
         entry = folder / _name(key, library.read_bytes())
         library.chmod(0o700)
         library.replace(entry)
@@ -100,12 +105,27 @@ def make(folder: Path, key: str, source: str, compiler: Compiler, most: int = MO
     return entry
 
 
-def built(place: Path, source: str, compiler: Compiler) -> Path:
-    """Compile in a folder of one's own."""
+def built(place: Path, source: str, compiler: Compiler, works: Works) -> Path:
+    """Compile in a folder of one's own. Raises `CompileFailed`, also for a library that does not work."""
     text, library = place / "loop.c", place / "loop.so"
     text.write_text(source, encoding="utf-8")
     compiler.build(text, library)
+    if not works(library):
+        raise CompileFailed(f"{compiler.command[0]} made a library that does not work")
     return library
+
+
+def prepare(folder: Path) -> None:
+    """Make the cache's folder; one in which others may write is none of ours: they could exchange what was checked.
+
+    Raises
+    ------
+    OSError
+        It cannot be made, or belongs to others.
+    """
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    if _foreign(folder.stat()):
+        raise OSError("others may write there")
 
 
 def _name(key: str, content: bytes) -> str:
@@ -114,9 +134,12 @@ def _name(key: str, content: bytes) -> str:
 
 def _ours(path: Path) -> bool:
     """Machine code runs with the user's rights: nobody else may have written it."""
-    told = path.lstat()
-    foreign = hasattr(os, "getuid") and (told.st_uid not in (os.getuid(), 0) or told.st_mode & 0o022)
-    return path.is_file() and not path.is_symlink() and not foreign
+    return path.is_file() and not path.is_symlink() and not _foreign(path.lstat())
+
+
+def _foreign(told: os.stat_result) -> bool:
+    """May others have written it?"""
+    return hasattr(os, "getuid") and bool(told.st_uid not in (os.getuid(), 0) or told.st_mode & 0o022)
 
 
 @contextmanager
@@ -147,4 +170,4 @@ def _evict(folder: Path, kept: Path, most: int) -> None:
                     path.unlink()
 
 
-__all__ = ["CompileFailed", "built", "cache_folder", "find", "key_of", "make"]
+__all__ = ["CompileFailed", "Works", "built", "cache_folder", "find", "key_of", "make", "prepare"]

@@ -8,9 +8,11 @@ import os
 import platform
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
@@ -33,12 +35,12 @@ FLAGS: Final = (TUNED, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
 """Sets of flags, best first; a compiler that refuses one is given the next. None of them lets sums be reordered."""
 
 SHARED: Final = ("-std=gnu11", "-fPIC", "-shared", "-s", "-w")
-LIMIT = 300.0
+LIMIT = 120.0
 """A compiler that takes longer is stopped [s]."""
 
 
 class CompileFailed(Exception):
-    """The compiler did not produce a library; the text is its own first complaint."""
+    """The compiler did not produce a library that works; the text says why, in its own words where it has some."""
 
 
 @final
@@ -54,25 +56,40 @@ class Compiler:
         complaint = ""
         for flags in FLAGS:
             words = [*self.command, *SHARED, *flags, source.name, "-o", library.name, "-lm"]
-            try:
-                done = subprocess.run(
-                    words,
-                    cwd=source.parent,
-                    capture_output=True,
-                    text=True,
-                    check=False,
-                    timeout=LIMIT,
-                    errors="replace",
-                )
-            except subprocess.TimeoutExpired:
-                raise CompileFailed(f"{self.command[0]} took more than {LIMIT:g} s") from None
-            except OSError as error:
-                raise CompileFailed(f"{self.command[0]}: {error.strerror}") from None
-            if done.returncode == 0 and library.is_file():
+            status, said = _called(words, source.parent)
+            if status == 0 and library.is_file():
                 return
-            lines = [line for line in done.stderr.splitlines() if "error" in line.lower()] or done.stderr.splitlines()
-            complaint = complaint or (lines[0].strip() if lines else f"{self.command[0]}: status {done.returncode}")
+            lines = [line for line in said.splitlines() if "error" in line.lower()] or said.splitlines()
+            complaint = complaint or (lines[0].strip() if lines else f"{self.command[0]}: status {status}")
         raise CompileFailed(complaint)
+
+
+def _called(words: Sequence[str], folder: Path) -> tuple[int, str]:
+    """A compiler's status and complaints; one that hangs is stopped with all that it has started."""
+    try:
+        process = subprocess.Popen(
+            words,
+            cwd=folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+    except OSError as error:
+        raise CompileFailed(f"{words[0]}: {error.strerror}") from None
+    with process:
+        try:
+            _, said = process.communicate(timeout=LIMIT)
+        except BaseException as error:  # Ctrl-C, too
+            with suppress(OSError, AttributeError):  # Windows has no process groups
+                os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise CompileFailed(f"{words[0]} took more than {LIMIT:g} s, and was stopped") from None
+            raise
+    return process.returncode, said
 
 
 def wanted_compiler() -> list[str]:

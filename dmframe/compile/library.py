@@ -6,17 +6,18 @@ import ctypes
 import shutil
 import tempfile
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, final
 
-from dmframe.compile.cache import CompileFailed, built, cache_folder, find, key_of, make
+from dmframe.compile.cache import CompileFailed, Works, built, cache_folder, find, key_of, make, prepare
 from dmframe.compile.compiler import Compiler, find_compiler, wanted_compiler
 
 NONE = (
     "no C compiler was found ($CC, cc, gcc, clang, or the package ziglang): the run is interpreted, with the same "
     "numbers to rounding, some thirty times slower"
 )
+UNAVAILABLE = "the compiled engine is not available: {}; the run is interpreted, some thirty times slower"
 
 
 @final
@@ -28,8 +29,8 @@ class Loaded:
     notice: str | None = None
 
 
-def load(source: str) -> Loaded:
-    """The library of a C source: from the cache, or compiled now.
+def load(source: str, works: Works = lambda _: True) -> Loaded:
+    """The library of a C source: from the cache, or compiled now; then `works` is asked of it before it is loaded.
 
     Raises `ValueFault` where an environment variable, ``$CC`` or ``$DMFRAME_CACHE``, cannot be meant.
     """
@@ -37,9 +38,9 @@ def load(source: str) -> Loaded:
     if compiler is None:
         return Loaded(None, NONE)
     try:
-        loaded = _loaded(source, compiler, cache_folder())
+        loaded = _loaded(source, compiler, cache_folder(), works)
     except OSError as error:
-        loaded = _without_cache(source, compiler, "", error)
+        loaded = _without_cache(source, compiler, "", error, works)
     wanted = wanted_compiler()
     if wanted and shutil.which(wanted[0]) is None:
         told = f"$CC, {wanted[0]}, was not found: compiled by {compiler.command[0]}"
@@ -60,16 +61,30 @@ def _told() -> set[str]:
     return set()
 
 
-@lru_cache(maxsize=32)
-def _loaded(source: str, compiler: Compiler, folder: Path) -> Loaded:
+_kept: dict[tuple[str, Compiler, Path], Loaded] = {}
+"""Libraries of this process."""
+
+
+def _loaded(source: str, compiler: Compiler, folder: Path, works: Works) -> Loaded:
+    known = (source, compiler, folder)
+    if known not in _kept:
+        _kept[known] = _found(source, compiler, folder, works)
+    return _kept[known]
+
+
+def _found(source: str, compiler: Compiler, folder: Path, works: Works) -> Loaded:
     key = key_of(source, compiler)
-    entry = find(folder, key)
-    if entry is not None and (library := _opened(entry)) is not None:
-        return Loaded(library)
     try:
-        return Loaded(_opened(make(folder, key, source, compiler)))
-    except (OSError, CompileFailed) as error:
-        return _without_cache(source, compiler, f" {folder}", error)
+        prepare(folder)
+        entry = find(folder, key)
+        if entry is not None and (library := _opened(entry)) is not None:
+            return Loaded(library)
+        library = _opened(make(folder, key, source, compiler, works))
+    except CompileFailed as error:
+        return Loaded(None, UNAVAILABLE.format(error))
+    except OSError as error:
+        return _without_cache(source, compiler, f" {folder}", error, works)
+    return Loaded(library, None if library is not None else UNAVAILABLE.format("its library cannot be loaded"))
 
 
 def _opened(entry: Path) -> ctypes.CDLL | None:
@@ -81,15 +96,13 @@ def _opened(entry: Path) -> ctypes.CDLL | None:
         return None
 
 
-def _without_cache(source: str, compiler: Compiler, folder: str, why: Exception) -> Loaded:
+def _without_cache(source: str, compiler: Compiler, folder: str, why: Exception, works: Works) -> Loaded:
     """Compile for this process alone: the system keeps what is loaded, even when its file is gone."""
     try:
         with tempfile.TemporaryDirectory(prefix="dmframe-") as place:
-            library = ctypes.CDLL(str(built(Path(place), source, compiler)))
+            library = ctypes.CDLL(str(built(Path(place), source, compiler, works)))
     except (OSError, CompileFailed) as error:
-        return Loaded(
-            None, f"the compiled engine is not available: {error}; the run is interpreted, some thirty times slower"
-        )
+        return Loaded(None, UNAVAILABLE.format(error))
     reason = getattr(why, "strerror", None) or str(why)
     return Loaded(library, f"the cache{folder} cannot be used ({str(reason).lower()}): compiled for this process alone")
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Experiment:
     """A graph file that has been read and checked, with its blocks made.
 
@@ -169,6 +169,9 @@ class Experiment:
         file = self.file.model_copy(update={"duration": duration})
         return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
 
+    def __repr__(self) -> str:
+        return f"<Experiment {self.name}>"
+
 
 KEYS: Final = tuple(GraphFile.model_fields)
 
@@ -182,7 +185,7 @@ def placed(error: DmframeError, document: Document) -> DmframeError:
     One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
     which overrides changed it.
     """
-    faults = error.faults if isinstance(error, Faults) else (error,)
+    faults = error.faults
     for fault in faults:
         fault.location = fault.location or _location(fault, document)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
@@ -303,7 +306,7 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
             try:
                 made[name] = _block(path, spec, base)
             except DmframeError as error:
-                for fault in error.faults if isinstance(error, Faults) else (error,):
+                for fault in error.faults:
                     faults.append(fault)
     if isinstance(section, dict) and not section:
         faults.append(MissingError(f"{key}: expected at least one block, found none", path=(key,)))
@@ -321,7 +324,7 @@ def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> Abstra
     try:
         return kind(**values)
     except DmframeError as error:
-        for fault in error.faults if isinstance(error, Faults) else (error,):
+        for fault in error.faults:
             fault.path = (*path, *fault.path)
             fault.text = where + fault.text.removeprefix(type_name(kind))
         raise
@@ -358,7 +361,7 @@ def _robot(section: RobotSection | None, base: Path, faults: list[DmframeError])
             friction_velocity=section.friction_velocity,
         )
     except DmframeError as error:
-        for fault in error.faults if isinstance(error, Faults) else (error,):
+        for fault in error.faults:
             fault.path = fault.path or ("robot", "model")
             faults.append(fault)
         return None

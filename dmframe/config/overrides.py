@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from dmframe.config.document import Document, Node, mapping_of, node_of, read_document, visible
-from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
@@ -92,7 +92,7 @@ def _read(written: str, said: str) -> Node:
     try:
         return read_document(f"value: {written}\n", "").root
     except DmframeError as error:
-        reason = (error.faults if isinstance(error, Faults) else (error,))[0].text
+        reason = error.faults[0].text
         raise ValueFault(f"{said}: {reason.removeprefix('value: ')}") from None
 
 

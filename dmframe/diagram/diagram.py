@@ -20,7 +20,7 @@ from dmframe.port import Port
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Diagram:
     """Checked and wired blocks with their closed loop.
 
@@ -112,6 +112,9 @@ class Diagram:
     def type_of(self, name: str) -> str:
         """The type of a block, as graph files write it."""
         return type_name(type(self.blocks[name]))
+
+    def __repr__(self) -> str:
+        return f"<Diagram of {len(self.blocks)} blocks: {', '.join(self.blocks)}>"
 
 
 def _contracts(blocks: Mapping[str, AbstractBlock]) -> list[DmframeError]:

@@ -11,7 +11,7 @@ from dmframe.block.sizes import parameter_arrays
 from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
-from dmframe.errors import DmframeError, Faults, ShapeError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.parameter import specs
 
 
@@ -41,7 +41,7 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
             kept = {key: value for key, value in blocks[name].model_dump().items() if value is not None}
             blocks[name] = kind(**{**kept, **changed})
         except DmframeError as error:
-            faults += error.faults if isinstance(error, Faults) else (error,)
+            faults += error.faults
             continue
         arrays, wrong = parameter_arrays(name, blocks[name], diagram.sizes, blocks, diagram.robot)
         faults += wrong

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
 from dmframe.config import Experiment
-from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
 from dmframe.results.run import HEADS, NOTE, Run, ended, row, table_of
@@ -188,7 +188,7 @@ def variants(base: Graph, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
         try:
             made.append(base.set(dict(zip(tried, combination, strict=True))))
         except DmframeError as error:
-            faults += error.faults if isinstance(error, Faults) else (error,)
+            faults += error.faults
     raise_all(faults)
     return made
 

@@ -12,6 +12,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe import notebook
 from dmframe.errors import ValueFault
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
 from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model
@@ -43,7 +44,7 @@ class Joint:
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SerialChain:
     """A robot whose free joints form one chain; held joints are merged into the links before them.
 
@@ -73,6 +74,22 @@ class SerialChain:
     friction_velocity: float
     model: Any = field(compare=False, repr=False)
     model_tool: int = field(compare=False, repr=False)
+
+    def __repr__(self) -> str:
+        return f"<SerialChain {self.name}: {self.n} joints, {', '.join(self.joint_names)}>"
+
+    def _repr_html_(self) -> str:
+        """For a notebook: the joints with their limits."""
+        rows = [
+            (
+                joint.name,
+                joint.kind,
+                *(f"{value:.4g}" for value in (joint.lower, joint.upper, joint.velocity, joint.effort)),
+            )
+            for joint in self.joints
+        ]
+        heads = ("joint", "kind", "lower", "upper", "velocity", "effort")
+        return notebook.heading(self.name, f"task coordinates {self.axes}") + notebook.table(rows, heads)
 
     @property
     def n(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Literal, Protocol, final, get_args
 
 import casadi as ca
@@ -12,6 +13,7 @@ import numpy as np
 
 from dmframe.compile import first_time, load, loop_source
 from dmframe.compile.library import address
+from dmframe.compile.trial import called
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.step import Solver, Step
 
@@ -88,7 +90,7 @@ def _work(step: Step) -> int:
 
 def _compiled(step: Step) -> tuple[Any, str | None]:
     try:
-        loaded = load(loop_source(step.parts))
+        loaded = load(loop_source(step.parts), lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:
@@ -96,6 +98,35 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
     run = loaded.library.dm_run
     run.restype = ctypes.c_int64
     return run, loaded.notice
+
+
+def _works(library: Path, step: Step) -> bool:
+    """Does a new library give the interpreter's numbers, over one tick from a state that means nothing?"""
+    parts = step.parts
+    rng = np.random.default_rng(0)
+    state, p = (rng.uniform(0.5, 1.5, parts.control.numel_in(place)) for place in (0, 2))
+    period = float(step.period) * 1e-3  # so short that nothing blows up
+    count = parts.outputs.numel_out(0)
+    kept = (state.size + np.arange(count)).tolist()
+    found = called(
+        library,
+        "dm_run",
+        [
+            {"doubles": state.tolist()},
+            {"doubles": p.tolist()},
+            {"double": period},
+            *({"integer": value} for value in (1, 0, 1, 1)),
+            {"integers": kept},
+            {"integer": count},
+            {"doubles": [0.0] * count},
+        ],
+    )
+    if found is None:
+        return False
+    told = step.with_period(period).tick(state, 0, p)
+    after, recorded = (np.array(array) for array in (found[0][: state.size], found[2][:count]))
+    pairs = ((after, told[0]), (recorded, told[1]))
+    return all(np.allclose(mine, theirs.full().ravel(), rtol=1e-6, atol=1e-9, equal_nan=True) for mine, theirs in pairs)
 
 
 @final

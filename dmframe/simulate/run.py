@@ -17,7 +17,7 @@ import numpy as np
 from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
-from dmframe.errors import DmframeError, EngineError, Faults, ValueFault, raise_all
+from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
 from dmframe.simulate.bounds import Divergence, beyond
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
@@ -43,7 +43,7 @@ Progress = Callable[[float], None]
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """What a simulation recorded, up to its end or to where it diverged or was stopped.
 
@@ -78,6 +78,9 @@ class Recording:
 
     def __getitem__(self, label: str) -> np.ndarray:
         return self.outputs[label] if label in self.outputs else self.states[label]
+
+    def __repr__(self) -> str:
+        return f"<Recording of {len(self.states) + len(self.outputs)} signals, {self.time.size} instants>"
 
 
 def simulate(
@@ -283,7 +286,7 @@ def check_run(
         try:
             ask()
         except DmframeError as error:
-            faults += error.faults if isinstance(error, Faults) else (error,)
+            faults += error.faults
     raise_all(faults)
 
 

@@ -110,6 +110,10 @@ class Step:
         parts, (state, t, p) = self.parts, _columns_of(self.parts)
         return ca.Function("recorded", [state, t, p], [parts.outputs(state, parts.trajectory(t, p), p)])
 
+    def with_period(self, period: float) -> Step:
+        """The same with another period [s], in one step of the integrator."""
+        return replace(self, period=period, substeps=1, solver=Solver(step=period))
+
     def recording(self, rows: np.ndarray) -> Step:
         """The same, but of the recorded outputs only some."""
         state, _, p = (ca.SX.sym("of", symbol.shape) for symbol in _columns_of(self.parts))

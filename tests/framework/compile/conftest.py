@@ -24,7 +24,7 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def forget() -> None:
     """What a new process would not know."""
-    library._loaded.cache_clear()
+    library._kept.clear()
     library._told.cache_clear()
 
 

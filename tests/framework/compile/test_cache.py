@@ -29,7 +29,7 @@ needs_permissions = pytest.mark.skipif(
 
 def forget() -> None:
     """What a new process would not know."""
-    library._loaded.cache_clear()
+    library._kept.clear()
     library._told.cache_clear()
 
 

@@ -367,7 +367,7 @@ def test_the_reference_acceleration_of_the_ur10_is_the_derivative_of_its_referen
 
 def test_a_derivative_that_needs_an_unmeasured_rate_is_refused() -> None:
     found = fault({"wave": Wave(), "law": Law(), "cart": BlindCart(), "watch": Watch()})
-    faults = found.faults if isinstance(found, Faults) else (found,)
+    faults = found.faults
     assert all(isinstance(item, DerivativeError) for item in faults)
     assert "needs the rate of cart.y, which is neither measured nor computed by any block" in str(found)
 

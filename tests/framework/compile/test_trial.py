@@ -1,0 +1,88 @@
+"""A compiler that ends well and leaves a library that does not work: seen before anything is loaded or kept."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dmframe.compile import compiler as compilers
+from dmframe.compile.trial import called
+from dmframe.simulate import Recording
+
+Runner = Callable[..., Recording]
+
+
+def compiler(path: Path, text: str) -> str:
+    path.write_text(f"#!/bin/sh\n{text}\n", encoding="utf-8")
+    path.chmod(0o755)
+    return str(path)
+
+
+LATER = 'for a in "$@"; do case "$a" in *.so) {};; esac; done'
+FAULTS = {
+    "cut off": 'cc "$@" || exit 1; ' + LATER.format('head -c 9000 "$a" > part; mv part "$a"'),
+    "a text": LATER.format('echo "no library" > "$a"'),
+    "empty": LATER.format(': > "$a"'),
+    "without the function": 'echo "int x;" > other.c; cc -shared -fPIC other.c -o loop.so',
+    "crashes": "sed -i 's/dm_constants(p, k.c);/*(volatile int *)0 = 0;/' loop.c; cc \"$@\"",
+    "wrong by a seventh": "sed -i 's/h \\/ 6/h \\/ 7/' loop.c; cc \"$@\"",
+    "logs another column": "sed -i 's/row\\[j\\] = /row[columns - 1 - j] = /' loop.c; cc \"$@\"",
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_library_that_does_not_work_is_neither_loaded_nor_kept(
+    fault: str, cache: Path, pendulum: Runner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", compiler(tmp_path / "badcc", FAULTS[fault]))
+    run = pendulum()
+    assert run.engine == "interpreted"
+    (notice,) = run.notices
+    assert notice.startswith("the compiled engine is not available: ")
+    assert "badcc made a library that does not work" in notice
+    assert list(cache.iterdir()) == []
+    monkeypatch.delenv("CC")
+    np.testing.assert_allclose(run["arm.q"], pendulum()["arm.q"], rtol=1e-9)
+
+
+def test_a_sound_library_is_asked_once_and_kept(cache: Path, pendulum: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[Path]()
+
+    def counted(library: Path, *words: object) -> object:
+        asked.append(library)
+        return called(library, *words)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("dmframe.simulate.engine.called", counted)
+    assert [pendulum().engine, pendulum().engine] == ["compiled", "compiled"]
+    assert len(asked) == 1
+    assert len(list(cache.iterdir())) == 1
+
+
+def test_a_compiler_that_hangs_is_stopped_with_what_it_has_started(
+    cache: Path, pendulum: Runner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    monkeypatch.setenv("CC", compiler(tmp_path / "cc", f"sleep 1000 > {pipe} & wait"))
+    monkeypatch.setattr(compilers, "LIMIT", 0.5)
+    run = pendulum()
+    assert run.engine == "interpreted"
+    assert "took more than 0.5 s, and was stopped" in run.notices[0]
+    os.set_blocking(reader, True)
+    assert os.read(reader, 1) == b""  # its child, which held the other end, has ended
+    os.close(reader)
+
+
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="no users there")
+def test_a_folder_in_which_others_may_write_is_no_cache(cache: Path, pendulum: Runner) -> None:
+    cache.mkdir()
+    cache.chmod(0o777)
+    run = pendulum()
+    assert run.engine == "compiled"
+    assert f"the cache {cache} cannot be used (others may write there)" in run.notices[0]
+    assert list(cache.iterdir()) == []
