@@ -20,6 +20,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeGuard
 
+from dmframe import trust
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, MissingError, UnknownNameError
 from dmframe.files import is_file, reason
@@ -77,6 +78,8 @@ def find_block(name: str, base: Path | None = None, where: str = "type") -> type
     """The block of a type, or of ``file.py:Class`` beside the graph (`base` is the graph's folder)."""
     file, colon, class_name = name.rpartition(":")
     if colon and file.endswith(".py"):
+        if Path(file).is_absolute() or ".." in Path(file).parts:
+            raise BlockError(f"{where}: expected a file in the graph's folder or below it, found {file}")
         return _from_file((base or Path()) / file, class_name, where)
     if name.endswith(".py"):
         raise BlockError(f"{where}: expected {name}:MyBlock, a file and a class in it, found the file alone")
@@ -118,6 +121,7 @@ def _load(path: Path, where: str) -> ModuleType:
         raise MissingError(f"{where}: the file {path} does not exist; it is looked for beside the graph") from None
     except OSError as error:
         raise BlockError(f"{where}: {path} cannot be read: {reason(error)}") from None
+    trust.check(path, where)
     digest = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"dmframe_file_{path.stem}_{digest}"
     if name in sys.modules:

@@ -64,6 +64,10 @@ Overrides = Annotated[
 ]
 SCHEMA = "dmframe.schema.json"
 """Beside a new graph; the editors' YAML server finds it by the graph's first line."""
+Trust = Annotated[
+    bool,
+    typer.Option("--trust", help="Run the code of blocks in the graph's folder, though others may have written it."),
+]
 HORIZON, TUBE = "20", "0.05 rad"
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 
@@ -122,11 +126,11 @@ def new(
 
 
 @app.command()
-def check(graph: OneGraph, overrides: Overrides = []) -> None:  # noqa: B006 - typer reads it, nobody changes it
+def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> None:  # noqa: B006 - typer reads it, nobody changes it
     """Build a graph and print its blocks, wires, shapes, units and clock."""
     from dmframe.cli.graphs import one_graph
 
-    loaded = one_graph(graph, overrides)
+    loaded = one_graph(graph, overrides, trust=trust)
     loaded.experiment.intervals(loaded.diagram)
     tell(str(loaded))
 
@@ -144,6 +148,7 @@ def run(
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
     as_json: AsJson = False,
+    trust: Trust = False,
 ) -> int:
     """Simulate graphs and write signals, figures and a summary; several are overlaid.
 
@@ -153,7 +158,7 @@ def run(
     from dmframe.cli.run import run_graphs
 
     return run_graphs(
-        graphs_of(graph, overrides),
+        graphs_of(graph, overrides, trust=trust),
         until=until,
         out=out,
         engine=engine,
@@ -171,6 +176,7 @@ def verify(
     report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report: .html, .md or .json.")] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Of the random points and primes.")] = "0",
     as_json: AsJson = False,
+    trust: Trust = False,
 ) -> int:
     """Prove dV/dt of graphs exactly, for all gains and parameters, and check the conditions."""
     from dmframe.cli.graphs import graphs_of
@@ -178,7 +184,7 @@ def verify(
     from dmframe.cli.verify import verify_graphs
 
     replay = ["dmframe", "verify", *graph, *(word for text in overrides for word in ("--set", text))]
-    found = graphs_of(graph, overrides)
+    found = graphs_of(graph, overrides, trust=trust)
     return verify_graphs(found, report=report, replay=replay, seed=whole("--seed", seed), as_json=as_json)
 
 
@@ -219,6 +225,7 @@ def analyse(
         ),
     ] = None,
     as_json: AsJson = False,
+    trust: Trust = False,
 ) -> int:
     """Linearise a graph: margins and passivity of the servo, poles, the largest stable sampling period."""
     from dmframe.cli.graphs import one_graph
@@ -235,12 +242,16 @@ def analyse(
         if boxes is not None:
             options["boxes"] = whole("--boxes", boxes)
         options["tube"] = quantity("--tube", tube or TUBE, "rad")
-        return rank_of(one_graph(graph, overrides), as_json=as_json, **options)
+        return rank_of(one_graph(graph, overrides, trust=trust), as_json=as_json, **options)
     from dmframe.cli.analyse import analyse_graph
 
     given = {"tube": tube, "least": least, **words, "boxes": boxes}
     refuse({f"--{key}": value for key, value in given.items()}, "it does nothing without --rank; add that")
-    analyse_graph(one_graph(graph, overrides), horizon=quantity("--horizon", horizon or HORIZON, "s"), as_json=as_json)
+    analyse_graph(
+        one_graph(graph, overrides, trust=trust),
+        horizon=quantity("--horizon", horizon or HORIZON, "s"),
+        as_json=as_json,
+    )
     return 0
 
 
@@ -252,6 +263,7 @@ def draw(
         typer.Option("-o", "--out", metavar="FILE", help=".svg, .png, .pdf, .mmd; Mermaid text without it."),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
+    trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
     from dmframe.cli.graphs import one_graph
@@ -260,7 +272,7 @@ def draw(
     if out is not None:
         check_ending(out)
         check_place(out)
-    drawing = one_graph(graph, overrides).draw()
+    drawing = one_graph(graph, overrides, trust=trust).draw()
     if out is None:
         tell(drawing.mermaid.rstrip())
         return

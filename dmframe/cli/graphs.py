@@ -11,17 +11,25 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from dmframe.catalogue import find_graph
 from dmframe.config import load_experiment
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
+from dmframe.trust import remember
 
 _FREE = ("title",)
 """Keys whose text may hold commas."""
 _NESTED = re.compile(r"""("(?:\\.|[^"])*"|'(?:''|[^'])*'|[\[\](){}]|,)""")
 
 
-def graphs_of(names: Sequence[str], overrides: Sequence[str]) -> list[Graph]:
-    """A graph for each name and each combination of swept values. Raises what `load_experiment` does."""
+def graphs_of(names: Sequence[str], overrides: Sequence[str], *, trust: bool = False) -> list[Graph]:
+    """A graph for each name and each combination of swept values. Raises what `load_experiment` does.
+
+    With `trust`, the code of blocks that lie in a graph's folder is run from now on, whoever wrote it.
+    """
+    if trust:
+        for name in names:
+            remember(find_graph(name).parent)
     mine = {place: list[str]() for place in range(len(names))}
     for text in overrides:
         places, rest = _addressed(text, names)
@@ -34,9 +42,9 @@ def graphs_of(names: Sequence[str], overrides: Sequence[str]) -> list[Graph]:
     ]
 
 
-def one_graph(name: str, overrides: Sequence[str]) -> Graph:
+def one_graph(name: str, overrides: Sequence[str], *, trust: bool = False) -> Graph:
     """The one graph of a command that takes one."""
-    found = graphs_of([name], overrides)
+    found = graphs_of([name], overrides, trust=trust)
     if len(found) > 1:
         raise ValueFault(f"--set: several values make {len(found)} graphs, expected one; `dmframe run` takes several")
     return found[0]

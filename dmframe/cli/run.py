@@ -56,13 +56,14 @@ def run_graphs(
         if not found:
             return STOPPED
         runs = labelled(found)
-        with held_off() as signals:
-            summaries = write_data(place, runs)
+        with ExitStack() as last:
+            if not as_json:
+                last.callback(tell, str(runs))  # where the data cannot be written, too
+            with held_off() as signals:
+                summaries = write_data(place, runs)
         try:  # printing may fail, and figures are drawn all the same
-            if as_json:
-                tell(json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2))
-            else:
-                tell(f"{runs}\nresults: {place.path}")
+            told = summaries[0] if len(graphs) == 1 else summaries
+            tell(json.dumps(told, indent=2) if as_json else f"results: {place.path}")
         finally:
             if plots and not signals:
                 _say("drawing the figures", as_json)

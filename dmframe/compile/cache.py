@@ -12,13 +12,14 @@ import contextlib
 import hashlib
 import os
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
+
+import platformdirs
 
 from dmframe.compile.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
 from dmframe.errors import ValueFault
@@ -48,21 +49,19 @@ def cache_folder() -> Path:
         It names none, and this user has no home.
     """
     named = os.environ.get(VARIABLE)
+    if not named:
+        try:
+            usual = Path(platformdirs.user_cache_dir("dmframe", appauthor=False))
+        except RuntimeError:
+            usual = Path()
+        if not usual.is_absolute():  # some versions leave a ~ in it
+            raise OSError("this user has no home")
+        return usual
     try:
-        return Path(named).expanduser().absolute() if named else _usual_folder()
+        return Path(named).expanduser().absolute()
     except RuntimeError:
-        if not named:
-            raise OSError("this user has no home") from None
         text = "expected a folder, found the home of an unknown user"
         raise ValueFault(text, location=f"{VARIABLE}={named}") from None
-
-
-def _usual_folder() -> Path:
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local") / "dmframe" / "cache"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "dmframe"
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "dmframe"
 
 
 def key_of(source: str, compiler: Compiler) -> str:

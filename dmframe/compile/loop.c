@@ -34,10 +34,10 @@ static void dm_log(const double *state, const dm_work *k, const int64_t *kept, i
 }
 
 /* Ticks first to first + ticks - 1. Of every `every`th one, at its start, the `kept` numbers of (state, outputs) go to a
-   row of `log`. Returns how many ticks ended with a finite state; the state is left where the last one led. With no
-   ticks at all, the row of `first` is written. */
+   row of `log`. Returns how many ticks ended with a state within `bounds`; it is left where the last one led. With no ticks
+   at all, the row of `first` is written. */
 DM_EXPORT int64_t dm_run(double *state, const double *p, double period, int64_t substeps, int64_t first, int64_t ticks,
-                         int64_t every, const int64_t *kept, int64_t columns, double *log) {
+                         int64_t every, const int64_t *kept, int64_t columns, double *log, const double *bounds) {
   dm_work k;
   dm_constants(p, k.c);
   if (ticks == 0) {
@@ -57,9 +57,9 @@ DM_EXPORT int64_t dm_run(double *state, const double *p, double period, int64_t 
     for (int i = 0; i < DM_Z; i++) state[i] += period * k.z[i];
     dm_integrate(state + DM_Z, t, period / (double)substeps, substeps, p, &k);
     dm_clip(state, p, k.c, state);
-    int finite = 1;
-    for (int i = 0; i < DM_Z + DM_X; i++) finite &= fabs(state[i]) <= DBL_MAX;
-    if (!finite) return n;
+    int sound = 1;
+    for (int i = 0; i < DM_Z + DM_X; i++) sound &= fabs(state[i]) <= bounds[i];
+    if (!sound) return n;
   }
   return ticks;
 }

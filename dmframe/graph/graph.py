@@ -238,7 +238,7 @@ class Graph:
         )
 
 
-def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "") -> Graph:
+def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trust: bool = False) -> Graph:
     """A graph from its name, a path, a text or data.
 
     Parameters
@@ -248,6 +248,8 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "") -> G
         dictionary as the file would hold it; a `Graph` is returned as it is.
     name
         What a graph from a text or a dictionary is called.
+    trust
+        Run the code of blocks that lie in the graph's folder from now on, whoever wrote it; see the notes.
 
     Raises
     ------
@@ -256,8 +258,16 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "") -> G
 
     Notes
     -----
-    A block type ``my_file.py:MyBlock`` runs that file.
+    A block type ``my_file.py:MyBlock`` runs that file as a part of your program. One that others may have written, as
+    it
+    belongs to another user, or all may write to it, or it was downloaded, is run in trusted folders alone.
     """
+    if trust:
+        from dmframe.catalogue import find_graph
+        from dmframe.trust import remember
+
+        named = isinstance(source, Path) or (isinstance(source, str) and "\n" not in source)
+        remember(find_graph(str(source)).parent if named else Path())
     if isinstance(source, Graph):
         return source
     if isinstance(source, Mapping):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, final
 
 import numpy as np
 
 from dmframe.diagram import Diagram, Variable
-from dmframe.diagram.closed_loop import Signal
+from dmframe.errors import EngineError
 from dmframe.port import Side
 from dmframe.units import plain
 
@@ -35,36 +34,38 @@ class Divergence:
         return f"{self.block}.{self.state}[{self.element}] {self.how} at t = {self.time:.6g} s"
 
 
-def beyond(
-    diagram: Diagram, columns: Sequence[tuple[Variable | Signal, slice]], rows: np.ndarray, apart: float
-) -> Divergence | None:
-    """The first instant, of those kept `apart` [s], at which a state is larger than any of a robot's; None if none is.
+def bounds_of(diagram: Diagram) -> np.ndarray:
+    """How large each state may get, the controller's first, as one column.
 
-    Joint velocities are held to `TIMES` the limits that the robot's file states, all states to `LARGEST`.
+    A joint's velocity: `TIMES` the limit that the robot's file states. Any other state: `LARGEST`.
     """
-    found: Divergence | None = None
-    for item, part in columns:
-        if not isinstance(item, Variable):
-            continue
-        bounds = _bounds(diagram, item, part.stop - part.start)
-        values = np.abs(rows[:, part])
-        if not values.size or not (values.max(axis=0) > bounds).any():
-            continue
-        wild = values > bounds
-        row = int(np.argmax(wild.any(axis=1)))
-        element = int(np.argmax(wild[row]))
-        if found is None or row * apart < found.time:
-            most = plain(float(bounds[element]), item.unit)
-            what = f"is beyond {most}" + (f", {TIMES:g} times the joint's limit," if bounds[element] < LARGEST else "")
-            found = Divergence(item.block, item.name, element, row * apart, what)
-    return found
+    loop, robot = diagram.loop, diagram.robot
+    parts = [np.zeros(0)]
+    for variable in (*loop.controller, *loop.plant):
+        bounds = np.full(variable.symbol.numel(), LARGEST)
+        plant = diagram.blocks[variable.block].side is Side.PLANT
+        if robot is not None and plant and variable.unit == "rad/s" and variable.shape == "n":
+            limits = [TIMES * joint.velocity for joint in robot.joints]
+            bounds = np.array([limit if math.isfinite(limit) and limit > 0 else LARGEST for limit in limits])
+        parts.append(bounds)
+    return np.concatenate(parts)
 
 
-def _bounds(diagram: Diagram, variable: Variable, size: int) -> np.ndarray:
-    """How large each element may get."""
-    bounds = np.full(size, LARGEST)
-    robot, side = diagram.robot, diagram.blocks[variable.block].side
-    if robot is not None and side is Side.PLANT and variable.unit == "rad/s" and variable.shape == "n":
-        limits = [TIMES * joint.velocity for joint in robot.joints]
-        bounds = np.array([limit if math.isfinite(limit) and limit > 0 else LARGEST for limit in limits])
-    return bounds
+def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float) -> Divergence:
+    """Which state of those after a tick has left its bound; a number that is not finite goes before others."""
+    wild = np.flatnonzero(~np.isfinite(state))
+    row = int((wild if wild.size else np.flatnonzero(np.abs(state) > bounds))[0])
+    first = 0
+    for variable in (*diagram.loop.controller, *diagram.loop.plant):
+        size = variable.symbol.numel()
+        if row < first + size:
+            return Divergence(variable.block, variable.name, row - first, time, _how(bounds[row], variable, wild.size))
+        first += size
+    raise EngineError("a state outside the diagram diverged")
+
+
+def _how(bound: float, variable: Variable, infinite: int) -> str:
+    if infinite:
+        return Divergence.how
+    limit = f", {TIMES:g} times the joint's limit," if bound < LARGEST else ""
+    return f"is beyond {plain(float(bound), variable.unit)}{limit}"

@@ -52,7 +52,7 @@ class Engine(Protocol):
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         """Advance `state` in place by `ticks` ticks, and write what is kept to `rows`.
 
-        Returns how many ticks ended with a finite state: the next one's state is left where that is fewer. Of no
+        Returns how many ticks ended with a state within bounds: the next one's is left where that is fewer. Of no
         ticks at all, the one row of `first` is written.
         """
 
@@ -119,6 +119,7 @@ def _works(library: Path, step: Step) -> bool:
             {"integers": kept},
             {"integer": count},
             {"doubles": [0.0] * count},
+            {"doubles": [1e300] * state.size},
         ],
     )
     if found is None:
@@ -157,6 +158,7 @@ class Compiled:
                 address(self.kept),
                 whole(self.kept.size),
                 address(rows),
+                address(self.step.bounds),
             )
         )
 
@@ -224,8 +226,9 @@ class Interpreted:
             state[:] = states[-1]
             raise Stuck(len(states) - 1, str(error).strip().splitlines()[-1]) from None
         done = ticks
-        if not np.all(np.isfinite(states)):
-            done = int(np.argmin(np.all(np.isfinite(states), axis=1))) - 1
+        sound = np.all(np.abs(states[1:]) <= self.step.bounds, axis=1)  # false for nan, too
+        if not np.all(sound):
+            done = int(np.argmin(sound))
         count = max(1, min(ticks, done + 1))
         self._keep(states, recorded[:count], first, rows)
         state[:] = states[min(done + 1, ticks)]

@@ -18,7 +18,7 @@ from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
-from dmframe.simulate.bounds import Divergence, beyond
+from dmframe.simulate.bounds import Divergence, beyond, bounds_of
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
@@ -158,7 +158,7 @@ class Prepared:
         else:
             solver = replace(self.solver, step=h)
             told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
-        step = build_step(diagram.loop, self.clock, solver, self.recorded)
+        step = build_step(diagram.loop, self.clock, solver, self.recorded, self.step.bounds)
         return Prepared(
             self.clock, solver, step, self.ticks, self.matrices, self.keeping, self.recorded, self.starts, (told,)
         )
@@ -198,12 +198,7 @@ class Prepared:
         wall: float,
         stiff: tuple[str, ...],
     ) -> Recording:
-        apart = self.keeping.every * self.step.period
-        wild = beyond(diagram, self.keeping.columns, rows, apart)
-        if wild is not None:
-            divergence = wild
-            rows = rows[: max(1, round(wild.time / apart))]
-        times = np.arange(len(rows)) * apart
+        times = np.arange(len(rows)) * self.keeping.every * self.step.period
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
         for matrix in self.matrices:
@@ -235,7 +230,7 @@ def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: S
     """Check what is asked, and build the functions of a tick."""
     ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
     recorded = stack(signal.expression for signal in (*outputs, *matrices))
-    step = build_step(diagram.loop, clock, solver, recorded)
+    step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram))
     kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
     return Prepared(clock, solver, step, ticks, matrices, kept, recorded)
 
@@ -307,7 +302,7 @@ class End(Enum):
     """How the march through the ticks ended."""
 
     DONE = "done"
-    DIVERGED = "left the finite numbers"
+    DIVERGED = "left its bounds"
     STOPPED = "stopped by Ctrl-C"
     FAILED = "the integrator failed"
 
@@ -362,15 +357,13 @@ def _divergence(
     diagram: Diagram, step: Step, end: End, done: int, state: np.ndarray, p: np.ndarray
 ) -> Divergence | None:
     if end is End.DIVERGED:
-        row, moment, how = int(np.flatnonzero(~np.isfinite(state))[0]), (done + 1) * step.period, Divergence.how
-    elif end is End.FAILED:
-        moment = done * step.period
-        row, how = _fastest(step, state, moment, p), "moves too fast for the integrator"
-    else:
+        return beyond(diagram, state, step.bounds, (done + 1) * step.period)
+    if end is not End.FAILED:
         return None
+    moment, row = done * step.period, _fastest(step, state, done * step.period, p)
     for variable in (*diagram.loop.controller, *diagram.loop.plant):
         if row < variable.symbol.numel():
-            return Divergence(variable.block, variable.name, row, moment, how)
+            return Divergence(variable.block, variable.name, row, moment, "moves too fast for the integrator")
         row -= variable.symbol.numel()
     raise EngineError("a state outside the diagram diverged")
 

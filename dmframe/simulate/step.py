@@ -91,6 +91,8 @@ class Step:
         T [s].
     substeps
         Integrator steps in a tick.
+    bounds
+        How large each state may get; beyond it the run has blown up.
     """
 
     parts: Parts
@@ -98,6 +100,7 @@ class Step:
     solver: Solver
     period: float
     substeps: int
+    bounds: np.ndarray
 
     @cached_property
     def tick(self) -> Any:
@@ -122,15 +125,21 @@ class Step:
         return replace(self, parts=replace(self.parts, outputs=some))
 
 
-def build_step(loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX) -> Step:
-    """The tick of a closed loop on a clock, or in continuous time where `clock` is None."""
+def build_step(
+    loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX, bounds: np.ndarray | None = None
+) -> Step:
+    """The tick of a closed loop on a clock, or in continuous time where `clock` is None.
+
+    Without `bounds`, a state may be any finite number.
+    """
     period = clock if clock is not None else solver.output
     substeps = substeps_of(clock, solver)
     parts = build_parts(loop, clock, recorded)
     measured = _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
     state, t, p = _columns_of(parts)
     rate = ca.Function("rate", [state, t, p], [measured(state, parts.trajectory(t, p), p)])
-    return Step(parts, rate, solver, period, substeps)
+    most = np.full(loop.state.numel(), np.finfo(float).max) if bounds is None else bounds
+    return Step(parts, rate, solver, period, substeps, most)
 
 
 def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:

@@ -61,12 +61,14 @@ def test_graphs_lists_every_packaged_graph_with_its_title(dmframe: Any) -> None:
 def test_new_copies_a_graph_letter_by_letter_and_says_what_to_do(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("new", "pendulum", "mine.yaml")
     assert (said.status, said.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")
-    assert tmp_path.joinpath("mine.yaml").read_text() == graphs()["pendulum"].read_text()
+    first, _, rest = tmp_path.joinpath("mine.yaml").read_text().partition("\n")
+    assert first == "# yaml-language-server: $schema=dmframe.schema.json"
+    assert rest == graphs()["pendulum"].read_text()
 
 
 def test_new_names_the_file_after_the_graph(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("new", "pendulum").status == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["pendulum.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dmframe.schema.json", "pendulum.yaml"]
 
 
 def test_new_never_overwrites_a_file(dmframe: Any, tmp_path: Path) -> None:

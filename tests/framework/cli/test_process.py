@@ -158,7 +158,7 @@ def test_names_of_bytes_that_are_no_letters_are_escaped(tmp_path: Path) -> None:
     told = json.loads(tmp_path.joinpath(os.fsdecode(b"o\xff"), "summary.json").read_text(encoding="utf-8"))
     assert (told["graph"], told["out"]) == ("bad\udcff", "o\udcff")
     assert ended(started(("verify", os.fsdecode(graph), "--report", "r.html"), tmp_path))[::2] == (0, "")
-    assert held(tmp_path) == {"r.html", os.fsdecode(b"bad\xff.yaml"), os.fsdecode(b"o\xff")}
+    assert held(tmp_path) == {"r.html", "dmframe.schema.json", os.fsdecode(b"bad\xff.yaml"), os.fsdecode(b"o\xff")}
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

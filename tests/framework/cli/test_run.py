@@ -118,7 +118,9 @@ def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: P
     before = {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()}
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
     assert (said.status, said.out) == (2, "")
-    assert said.err == ("dmframe: mine: expected an empty or a new folder, found one with files; name another folder\n")
+    assert said.err == (
+        "dmframe: mine: expected an empty or a new folder, found one with files; name another folder, or take --force\n"
+    )
     assert {path: path.stat().st_mtime_ns for path in tmp_path.joinpath("mine").iterdir()} == before
 
 

@@ -105,14 +105,14 @@ def test_all_faults_of_several_values_are_told_at_once(pendulum: dm.Graph) -> No
 
 def test_a_run_keeps_the_graphs_clock_solver_start_and_log() -> None:
     graph = dm.load("arm2_joint").set(
-        {"clock": "2 ms", "solver.step": 0.0005, "start": {"q": [0.1, 0.2]}, "log.signals": ["arm.q"], "duration": 0.1}
+        {"clock": "2 ms", "solver.step": 0.0005, "start": {"q": [0.7, 1.0]}, "log.signals": ["arm.q"], "duration": 0.02}
     )
     run, file = graph.run(), graph.experiment.file
     assert (run.recording.clock, run.recording.solver.step) == (0.002, 0.0005)
-    assert run["arm.q"].values[0].tolist() == [0.1, 0.2]
+    assert run["arm.q"].values[0].tolist() == [0.7, 1.0]
     assert "arm.dq" not in run
     by_hand = simulate(
-        graph.diagram, file.duration, clock=file.clock, solver=graph.experiment.solver, start={"q": [0.1, 0.2]}
+        graph.diagram, file.duration, clock=file.clock, solver=graph.experiment.solver, start={"q": [0.7, 1.0]}
     )
     assert np.array_equal(run["arm.q"].values, by_hand["arm.q"])
 

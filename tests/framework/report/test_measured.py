@@ -15,7 +15,7 @@ def test_a_graph_that_cannot_be_simulated_says_why(proved, monkeypatch):
     def refuse(*_, **__):
         raise StartError("start: out of reach")
 
-    monkeypatch.setattr("dmframe.report.measured.simulate", refuse)
+    monkeypatch.setattr("dmframe.config.experiment.simulate", refuse)
     found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.sentence.endswith("The graph could not be simulated: start: out of reach.")
     assert (found.facts, found.figure) == ((), "")
@@ -26,7 +26,7 @@ def test_a_run_that_diverged_is_told_with_its_state(proved, monkeypatch):
     states = {label: rows.copy() for label, rows in run.states.items()}
     states["arm.dq"][-1] = 1e200
     blown = replace(run, states=states, divergence=Divergence("arm", "dq", 0, 0.1))
-    monkeypatch.setattr("dmframe.report.measured.simulate", lambda *_, **__: blown)
+    monkeypatch.setattr("dmframe.config.experiment.simulate", lambda *_, **__: blown)
     with np.errstate(all="ignore"):
         found = measure(proved.experiment, proved.diagram, proved.verdict)
     assert found.facts[0][1].endswith("the run diverged: `arm.dq` is no longer finite")

@@ -192,7 +192,7 @@ def gathered(contents, monkeypatch):
     """Nothing is simulated again; what was asked of `gather` is kept."""
     asked = list[dict[str, object]]()
 
-    def gather(*_, **named):
+    def gather(*_, tell, **named):
         asked.append(named)
         return contents["silent"]
 

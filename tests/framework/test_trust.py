@@ -1,0 +1,115 @@
+"""Whose code a graph may run."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dmframe as dm
+from dmframe import trust
+from dmframe.catalogue import find_graph
+from dmframe.errors import BlockError
+
+BLOCK = """
+import pathlib
+pathlib.Path(__file__).with_name("it_ran").touch()
+from dmframe_blocks.kinematic_command import KinematicCommand as Mine
+"""
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+
+
+@pytest.fixture
+def graph(tmp_path: Path) -> Path:
+    """A graph with a block of its own beside it."""
+    folder = tmp_path / "graphs"
+    folder.mkdir()
+    (folder / "mine.py").write_text(BLOCK, encoding="utf-8")
+    text = find_graph("ur10_fast_kinematic").read_text(encoding="utf-8")
+    file = folder / "g.yaml"
+    file.write_text(text.replace("type: kinematic_command", "type: mine.py:Mine"), encoding="utf-8")
+    return file
+
+
+def ran(graph: Path) -> bool:
+    return graph.with_name("it_ran").exists()
+
+
+def test_a_block_file_of_the_users_own_hand_is_run(graph: Path) -> None:
+    assert dm.load(graph).blocks["inverse"] is not None
+    assert ran(graph)
+
+
+@pytest.mark.parametrize("open_to_all", ["mine.py", "."])
+def test_a_file_that_all_may_write_is_not_run_until_its_folder_is_trusted(graph: Path, open_to_all: str) -> None:
+    place = graph.with_name(open_to_all) if open_to_all != "." else graph.parent
+    place.chmod(0o777)
+    with pytest.raises(BlockError) as told:
+        dm.load(graph)
+    assert "mine.py would run as your own program, and all users may write to" in str(told.value)
+    assert "add --trust" in str(told.value)
+    assert f"{graph}:" in str(told.value)
+    assert not ran(graph)
+    dm.load(graph, trust=True)
+    assert ran(graph)
+    assert dm.load(graph).name == "g"  # remembered
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="marks differ")
+def test_a_file_that_a_browser_has_marked_is_not_run(graph: Path) -> None:
+    try:
+        os.setxattr(graph.with_name("mine.py"), "user.xdg.origin.url", b"https://example.org/mine.py")
+    except OSError:
+        pytest.skip("this file system has no marks")
+    with pytest.raises(BlockError, match="it was downloaded"):
+        dm.load(graph)
+    assert not ran(graph)
+
+
+def test_a_file_of_another_user_is_not_run(graph: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: graph.stat().st_uid + 1)
+    if graph.stat().st_uid == 0:
+        graph.with_name("mine.py").chmod(0o666)  # root's files are no stranger's
+    with pytest.raises(BlockError, match=r"belongs to another user|all users may write"):
+        dm.load(graph)
+
+
+def test_trust_in_a_folder_reaches_below_it_and_nowhere_else(graph: Path, tmp_path: Path) -> None:
+    graph.with_name("mine.py").chmod(0o666)
+    trust.remember(tmp_path / "other")
+    with pytest.raises(BlockError):
+        dm.load(graph)
+    trust.remember(tmp_path)
+    trust.remember(tmp_path)
+    dm.load(graph)
+    assert len((tmp_path / "config" / "dmframe" / "trusted_folders").read_text().splitlines()) == 2
+
+
+@pytest.mark.parametrize("name", ["/tmp/mine.py:Mine", "../mine.py:Mine", "a/../../mine.py:Mine"])
+def test_a_file_outside_of_the_graphs_folder_is_refused(graph: Path, name: str) -> None:
+    text = graph.read_text(encoding="utf-8").replace("mine.py:Mine", name)
+    graph.write_text(text, encoding="utf-8")
+    with pytest.raises(BlockError, match="in the graph's folder or below it"):
+        dm.load(graph)
+
+
+def test_the_command_line_asks_and_remembers(graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    from dmframe.cli import main
+
+    graph.with_name("mine.py").chmod(0o666)
+    statuses = []
+    for words in (("check",), ("check", "--trust"), ("check",)):
+        monkeypatch.setattr(sys, "argv", ["dmframe", words[0], str(graph), *words[1:]])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        statuses.append(stopped.value.code)
+    assert statuses == [2, 0, 0]
+    assert "add --trust" in capsys.readouterr().err
