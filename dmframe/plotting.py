@@ -32,7 +32,6 @@ POINTS = 30_000
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.formatter.limits": (-3, 4),
-    "axes.formatter.use_mathtext": True,
     "axes.formatter.useoffset": False,
     "axes.grid": True,
     "axes.labelsize": 8,
@@ -80,9 +79,27 @@ def new_figure(width: float, height: float) -> Any:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=_STYLE["savefig.dpi"], layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def settle(figure: Any) -> None:
+    """Lay a figure out once and for all, the labels of a column of panels in line.
+
+    Matplotlib would do both again each time it draws, and takes most of its time for it.
+    """
+    figure.draw_without_rendering()
+    columns = dict[int, list[Any]]()
+    for axes in figure.axes:
+        spec = axes.get_subplotspec()
+        if spec is not None and axes.yaxis.label.get_text():
+            columns.setdefault(spec.colspan.start, []).append(axes)
+    for panels in columns.values():
+        left = min(axes.yaxis.label.get_position()[0] for axes in panels)  # pixels
+        for axes in panels:
+            axes.yaxis.set_label_coords(axes.transAxes.inverted().transform((left, 0.0))[0], 0.5)
+    figure.set_layout_engine("none")
 
 
 def figure_svg(figure: Any) -> str:
@@ -99,7 +116,6 @@ def save(figure: Any, folder: Path, name: str, about: str) -> None:
     png, svg = io.BytesIO(), io.BytesIO()
     with styled():
         figure.savefig(png, format="png", metadata={"Software": source, "Title": name, "Description": about})
-        figure.set_layout_engine("none")  # what was laid out stays; to do it again takes as long as to draw
         meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
         figure.savefig(svg, format="svg", metadata=meta)
     write_bytes(folder / f"{name}.png", png.getvalue())
@@ -136,6 +152,9 @@ def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 200
     """A thinned curve."""
     values = tame(values)
     kept = thin(values, most)
+    if kept.size < 8:
+        kind["marker"] = "o"  # a line of one point is nothing that one sees, and of a few nothing sure
+        kind["markersize"] = 3
     axes.plot(times[kept], values[kept], **kind)
 
 
@@ -163,13 +182,18 @@ def unit_text(unit: str) -> str:
     return unit.replace("^2", "²").replace("^3", "³")
 
 
+def verbatim(text: str) -> str:
+    """A name of others as it is, which matplotlib would read as mathematics between dollar signs."""
+    return text.replace("$", r"\$")
+
+
 NAME_LINE = 0.16
 """Height of a legend's line [inch]; figures have room for two."""
 
 
 def names_above(figure: Any, axes: Any, width: float, extra: Sequence[Any] = ()) -> None:
     """A legend above all panels, where it covers nothing; as many columns as the width carries."""
-    handles, labels = axes.get_legend_handles_labels()
+    handles, labels = axes.get_legend_handles_labels() if axes is not None else ([], [])
     handles, labels = [*handles, *extra], [*labels, *(str(handle.get_label()) for handle in extra)]
     if not labels:
         return

@@ -9,7 +9,7 @@ from dmframe.analysis.rank_region import RankLoss, RankRegion, rank_region
 from dmframe.analysis.rank_report import option_value, rank_summary
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
 from dmframe.analysis.servo import JointLoop, Margins, margins, servo_transfer
-from dmframe.analysis.set_point import equilibrium, frozen, true_values
+from dmframe.analysis.set_point import equilibrium, frozen
 from dmframe.analysis.summary import LoopAnalysis, analyse, summary
 from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
 
@@ -45,5 +45,4 @@ __all__ = [
     "tick_jacobian",
     "tie_gains",
     "transfer",
-    "true_values",
 ]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.joint_path import Reach, period_of
-from dmframe.analysis.set_point import true_values
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
+from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
 from dmframe.errors import MissingError

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
-from dmframe.analysis.set_point import computable, equilibrium, frozen, true_values
+from dmframe.analysis.set_point import computable, equilibrium, frozen
 from dmframe.block import AbstractBlock
 from dmframe.block.model import BlockModel
+from dmframe.certify.true_values import true_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import view

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate
-from dmframe.certify import NotApplicableError, claim_of
+from dmframe.certificate import SX
+from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import Variable, stack
 from dmframe.diagram.resolve import Leaf
@@ -47,40 +47,6 @@ def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
 def variables(loop: ClosedLoop) -> tuple[Variable, ...]:
     """All states, the controller's first, as a run stacks them."""
     return (*loop.controller, *loop.plant)
-
-
-def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
-    """What each estimate estimates, by state label, at the diagram's own parameters.
-
-    A state is an estimate if its block stores the square of its difference from an expression in parameters alone.
-    Empty for a diagram that claims nothing.
-    """
-    try:
-        parts = claim_of(diagram).parts
-    except NotApplicableError:
-        return {}
-    loop = diagram.loop
-    found = dict[str, np.ndarray]()
-    for variable in loop.controller:
-        for part in parts:
-            truth = _truth(variable, part.certificate, loop)
-            if truth is not None:
-                found[variable.label] = truth
-    return found
-
-
-def _truth(variable: Variable, certificate: Certificate, loop: ClosedLoop) -> np.ndarray | None:
-    own = symbols_in([variable.symbol])
-    for square in certificate.storage:
-        if not own & symbols_in([square.vector]):
-            continue
-        slope = ca.jacobian(square.vector, variable.symbol)
-        rest = -ca.substitute(ca.SX(square.vector), variable.symbol, ca.SX.zeros(*variable.symbol.shape))
-        unit = slope.is_square() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero()
-        function = ca.Function("truth", [loop.p], [ca.densify(rest)], {"allow_free": True})
-        if unit and not function.has_free():
-            return np.asarray(function(loop.p_values).full().ravel())
-    return None
 
 
 def equilibrium(

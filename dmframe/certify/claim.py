@@ -197,7 +197,7 @@ def claim_of(diagram: Diagram) -> Claim:
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a truth that the diagram
     does not have.
     """
-    stated, truths = _certificates(diagram)
+    stated, truths = certificates_of(diagram)
     loop = diagram.loop
     laws, notices = _laws(diagram, stated, truths)
     field = Field(diagram)
@@ -285,7 +285,7 @@ class Field:
         )
 
 
-def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
+def certificates_of(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
     """Every block's certificate, each made of the true values that all the others state."""
     sides = (Side.PLANT, Side.CONTROLLER)  # the plant first, so that the others can read what its certificates say
     everyone = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
@@ -336,4 +336,4 @@ def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certifica
     return certificate, seen.owners
 
 
-__all__ = ["Claim", "Field", "NotApplicableError", "Part", "claim_of", "total"]
+__all__ = ["Claim", "Field", "NotApplicableError", "Part", "certificates_of", "claim_of", "total"]

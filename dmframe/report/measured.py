@@ -168,7 +168,7 @@ def _increase(found: Along) -> str:
 
 def _figure(found: Along, diverged: bool) -> Any:
     """V above, its largest terms on a logarithmic axis below."""
-    from dmframe.plotting import draw_curve, frame, look, new_figure, span, styled, tame
+    from dmframe.plotting import draw_curve, frame, look, new_figure, settle, span, styled, tame
 
     tops = {id(term): span(tame(term.values), diverged)[1] for term in found.terms}
     largest = sorted(found.terms, key=lambda term: -tops[id(term)])[:CURVES]
@@ -190,5 +190,5 @@ def _figure(found: Along, diverged: bool) -> Any:
         below.set_xlabel("time [s]")
         above.set_xlim(0, float(found.time[-1]))
         below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
-        figure.align_ylabels([above, below])
+        settle(figure)
     return figure

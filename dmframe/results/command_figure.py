@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.formula.names import unicode_name
 from dmframe.plotting import (
     PAGE,
     POINTS,
@@ -14,13 +15,14 @@ from dmframe.plotting import (
     look,
     names_above,
     new_figure,
+    settle,
     styled,
     tame,
     unit_text,
 )
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels, sliding
-from dmframe.results.drawn_runs import Runs, joint_slides, short, shown_unit, told
+from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, shown_unit, told, window_text
 from dmframe.simulate import Recording
 
 WINDOW = 12.0
@@ -53,19 +55,23 @@ def command_figure(runs: Runs) -> Any:
                 unit, scale = shown_unit(unit) if kind == "difference" else (unit, 1.0)
                 _panel(panels[row, column], names, pairs, signal, kind, row, scale, most)
                 about = (
-                    f"${_symbol(signal + '_c')} - {_symbol(signal)}$"
+                    f"{unicode_name(signal + '_c')} − {unicode_name(signal)}"
                     if kind == "difference"
-                    else f"${_symbol(signal)}$"
+                    else unicode_name(signal)
                 )
                 panels[row, column].set_ylabel(
                     (f"{short(joint)}\n" if column == 0 else "") + f"{about} [{unit_text(unit)}]"
                 )
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
-            axes.set_xlim(*_window(list(names.values())))
+            axes.set_xlim(*window(list(names.values())))
             axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-        figure.align_ylabels(panels)
+        without = left_out(
+            runs, names, lambda run: "with other joints" if command_pairs(run) else "which commands nothing"
+        )
+        note_below(figure, window_text(*window(list(names.values())), list(names.values())), without)
         names_above(figure, panels[0, 0], PAGE, _explained() if any(kind == "both" for _, kind in shown) else ())
+        settle(figure)
     return figure
 
 
@@ -102,7 +108,7 @@ def _panel(
     scale: float,
     most: int,
 ) -> None:
-    begin, end = _window(list(runs.values()))
+    begin, end = window(list(runs.values()))
     curves = list[tuple[np.ndarray, bool]]()
     for place, (name, run) in enumerate(runs.items()):
         inside = (run.time >= begin) & (run.time <= end)
@@ -122,7 +128,8 @@ def _panel(
     frame(axes, curves, zero=kind == "difference")
 
 
-def _window(runs: list[Recording]) -> tuple[float, float]:
+def window(runs: list[Recording]) -> tuple[float, float]:
+    """The last `WINDOW` seconds that all runs went through."""
     end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
     return max(0.0, end - WINDOW), end if end > 0 else 1.0
 
@@ -130,13 +137,6 @@ def _window(runs: list[Recording]) -> tuple[float, float]:
 def _unit(run: Recording, pairs: dict[str, tuple[str, str]], signal: str) -> str:
     label = pairs[signal][1]
     return next(output.unit for output in run.diagram.loop.outputs if output.label == label)
-
-
-def _symbol(name: str) -> str:
-    """``dq_c`` as mathematics."""
-    base, _, index = name.partition("_")
-    base = rf"\dot{{{base[1:]}}}" if base.startswith("d") and len(base) > 1 else base
-    return rf"{base}_\mathrm{{{index}}}" if index else base
 
 
 def _explained() -> list[Any]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from dmframe.plotting import look
+from dmframe.plotting import look, verbatim
 from dmframe.results.dataset import axis_labels, joint_labels, sliding
-from dmframe.results.metrics import TrackingError
+from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.simulate import Recording
+from dmframe.units import plain
 
 Runs = Mapping[str, Recording]
 """Runs by the names that the legends show."""
@@ -19,7 +20,7 @@ def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, s
     rows, name = error.values.shape[1], error.signal.split(" ")[0]
     diagram, unit = run.diagram, error.unit
     if name == "x" and len(axis_labels(diagram)) == rows:
-        return [(f"${axis}$ error", *shown_unit(unit)) for axis in axis_labels(diagram)]
+        return [(f"{axis} error", *shown_unit(unit)) for axis in axis_labels(diagram)]
     joints = joint_labels(diagram)
     if len(joints) == rows:
         slides = joint_slides(run)
@@ -44,11 +45,12 @@ def shown_unit(unit: str) -> tuple[str, float]:
 
 def short(joint: str) -> str:
     """A joint's name as it fits beside a panel."""
-    return joint.removesuffix("_joint").replace("_", " ")
+    return verbatim(joint.removesuffix("_joint").replace("_", " "))
 
 
 def told(name: str, run: Recording) -> str:
     """A run's name in a legend, with how it ended where it did not end well."""
+    name = verbatim(name)
     if run.divergence is not None:
         return f"{name} (diverged at {run.divergence.time:.3g} s)"
     return f"{name} (stopped at {run.time[-1]:.3g} s)" if run.interrupted else name
@@ -74,3 +76,37 @@ def set_times(axes: Any, runs: list[Recording]) -> None:
     axes.set_xlim(0.0, max(run.duration if run.divergence is None else run.divergence.time * 1.02 for run in runs))
     axes.set_xlabel("time [s]")
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+
+
+def window_text(begin: float, end: float, runs: list[Recording]) -> str:
+    """Which stretch of the runs is shown, ``the last 12 s of 200 s, sampled every 8 ms``."""
+    whole = max(run.duration for run in runs)
+    shown = "" if begin <= 0 else f"from {plain(begin, 's')} to {plain(end, 's')} of {plain(whole, 's')}"
+    clocks = dict.fromkeys("continuous" if run.clock is None else f"every {plain(run.clock, 's')}" for run in runs)
+    sampled = f"controller {' and '.join(clocks)}"
+    return f"{shown}; {sampled}" if shown else sampled
+
+
+def left_out(runs: Runs, shown: Collection[str], why: Callable[[Recording], str]) -> str:
+    """Which runs are not in a figure, each with the reason; empty where all are."""
+    texts = [f"{verbatim(name)}, {why(run)}" for name, run in runs.items() if name not in shown]
+    return f"not shown: {'; '.join(texts)}" if texts else ""
+
+
+def note_below(figure: Any, *texts: str) -> None:
+    """Small words below all panels."""
+    said = [text for text in texts if text]
+    if said:
+        figure.supxlabel("\n".join(said), fontsize=7, x=0.01, ha="left")
+
+
+def why_not_with(signal: str) -> Callable[[Recording], str]:
+    """Why a run is not drawn beside one whose error is `signal`."""
+
+    def why(run: Recording) -> str:
+        error = tracking_error(run)
+        if error is None:
+            return "without a goal"
+        return f"whose error is {error.signal}" if error.signal != signal else f"whose error is in {error.unit}"
+
+    return why

@@ -15,12 +15,22 @@ from dmframe.plotting import (
     look,
     names_above,
     new_figure,
+    settle,
     span,
     styled,
     tame,
     unit_text,
 )
-from dmframe.results.drawn_runs import Runs, coordinate_labels, mark_divergence, set_times, told
+from dmframe.results.drawn_runs import (
+    Runs,
+    coordinate_labels,
+    left_out,
+    mark_divergence,
+    note_below,
+    set_times,
+    told,
+    why_not_with,
+)
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.simulate import Recording
 
@@ -51,8 +61,9 @@ def error_figure(runs: Runs) -> Any:
         _norms(panels[-1], same, runs, labels, most)
         mark_divergence(panels, {name: runs[name] for name in same})
         set_times(panels[-1], [runs[name] for name in same])
-        figure.align_ylabels(panels)
         names_above(figure, panels[0], COLUMN)
+        note_below(figure, left_out(runs, same, why_not_with(signal)))
+        settle(figure)
     return figure
 
 

@@ -6,39 +6,44 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.certify.true_values import true_values
 from dmframe.diagram.closed_loop import Variable
-from dmframe.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
+from dmframe.formula.names import unicode_name
+from dmframe.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, settle, styled, tame, unit_text
 from dmframe.results.dataset import element_labels
 from dmframe.results.drawn_runs import mark_divergence, set_times, short, told
 from dmframe.simulate import Recording
 
 WIDTH = 5.4
-NAMED = 6
+NAMED = 7
 """How many curves of a panel a legend names."""
 
 
 def estimate_figure(name: str, run: Recording) -> Any:
     """One panel for each estimated quantity; None where the controller estimates nothing.
 
-    Of many elements those that move most are named, the others stay grey, and those that never move are left out.
+    Of many elements those that move most are named, the others stay grey, and those that never move are left out. The
+    true values, which the controller does not know, stand beside the names, and as marks where a panel reaches them.
     """
     shown = [
         variable for variable in run.diagram.loop.controller if is_estimate(variable) and variable.label in run.states
     ]
     if not shown:
         return None
+    truths = true_values(run.diagram)
     with styled():
         heights = [1.9 if variable.symbol.numel() > NAMED else 1.15 for variable in shown]
         figure = new_figure(WIDTH, 0.6 + sum(heights))
         panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
         most = max(200, min(2000, POINTS // sum(variable.symbol.numel() for variable in shown)))
         for place, (axes, variable) in enumerate(zip(panels, shown, strict=True)):
-            repeated = any(other.shape == variable.shape for other in shown[:place])
-            _panel(axes, run, variable, most, legend=not repeated)
+            truth = truths.get(variable.label)
+            repeated = truth is None and any(other.shape == variable.shape for other in shown[:place])
+            _panel(axes, run, variable, most, truth, legend=not repeated)
         mark_divergence(panels, {name: run})
         set_times(panels[-1], [run])
         panels[0].set_title(told(name, run), loc="left")
-        figure.align_ylabels(panels)
+        settle(figure)
     return figure
 
 
@@ -48,7 +53,7 @@ def is_estimate(variable: Variable) -> bool:
     return variable.symbol.is_column() and (name.endswith("_hat") or name == "w" or name.startswith("w_"))
 
 
-def _panel(axes: Any, run: Recording, variable: Variable, most: int, *, legend: bool) -> None:
+def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.ndarray | None, *, legend: bool) -> None:
     values = tame(run[variable.label])
     size, letter = values.shape[1], variable.shape
     labels = element_labels(run.diagram, letter, size)
@@ -63,10 +68,13 @@ def _panel(axes: Any, run: Recording, variable: Variable, most: int, *, legend: 
         label = f"{len(grey)} more" if place == 0 else None
         draw_curve(axes, run.time, values[:, row], most, color=GREY, linewidth=0.6, label=label, zorder=1.5)
     for place, row in enumerate(named):
-        draw_curve(axes, run.time, values[:, row], most, label=element(labels[row], letter), **look(place))
+        label = element(labels[row], letter) + ("" if truth is None else f"  (true {truth[row]:.3g})")
+        draw_curve(axes, run.time, values[:, row], most, label=label, **look(place))
     frame(axes, [(values[:, row], diverged) for row in (*named, *grey)])
+    if truth is not None:
+        _truths(axes, truth, named)
     unit = variable.unit or ("SI units" if variable.shape == "p" else "")
-    axes.set_ylabel(_symbol(variable.name) + (f" [{unit_text(unit)}]" if unit else ""))
+    axes.set_ylabel(unicode_name(variable.name) + (f" [{unit_text(unit)}]" if unit else ""))
     handles, texts = axes.get_legend_handles_labels()
     last = [i for i, text in enumerate(texts) if text.endswith(" more")]
     keep = [i for i in range(len(texts)) if i not in last] + last
@@ -77,6 +85,15 @@ def _panel(axes: Any, run: Recording, variable: Variable, most: int, *, legend: 
         )  # fmt: skip
 
 
+def _truths(axes: Any, truth: np.ndarray, named: list[int]) -> None:
+    """A mark at the right edge where a true value lies within the panel: far ones would dwarf the curves."""
+    low, high = axes.get_ylim()
+    for place, row in enumerate(named):
+        if low <= truth[row] <= high:
+            mark = {"marker": 4, "markersize": 5, "clip_on": False, "color": look(place)["color"]}
+            axes.plot([1.0], [truth[row]], linestyle="none", transform=axes.get_yaxis_transform(), **mark)
+
+
 def element(label: str, letter: str) -> str:
     """A name of `element_labels` as a legend shows it."""
     if letter == "n":
@@ -84,12 +101,4 @@ def element(label: str, letter: str) -> str:
     if letter == "h":
         place, _, axis = label.rpartition(" ")
         return f"{short(place)} {axis}".strip()
-    base, under, index = label.partition("_")
-    return rf"${base}_{{{index}}}$" if under and base.isalpha() else label
-
-
-def _symbol(name: str) -> str:
-    r"""``a_d_hat`` as ``\hat a_d``."""
-    base, _, index = name.removesuffix("_hat").partition("_")
-    base = rf"\hat{{{base}}}" if name.endswith("_hat") else base
-    return rf"${base}_\mathrm{{{index}}}$" if index else f"${base}$"
+    return unicode_name(label) if label.isidentifier() else label

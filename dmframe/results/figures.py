@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, final
 
@@ -11,10 +12,12 @@ from dmframe import notebook
 from dmframe.plotting import save
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
+from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.signal_figure import signal_figure
+from dmframe.two import by_two
 
 
 @final
@@ -58,13 +61,39 @@ class Figures(Mapping[str, Any]):
 def figures_of(runs: Runs) -> Figures:
     """Every figure that the runs allow.
 
-    ``error``, ``path``, ``commands``, and for each run that estimates something ``estimates`` (``estimates_<name>``
-    where there are several runs).
+    ``error``, ``path``, ``commands``, ``effort``, and for each run that estimates something ``estimates``
+    (``estimates_<name>`` where there are several runs).
     """
-    made = {"error": error_figure(runs), "path": path_figure(runs), "commands": command_figure(runs)}
-    for name, run in runs.items():
-        made["estimates" if len(runs) == 1 else f"estimates_{name}"] = estimate_figure(name, run)
+    made = {name: make() for name, make in _makers(runs).items()}
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
+
+
+def save_figures(runs: Runs, folder: Path) -> None:
+    """Write `figures_of` as PNG and SVG, on two cores where there are as many."""
+
+    def job(name: str, make: Callable[[], Any]) -> Callable[[], None]:
+        def draw() -> None:
+            figure = make()
+            if figure is not None:
+                save(figure, folder, name, about=", ".join(runs))
+
+        return draw
+
+    jobs = [job(name, make) for name, make in _makers(runs).items()]
+    by_two(jobs[::-1])  # the first ones take least, which evens out what the two do last
+
+
+def _makers(runs: Runs) -> dict[str, Callable[[], Any]]:
+    """How each figure is made."""
+    made: dict[str, Callable[[], Any]] = {
+        "error": partial(error_figure, runs),
+        "path": partial(path_figure, runs),
+        "commands": partial(command_figure, runs),
+        "effort": partial(effort_figure, runs),
+    }
+    for name, run in runs.items():
+        made["estimates" if len(runs) == 1 else f"estimates_{name}"] = partial(estimate_figure, name, run)
+    return made
 
 
 def signals_figure(runs: Runs, labels: Sequence[str]) -> Figures:

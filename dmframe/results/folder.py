@@ -18,6 +18,7 @@ from typing import Any, Final
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
 from dmframe.files import encoded, writing
+from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, reserved
 from dmframe.results.resolved import companions, resolved_text, robot_source
 from dmframe.results.run import Run
@@ -100,11 +101,11 @@ def write_data(
 
 def draw_figures(place: Place, runs: Sequence[Run]) -> None:
     """Draw the runs' figures beside their data. Raises `OutputError` where that cannot be done."""
-    from dmframe.results.figures import figures_of
-
     try:
+        from dmframe.results.figures import save_figures  # a backend of matplotlib's may be missing
+
         with writing(place.path, "figures"):
-            figures_of(dict(zip(_names(runs), (run.recording for run in runs), strict=True))).save(place.folder)
+            save_figures(dict(zip(_names(runs), (run.recording for run in runs), strict=True)), place.folder)
     except OutputError:
         raise
     except Exception as error:  # whatever a plotting library raises at names and numbers of others
@@ -154,12 +155,7 @@ def _write_one(
 
 
 def _write_signals(file: Path, run: Run, seed: int | None) -> None:
-    from dmframe.results.dataset import dataset
-
-    data = dataset(run.recording, run.experiment, seed)
-    packed = {str(name): {"zlib": True, "complevel": 1, "shuffle": True} for name in data.data_vars}
-    # in memory first: on a full disk HDF5 itself prints tracebacks and can take the process down
-    file.write_bytes(data.to_netcdf(engine="h5netcdf", encoding=packed))
+    file.write_bytes(netcdf(run.recording, run.experiment, seed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:

@@ -15,14 +15,16 @@ from dmframe.plotting import (
     look,
     names_above,
     new_figure,
+    settle,
     styled,
     tame,
     unit_text,
 )
 from dmframe.results.dataset import axis_labels
-from dmframe.results.drawn_runs import Runs, coordinate_labels, told
+from dmframe.results.drawn_runs import Runs, coordinate_labels, left_out, note_below, told, why_not_with
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.simulate import Recording
+from dmframe.units import plain
 
 MOST = 2000
 _VISIBLE = 0.35
@@ -81,21 +83,25 @@ def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
     largest = max(float(np.quantile(np.abs(errors[name].values[laps[name]][:, plane]), 0.98)) for name in sound)
     factor = 1.0 if still else magnification(float(np.max(wide)), largest)
     factors = [1.0] if factor == 1.0 else [1.0, factor]
-    labels = axis_labels(next(iter(runs.values())).diagram)
+    first = next(iter(errors))
+    labels = axis_labels(runs[first].diagram)
     with styled():
         figure = new_figure(PAGE if len(factors) > 1 else PAGE / 2, 3.5)
         panels = figure.subplots(1, len(factors), squeeze=False)[0]
         for axes, times in zip(panels, factors, strict=True):
             _plane_panel(axes, runs, desired, actual, plane, times)
-            axes.set_xlabel(f"${labels[plane[0]]}$ [m]")
-            axes.set_ylabel(f"${labels[plane[1]]}$ [m]")
+            axes.set_xlabel(f"{labels[plane[0]]} [m]")
+            axes.set_ylabel(f"{labels[plane[1]]} [m]")
             shown = [_magnified(desired[name], actual[name], times)[:, plane] for name in sound]
             _fit(axes, shown, desired, plane, wild=runs[sound[0]].divergence is not None)
-        panels[0].set_title("path, last lap" if any(lap.start for lap in laps.values()) else "path")
+        begin = float(runs[first].time[laps[first].start or 0])
+        panels[0].set_title(f"path, last lap from {plain(begin, 's')}" if begin > 0 else "path")
         if len(factors) > 1:
             panels[1].set_title(f"deviation × {factor:g}")
             _scale_bar(panels[1], factor, largest)
         names_above(figure, panels[0], PAGE if len(factors) > 1 else PAGE / 2)
+        note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
+        settle(figure)
     return figure
 
 
@@ -187,8 +193,9 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
             axes.set_ylabel(f"{labels[row]} [{unit_text(errors[first].unit)}]")
             axes.set_xlim(begin, end)
         panels[-1].set_xlabel("time [s]")
-        figure.align_ylabels(panels)
+        note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
         names_above(figure, panels[0], PAGE / 2, [Line2D([], [], color=GREY, linewidth=2.4, label="desired")])
+        settle(figure)
     return figure
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from dmframe.diagram.closed_loop import Signal, Variable
 from dmframe.errors import UnknownNameError, raise_all
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, new_figure, styled, tame, unit_text
+from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, new_figure, settle, styled, tame, unit_text
 from dmframe.results.dataset import element_labels
 from dmframe.results.drawn_runs import Runs, mark_divergence, set_times, told
 from dmframe.results.estimate_figure import element
@@ -32,7 +32,7 @@ def signal_figure(runs: Runs, labels: Sequence[str]) -> Any:
             _panel(axes, runs, label, most)
         mark_divergence(panels, runs)
         set_times(panels[-1], list(runs.values()))
-        figure.align_ylabels(panels)
+        settle(figure)
     return figure
 
 

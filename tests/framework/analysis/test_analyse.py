@@ -23,9 +23,9 @@ from dmframe.analysis import (
     servo_transfer,
     simulated_period,
     tick_jacobian,
-    true_values,
 )
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certify.true_values import true_values
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, MissingError, ShapeError, ValueFault

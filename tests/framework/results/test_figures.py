@@ -12,6 +12,7 @@ from PIL import Image
 from dmframe.plotting import look, save, styled, thin
 from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
+from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
@@ -29,7 +30,7 @@ def drawn(name, run):
 def test_figures_lie_beside_the_data_as_png_of_200_dpi_and_as_small_well_formed_svg(tmp_path, ur10, kinematic):
     write_run(tmp_path / "out", [kinematic, ur10])
     files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()}
-    names = {"error", "path", "commands", "estimates_ur10_fast"}
+    names = {"error", "path", "commands", "effort", "estimates_ur10_fast"}
     assert files == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
     for name in names:
         with Image.open(tmp_path / "out" / f"{name}.png") as picture:
@@ -89,13 +90,13 @@ def test_of_many_parameters_those_that_move_most_are_named(ur10):
     figure = estimate_figure("ur10", ur10.recording)
     texts = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     moves = np.ptp(ur10.recording["dynamics.a_d_hat"], axis=0)
-    assert len(texts) == 7
-    assert texts[-1] == f"{int(np.sum(moves > 0)) - 6} more"
+    assert len(texts) == 8
+    assert texts[-1] == f"{int(np.sum(moves > 0)) - 7} more"
 
 
 def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):
     axes = path_figure({"ur10": ur10.recording}).axes[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$ [m]", "$y$ [m]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "y [m]")
     assert axes.get_aspect() == 1.0
 
 
@@ -103,7 +104,7 @@ def test_the_way_to_a_goal_that_stands_still_is_shown_whole(ur10):
     outputs = dict(ur10.recording.outputs)
     outputs["path.x_d"] = np.tile([0.2, 0.6, 0.5], (ur10.recording.time.size, 1))
     (axes,) = path_figure({"ur10": replace(ur10.recording, outputs=outputs)}).axes
-    plane = ["xyz".index(label[1]) for label in (axes.get_xlabel(), axes.get_ylabel())]
+    plane = ["xyz".index(label[0]) for label in (axes.get_xlabel(), axes.get_ylabel())]
     ends = np.array([axes.get_xlim(), axes.get_ylim()])
     for point in (outputs["path.x_d"][0], ur10.recording["arm.x"][0], ur10.recording["arm.x"][-1]):
         assert np.all((ends[:, 0] < point[plane]) & (point[plane] < ends[:, 1]))
@@ -138,3 +139,50 @@ def test_no_two_of_many_curves_look_alike_and_neighbours_differ_in_grey():
     assert len({str(item) for item in looks}) == 36
     grey = [sum(w * int(item["color"][i : i + 2], 16) for w, i in ((0.3, 1), (0.59, 3), (0.11, 5))) for item in looks]
     assert all(abs(a - b) > 30 for a, b in pairwise(grey[:6]))
+
+
+def note(figure):
+    return "" if figure._supxlabel is None else figure._supxlabel.get_text()
+
+
+def test_a_figure_names_the_runs_that_it_leaves_out_and_the_stretch_that_it_shows(ur10, pendulum):
+    runs = {"big": ur10.recording, "small": pendulum.recording}
+    assert note(error_figure(runs)) == "not shown: small, whose error is q - q_d"
+    assert note(path_figure(runs)) == "not shown: small, whose error is q - q_d"
+    assert note(command_figure(runs)) == "controller every 8 ms\nnot shown: small, with other joints"
+    assert note(error_figure({"big": ur10.recording})) == ""
+    longer = replace(ur10.recording, time=ur10.recording.time * 50, duration=50.0)
+    assert note(effort_figure({"big": longer})) == "from 38 s to 50 s of 50 s; controller every 8 ms"
+
+
+def test_true_values_stand_beside_the_names_of_their_estimates(ur10):
+    figure = estimate_figure("ur10", ur10.recording)
+    texts = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+    K_D = ur10.experiment.blocks["servo"].K_D
+    assert texts == [
+        f"{name}  (true {1 / gain:.3g})"
+        for name, gain in zip(("shoulder pan", "shoulder lift", "elbow"), K_D, strict=True)
+    ]
+
+
+def test_voltages_and_torques_are_drawn_joint_by_joint(ur10):
+    axes = effort_figure({"ur10": ur10.recording}).axes
+    assert len(axes) == 6
+    assert [panel.get_ylabel().split("\n")[-1] for panel in axes[:2]] == ["[V]", "[N m]"]
+    (voltage,) = axes[0].get_lines()
+    assert voltage.get_ydata()[-1] == ur10.recording["servo.u"][-1, 0]
+
+
+def test_names_that_look_like_mathematics_are_drawn_as_they_are(ur10):
+    drawn(r"$\frac{$", ur10.recording)
+
+
+def test_a_run_of_two_instants_is_seen(ur10):
+    short = replace(
+        ur10.recording,
+        time=ur10.recording.time[:2],
+        states={label: rows[:2] for label, rows in ur10.recording.states.items()},
+        outputs={label: rows[:2] for label, rows in ur10.recording.outputs.items()},
+    )
+    (line, *_) = error_figure({"short": short}).axes[0].get_lines()
+    assert line.get_marker() == "o"

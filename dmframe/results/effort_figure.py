@@ -1,0 +1,94 @@
+"""What moves the joints: the servo's voltage, and the torques that the controller thinks of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dmframe.plotting import (
+    DASHES,
+    PAGE,
+    POINTS,
+    draw_curve,
+    frame,
+    look,
+    names_above,
+    new_figure,
+    settle,
+    styled,
+    tame,
+    unit_text,
+)
+from dmframe.results.command_figure import window
+from dmframe.results.dataset import joint_labels, sliding
+from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, told, window_text
+from dmframe.simulate import Recording
+
+UNITS = ("V", "N m")
+
+
+def effort_figure(runs: Runs) -> Any:
+    """Voltages and torques of each joint over the end of the runs; None where no signal is one.
+
+    A colour a run, a dash a signal.
+    """
+    from matplotlib.lines import Line2D
+    from matplotlib.ticker import MaxNLocator
+
+    found = {name: efforts(run) for name, run in runs.items()}
+    found = {name: signals for name, signals in found.items() if signals}
+    if not found:
+        return None
+    first = next(iter(found))
+    joints, slides = joint_labels(runs[first].diagram), joint_slides(runs[first])
+    names = {name: run for name, run in runs.items() if name in found and joint_labels(run.diagram) == joints}
+    labels = list(dict.fromkeys(label for name in names for label in found[name]))
+    units = [unit for unit in UNITS if any(unit in found[name].values() for name in names)]
+    begin, end = window(list(names.values()))
+    with styled():
+        figure = new_figure(PAGE, 0.9 + 1.2 * len(joints))
+        panels = figure.subplots(len(joints), len(units), sharex=True, squeeze=False)
+        most = max(200, min(1500, POINTS // (len(names) * len(joints) * len(labels))))
+        for row, joint in enumerate(joints):
+            for column, unit in enumerate(units):
+                axes, curves = panels[row, column], list[tuple[np.ndarray, bool]]()
+                for place, (name, run) in enumerate(names.items()):
+                    inside = (run.time >= begin) & (run.time <= end)
+                    for label in (label for label, its in found[name].items() if its == unit):
+                        values = tame(run[label][inside, row])
+                        kind = {"color": look(place)["color"], "linestyle": _dash(labels, label)}
+                        draw_curve(axes, run.time[inside], values, most, **kind)
+                        curves.append((values, run.divergence is not None))
+                frame(axes, curves, zero=True)
+                shown = sliding(unit) if slides[row] else unit
+                axes.set_ylabel((f"{short(joint)}\n" if column == 0 else "") + f"[{unit_text(shown)}]")
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+            axes.set_xlim(begin, end)
+            axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        keys = [Line2D([], [], color="black", linestyle=_dash(labels, label), label=label) for label in labels]
+        runs_too = [
+            Line2D([], [], color=look(place)["color"], label=told(name, run))
+            for place, (name, run) in enumerate(names.items())
+            if len(names) > 1
+        ]
+        names_above(figure, None, PAGE, [*runs_too, *keys])
+        without = left_out(runs, names, lambda run: "with other joints" if efforts(run) else "without such signals")
+        note_below(figure, window_text(begin, end, list(names.values())), without)
+        settle(figure)
+    return figure
+
+
+def efforts(run: Recording) -> dict[str, str]:
+    """The run's voltages and torques, one a joint, by label with their units."""
+    loop = run.diagram.loop
+    return {
+        signal.label: signal.unit
+        for signal in loop.outputs
+        if signal.unit in UNITS and signal.shape == "n" and signal.label in run.outputs
+    }
+
+
+def _dash(labels: list[str], label: str) -> Any:
+    return DASHES[labels.index(label) % len(DASHES)]
