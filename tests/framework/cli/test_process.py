@@ -109,7 +109,9 @@ def test_a_reader_that_has_gone_loses_no_results(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_output_that_cannot_be_written_loses_no_report(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
-        status, _, err = ended(started(("verify", "pendulum", "--report", "r.md"), tmp_path, stdout=full))
+        status, _, err = ended(
+            started(("verify", "pendulum", "--set", "duration=0.1", "--report", "r.md"), tmp_path, stdout=full)
+        )
     assert (status, err) == (2, "dmframe: cannot write the output: no space left on device\n")
     assert held(tmp_path) == {"r.md"}
 
@@ -157,7 +159,9 @@ def test_names_of_bytes_that_are_no_letters_are_escaped(tmp_path: Path) -> None:
     assert out.splitlines()[-1] == "results: o\\udcff"
     told = json.loads(tmp_path.joinpath(os.fsdecode(b"o\xff"), "summary.json").read_text(encoding="utf-8"))
     assert (told["graph"], told["out"]) == ("bad\udcff", "o\udcff")
-    assert ended(started(("verify", os.fsdecode(graph), "--report", "r.html"), tmp_path))[::2] == (0, "")
+    assert ended(started(("verify", os.fsdecode(graph), "--set", "duration=0.1", "--report", "r.html"), tmp_path))[
+        ::2
+    ] == (0, "")
     assert held(tmp_path) == {"r.html", "dmframe.schema.json", os.fsdecode(b"bad\xff.yaml"), os.fsdecode(b"o\xff")}
 
 

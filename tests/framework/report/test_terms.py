@@ -1,14 +1,10 @@
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
-from dmframe.catalogue import graphs
 from dmframe.certify.claim import claim_of
 from dmframe.config import load_experiment
-from dmframe.errors import DmframeError
 from dmframe.parameter import Spec
 from dmframe.report.terms import parameter_text, shown, terms_of
 
@@ -108,41 +104,3 @@ def test_a_symbol_that_another_block_states_has_its_row():
 
 def theorem(name):
     return claim_of(load_experiment(name).diagram())
-
-
-LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
-SIGNS = {"M", "I"}  # the inertia, printed beside the arm's equation, and the identity
-SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
-MARKS = re.compile(r"\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]")
-
-
-@pytest.mark.parametrize("name", graphs())
-def test_every_symbol_of_a_printed_weight_stands_in_the_table_or_is_defined_on_the_page(name):
-    try:
-        claim = theorem(name)
-    except DmframeError:
-        assert name.endswith("_kinematic")  # it claims nothing
-        return
-    terms = terms_of(claim)
-    told = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
-    weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.excess)]
-    weights += [row.right for row in terms.definitions]
-    found = {symbol for weight in weights for symbol in SYMBOL.findall(MARKS.sub(" ", weight))}
-    assert len(found) > 3
-    assert found - told == set()
-
-
-@pytest.mark.parametrize("name", graphs())
-def test_v_and_its_rate_of_every_packaged_graph_can_be_written_out(name):
-    try:
-        claim = theorem(name)
-    except DmframeError:
-        assert name.endswith("_kinematic")  # it claims nothing
-        return
-    terms = terms_of(claim)
-    assert len(terms.storage) == sum(len(part.certificate.storage) for part in claim.parts)
-    cascades = [part for part in claim.parts if part.certificate.consumes is not None]
-    assert bool(terms.consumption) == bool(cascades)
-    text = " ".join(row.right for row in (*terms.V, *terms.rate))
-    assert "None" not in text
-    assert "_" not in text.replace("_{", "")  # no name of the code is left bare

@@ -1,0 +1,67 @@
+"""Every packaged graph, verified once: what is told of it, and what is printed."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from jsonschema import Draft202012Validator
+
+import dmframe as dm
+from dmframe.catalogue import graphs
+from dmframe.certify.schema import verdict_schema
+from dmframe.formula import laws_of
+from dmframe.report.terms import terms_of
+
+VALIDATOR = Draft202012Validator(verdict_schema())
+LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
+SIGNS = {"M", "I"}  # the inertia, printed beside the arm's equation, and the identity
+SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
+MARKS = re.compile(r"\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]")
+
+
+@pytest.mark.parametrize("name", graphs())
+def test_what_is_told_and_printed_of_a_packaged_graph_is_valid_and_whole(name):
+    found = dm.verify(name)
+    VALIDATOR.validate(json.loads(json.dumps(found.summary, allow_nan=False)))
+    claim = found.verdict.claim
+    if claim is None:
+        assert name.endswith("_kinematic")  # it claims nothing
+        check_laws(laws_of(found.diagram))
+        return
+    assert found.proved
+    check_laws(claim.laws)
+    terms = terms_of(claim)
+    check_symbols(terms)
+    check_written_out(terms, claim)
+
+
+def check_laws(laws):
+    """Every block prints what runs."""
+    for law in laws.values():
+        for line in law.lines:
+            for text in (line.whole.text, line.whole.latex, line.whole.unicode):
+                assert text
+            assert "robot." not in line.whole.text
+            assert "an expression of" not in line.whole.text
+
+
+def check_symbols(terms):
+    """Every symbol of a printed weight stands in the table, or is defined on the page."""
+    told = {item.symbol for item in terms.legend} | {row.left for row in terms.definitions} | SIGNS
+    weights = [row.weight for row in (*terms.storage, *terms.dissipation, *terms.excess)]
+    weights += [row.right for row in terms.definitions]
+    found = {symbol for weight in weights for symbol in SYMBOL.findall(MARKS.sub(" ", weight))}
+    assert len(found) > 3
+    assert found - told == set()
+
+
+def check_written_out(terms, claim):
+    """V and its rate can be written out."""
+    assert len(terms.storage) == sum(len(part.certificate.storage) for part in claim.parts)
+    cascades = [part for part in claim.parts if part.certificate.consumes is not None]
+    assert bool(terms.consumption) == bool(cascades)
+    text = " ".join(row.right for row in (*terms.V, *terms.rate))
+    assert "None" not in text
+    assert "_" not in text.replace("_{", "")  # no name of the code is left bare
