@@ -22,7 +22,7 @@ from dmframe.units import plain, to_unit
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.report import Analysis, Verification
-    from dmframe.simulate import Controller
+    from dmframe.runtime import Controller
     from dmframe.simulate.engine import Choice
 
 TEXT = "graph"
@@ -197,7 +197,7 @@ class Graph:
         DmframeError
             It runs in continuous time, or commands nothing.
         """
-        from dmframe.simulate import Controller
+        from dmframe.runtime import Controller
 
         if self.clock is None:
             raise ValueFault(

@@ -1,11 +1,10 @@
 """Running a diagram."""
 
 from dmframe.simulate.bounds import Divergence
-from dmframe.simulate.controller import Controller
 from dmframe.simulate.keep import Log
 from dmframe.simulate.many import simulate_many
 from dmframe.simulate.run import Recording, simulate
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Solver
 
-__all__ = ["Controller", "Divergence", "Log", "Recording", "Solver", "simulate", "simulate_many", "start_state"]
+__all__ = ["Divergence", "Log", "Recording", "Solver", "simulate", "simulate_many", "start_state"]

@@ -11,9 +11,10 @@ from typing import Any, Literal, Protocol, final, get_args
 import casadi as ca
 import numpy as np
 
-from dmframe.compile import first_time, load, loop_source
-from dmframe.compile.library import address
-from dmframe.compile.trial import called
+from dmframe.build import first_time, load
+from dmframe.build.library import address
+from dmframe.build.trial import called
+from dmframe.codegen import loop_source
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.step import Solver, Step
 

@@ -21,9 +21,9 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX
-from dmframe.compile.parts import Parts
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
+from dmframe.diagram.parts import Parts
 from dmframe.errors import EngineError, ValueFault
 from dmframe.port import Side
 

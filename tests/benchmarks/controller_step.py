@@ -71,7 +71,7 @@ def in_c(graph: str) -> dict[str, Any]:
 def in_python(graph: str) -> dict[str, Any]:
     """Seconds of a step of ours, called from Python as a real-time loop does."""
     from dmframe.config.experiment import load_experiment
-    from dmframe.simulate import Controller
+    from dmframe.runtime import Controller
 
     loaded = load_experiment(graph)
     diagram = loaded.diagram()

@@ -15,6 +15,6 @@ class Loop(ours_interpreted.Loop):
 
     @classmethod
     def missing(cls) -> str:
-        from dmframe.compile.compiler import find_compiler
+        from dmframe.build.compiler import find_compiler
 
         return "" if find_compiler() else "missing: a C compiler, or the package ziglang"

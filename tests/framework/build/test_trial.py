@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dmframe.compile import compiler as compilers
-from dmframe.compile.trial import called
+from dmframe.build import compiler as compilers
+from dmframe.build.trial import called
 from dmframe.simulate import Recording
 
 Runner = Callable[..., Recording]

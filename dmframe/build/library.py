@@ -10,8 +10,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, final
 
-from dmframe.compile.cache import CompileFailed, Works, built, cache_folder, find, key_of, make, prepare
-from dmframe.compile.compiler import Compiler, find_compiler, wanted_compiler
+from dmframe.build.cache import CompileFailed, Works, built, cache_folder, find, key_of, make, prepare
+from dmframe.build.compiler import Compiler, find_compiler, wanted_compiler
 
 NONE = (
     "no C compiler was found ($CC, cc, gcc, clang, or the package ziglang): the run is interpreted, with the same "

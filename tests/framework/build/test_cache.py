@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dmframe.compile import cache as keeping
-from dmframe.compile import compiler as compilers
-from dmframe.compile import library
-from dmframe.compile.cache import find, make
-from dmframe.compile.compiler import CompileFailed, Compiler, find_compiler
+from dmframe.build import cache as keeping
+from dmframe.build import compiler as compilers
+from dmframe.build import library
+from dmframe.build.cache import find, make
+from dmframe.build.compiler import CompileFailed, Compiler, find_compiler
 from dmframe.config.experiment import load_experiment
 from dmframe.errors import ValueFault
 from dmframe.simulate import Recording, simulate

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-import dmframe.compile.function
+import dmframe.codegen.function
+from dmframe.build import load
+from dmframe.build.library import address
 from dmframe.catalogue import graphs
-from dmframe.compile import Parts, load, loop_source
-from dmframe.compile.function import written
-from dmframe.compile.library import address
-from dmframe.compile.source import shipped
+from dmframe.codegen import loop_source
+from dmframe.codegen.function import written
+from dmframe.codegen.source import shipped
 from dmframe.config.experiment import load_experiment
+from dmframe.diagram.parts import Parts
 from dmframe.errors import DmframeError, EngineError, UnknownNameError, ValueFault
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Log, Recording, Solver, simulate
@@ -174,7 +176,7 @@ def tabulated(function: Any) -> np.ndarray:
 
 @pytest.mark.parametrize("piece", [1, 2, 7, 1000])
 def test_a_long_function_in_pieces_gives_the_same_numbers(piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dmframe.compile.function, "PIECE", piece)
+    monkeypatch.setattr(dmframe.codegen.function, "PIECE", piece)
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     first, values = x * y + 2, list[Any]()
     for k in range(20):
@@ -186,11 +188,11 @@ def test_a_long_function_in_pieces_gives_the_same_numbers(piece: int, monkeypatc
 
 
 def function_lines(function: Any) -> int:
-    return len(dmframe.compile.function._lines(function)[0])
+    return len(dmframe.codegen.function._lines(function)[0])
 
 
 def test_a_function_in_pieces_may_write_over_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dmframe.compile.function, "PIECE", 1)
+    monkeypatch.setattr(dmframe.codegen.function, "PIECE", 1)
     a = ca.SX.sym("a", 2)
     function = ca.Function("f", [a], [ca.vertcat(a[1] + 1, a[0] * 2 + a[1])])
     text = written(function) + "\nDM_EXPORT void dm_over(double *a) { dm_f(a, a); }"

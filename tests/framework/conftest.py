@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.compile import library
+from dmframe.build import library
 from dmframe.config.experiment import load_experiment
 from dmframe.simulate import Recording, simulate
 

@@ -21,7 +21,7 @@ from typing import Final
 
 import platformdirs
 
-from dmframe.compile.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
+from dmframe.build.compiler import FLAGS, SHARED, CompileFailed, Compiler, processor
 from dmframe.errors import ValueFault
 from dmframe.files import encoded
 
@@ -35,7 +35,7 @@ STALE: Final = 3600.0
 _PART: Final = ".part-"
 
 Works = Callable[[Path], bool]
-"""Does a library do what it should? See `dmframe.compile.trial`."""
+"""Does a library do what it should? See `dmframe.build.trial`."""
 
 
 def cache_folder() -> Path:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 import dmframe as dm
+from dmframe.build import compiler as compilers
 from dmframe.catalogue import graphs
-from dmframe.compile import compiler as compilers
 from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
-from dmframe.simulate import Controller, simulate
+from dmframe.runtime import Controller
+from dmframe.simulate import simulate
 
 SAMPLED = [name for name in graphs() if name.startswith(("ur10_fast", "arm2", "observed", "torque", "panda"))]
 

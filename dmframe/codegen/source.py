@@ -12,8 +12,8 @@ from typing import Any
 
 import casadi as ca
 
-from dmframe.compile.function import written
-from dmframe.compile.parts import Parts, split
+from dmframe.codegen.function import written
+from dmframe.diagram.parts import Parts, split
 
 
 def loop_source(parts: Parts) -> str:
@@ -49,4 +49,4 @@ def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str) -
 
 def shipped(name: str) -> str:
     """A file of C that comes with this package."""
-    return files("dmframe.compile").joinpath(name).read_text(encoding="utf-8")
+    return files("dmframe.codegen").joinpath(name).read_text(encoding="utf-8")

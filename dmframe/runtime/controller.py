@@ -11,8 +11,9 @@ from typing import Any, final, get_args
 import casadi as ca
 import numpy as np
 
-from dmframe.compile import control_source, load
-from dmframe.compile.library import address
+from dmframe.build import load
+from dmframe.build.library import address
+from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.resolve import Leaf
