@@ -26,7 +26,7 @@ from dmframe.simulate import simulate, simulate_many
 
 
 def full(n: int, seed: int = 0) -> str:
-    """A matrix as a graph file writes it; of more than 22 rows in blocks of 12, as a proof's time goes with elements."""
+    """A matrix as a graph file writes it; of more than 22 rows in blocks of 12: a proof's time goes with elements."""
     root = np.random.default_rng(seed).normal(size=(n, n))
     if n > 22:
         root *= np.kron(np.eye(n // 12), np.ones((12, 12)))
