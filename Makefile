@@ -1,4 +1,4 @@
-# make run | make test | make benchmark | make peers | make mutants | make setup | make lint | make lock | make clean
+# make run | make test | make benchmark | make peers | make mutants | make soak | make setup | make lint | make lock | make clean
 # Needs Python 3.11 or later with venv and pip, git, make and gcc; choose the Python with PYTHON=python3.12.
 
 SHELL := /bin/bash
@@ -14,7 +14,7 @@ FAST := ur10_fast ur10_fast_kinematic ur10_fast_tuned
 SLOW := ur10_slow ur10_slow_kinematic ur10_slow_tuned
 SOURCES := dmframe blocks plants tests
 
-.PHONY: run test mutants setup lint lock clean benchmark peers
+.PHONY: run test mutants soak setup lint lock clean benchmark peers
 
 # The paper's two experiments: a table and a folder of figures each.
 run: setup
@@ -28,6 +28,10 @@ test: lint
 # minutes to an hour; MUTANTS=--quick puts each into one loop only.
 mutants: setup
 	$(BIN)/python tests/framework/certify/mutants.py $(MUTANTS)
+
+# How long the packaged graphs stay sound beyond their own durations, over a simulated day: half an hour.
+soak: setup
+	$(BIN)/python tests/soak.py
 
 lint: setup
 	$(BIN)/ruff check $(SOURCES)

@@ -10,7 +10,7 @@ import numpy as np
 
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError, ValueFault
+from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
 from dmframe.simulate.start import goals
 from dmframe.simulate.step import MOST_SUBSTEPS
@@ -90,6 +90,17 @@ def largest_stable_period(
         linearised_period(linearise(diagram, start=start, moving=True)),
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
     )
+
+
+def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | None = None) -> float | None:
+    """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point."""
+    try:
+        at_rest = linearise(diagram, start=start)
+        return max(
+            linear.spectral_radius(clock) for linear in (at_rest, linearise(diagram, at_rest.point, moving=True))
+        )
+    except DmframeError:
+        return None
 
 
 def linearised_period(linear: Linear) -> Bracket:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -23,8 +23,11 @@ if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.report import Analysis, Verification
     from dmframe.runtime import Controller
+    from dmframe.simulate import Recording
     from dmframe.simulate.engine import Choice
 
+LONG = 10.0
+"""Runs of so many seconds are worth a look at how they might go on, which takes a fraction of one."""
 TEXT = "graph"
 """What messages call a graph that came from no file."""
 
@@ -134,7 +137,23 @@ class Graph:
         """
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
-            return Run(graph.experiment, graph.experiment.simulate(self.diagram, engine=engine, progress=bar))
+            recording = graph.experiment.simulate(self.diagram, engine=engine, progress=bar)
+        return Run(graph.experiment, self._warned(recording))
+
+    def _warned(self, recording: Recording) -> Recording:
+        """With a notice where a sampled loop is unstable near its set-point: a run may end before one sees it."""
+        if self.clock is None or recording.divergence is not None or recording.duration < LONG:
+            return recording
+        from dmframe.analysis.period import TOLERANCE, sampled_radius
+
+        radius = sampled_radius(self.diagram, self.clock, self.experiment.start)
+        if radius is None or radius <= 1 + TOLERANCE:
+            return recording
+        said = (
+            f"with its estimates at their true values this loop is unstable near its set-point on a clock of "
+            f"{plain(self.clock, 's')}, spectral radius {radius:.4g}: a longer run may diverge; `analyse` tells more"
+        )
+        return replace(recording, notices=(*recording.notices, said))
 
     def verify(self, *, seed: int = 0) -> Verification:
         """Prove its Lyapunov derivative exactly, for all values of its gains and parameters, or say why not.

@@ -1,0 +1,36 @@
+"""How long the packaged graphs stay sound on their own clocks: ``make soak``, or ``soak.py --hours 24 [NAME...]``.
+
+What is proved in continuous time may diverge when it is sampled, long after the graph's own `duration`. Each graph is
+run for a day; a line each says whether it came to the end, or where it left its bounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import dmframe as dm
+from dmframe.units import plain
+
+
+def main() -> int:
+    """Run them; the status is 1 where one diverged."""
+    words = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    words.add_argument("--hours", type=float, default=24.0)
+    words.add_argument("names", nargs="*", help="graphs; all packaged ones without")
+    asked = words.parse_args()
+    diverged = 0
+    for name in asked.names or dm.graphs():
+        graph = dm.load(name).set({"duration": f"{asked.hours} h", "log.every": f"{asked.hours / 800} h"})
+        run = graph.run(engine="compiled", progress=False)
+        error = run.error
+        last = "" if error is None else f", |{error.signal}| {plain(float(error.norm[-1]), error.unit)} at its end"
+        told = f"diverged: {run.divergence}" if run.divergence else f"sound for {asked.hours:g} h{last}"
+        diverged += run.divergence is not None
+        print(f"{name:<32} {told}", flush=True)
+    print(f"{diverged} diverged")
+    return int(diverged > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
