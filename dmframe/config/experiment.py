@@ -386,7 +386,10 @@ def _start_numbers(item: Any, depth: int = 0) -> Any:
         return to_unit(item, "rad")
     if isinstance(item, bool) or not isinstance(item, int | float):
         raise ValueFault(f"expected numbers, found {_shown(item)}")
-    return float(item)
+    try:
+        return float(item)
+    except OverflowError:
+        raise ValueFault("expected a finite number, found one of hundreds of digits") from None
 
 
 def _shown(value: Any) -> str:
@@ -397,7 +400,11 @@ def _shown(value: Any) -> str:
 
 
 def _fault(detail: Any, data: Any) -> DmframeError:
-    path = tuple(part for part in detail["loc"] if not (isinstance(part, str) and "[" in part))
+    *parts, last = detail["loc"]
+    # pydantic puts its own words between, function-before[...]; a user's unknown key is the last
+    kept = [part for part in parts if not (isinstance(part, str) and "[" in part)]
+    own = detail["type"] == "extra_forbidden" or not (isinstance(last, str) and "[" in last)
+    path = (*kept, last) if own else tuple(kept)
     where, found = ".".join(str(part) for part in path), detail["input"]
     match detail["type"]:
         case "extra_forbidden":
