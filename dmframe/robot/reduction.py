@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ def reduce_model(
     _check_names(where, names, free, hold)
     for joint in names:
         # Pinocchio's reduction crashes on a joint without a frame, which a model built by hand may have.
-        if not model.existFrame(joint):
+        if not model.existFrame(joint, pin.FrameType.JOINT):
             raise RobotError(
                 f"{where}: joint {joint} has no frame in the model; call model.addJointFrame on it",
                 path=("robot", "model"),
@@ -52,6 +52,8 @@ def reduce_model(
     _check_kinds(model, where, kept, hold, mimics)
     locked = [model.getJointId(joint) for joint in names if joint not in kept]
     reduced = pin.buildReducedModel(_with_unique_frames(model), locked, model_configuration(model, hold))
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_BODY)
     _check_chain(reduced, where)
     return reduced, _tool_frame(reduced, tool, where)
 
@@ -129,15 +131,24 @@ def _check_chain(model: Any, where: str) -> None:
             )
 
 
+_BODY: Final = " (body)"
+
+
 def _with_unique_frames(model: Any) -> Any:
-    """A copy in which no fixed joint's frame shares a body's name: Pinocchio's reduction refuses such namesakes."""
+    """A copy in which no joint's frame shares a body's name: Pinocchio's reduction refuses such namesakes.
+
+    A fixed joint's frame is renamed for good; a body that is called as a moving joint has its name again afterwards.
+    """
     import pinocchio as pin
 
     copy = model.copy()
     bodies = {frame.name for frame in copy.frames if frame.type == pin.FrameType.BODY}
+    joints = {frame.name for frame in copy.frames if frame.type == pin.FrameType.JOINT}
     for frame in copy.frames:
         if frame.type == pin.FrameType.FIXED_JOINT and frame.name in bodies:
             frame.name += " (fixed joint)"
+        elif frame.type == pin.FrameType.BODY and frame.name in joints:
+            frame.name += _BODY
     return copy
 
 

@@ -380,3 +380,19 @@ def test_a_built_model_with_a_bad_mass_names_the_joint(mass):
         SerialChain.from_model(model_with(pin.JointModelRX(), inertia=inertia))
     text = f"robot built: expected a finite mass >= 0 and a finite inertia behind joint first, found mass {mass:g}"
     check(caught.value, RobotError, text, "model")
+
+
+@pytest.mark.parametrize("name", ["base", "link1", "link2"])
+def test_a_joint_may_be_called_like_a_link(tmp_path, name):
+    source = find_robot("arm2").urdf.read_text(encoding="utf-8")
+    assert source.count('joint name="joint2"') == 1
+    file = tmp_path / "same.urdf"
+    file.write_text(source.replace('joint name="joint2"', f'joint name="{name}"'), encoding="utf-8")
+    one, other = load("arm2"), load(str(file), tool="tool", axes="xy")
+    assert other.joint_names == ("joint1", name)
+    q = np.array([0.3, -0.7])
+    for chain in (one, other):
+        pin.crba(chain.model, data := chain.model.createData(), q)
+        masses = np.triu(data.M)
+        assert masses == pytest.approx(np.triu(pin.crba(one.model, one.model.createData(), q)))
+    assert [frame.name for frame in other.model.frames].count("link1") == 1 + (name == "link1")
