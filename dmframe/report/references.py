@@ -1,28 +1,56 @@
-"""The sources that the blocks of the library cite."""
+"""The sources that blocks cite, in full: from ``references.bib`` of each block package."""
 
 from __future__ import annotations
 
+import functools
+import re
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Final
 
-_REFERENCES: Final = {
-    "WangTAC2020": "H. Wang, W. Ren, C. C. Cheah, Y. Xie, S. Lyu, “Dynamic Modularity Approach to Adaptive Control of "
-    "Robotic Systems With Closed Architecture”, IEEE Transactions on Automatic Control 65(6), 2020, pp. 2760–2767.",
-    "Flash1985": "T. Flash, N. Hogan, “The Coordination of Arm Movements: An Experimentally Confirmed Mathematical "
-    "Model”, Journal of Neuroscience 5(7), 1985, pp. 1688–1703.",
-    "SlotineLi1987": "J.-J. E. Slotine, W. Li, “On the Adaptive Control of Robot Manipulators”, International Journal "
-    "of Robotics Research 6(3), 1987, pp. 49–59.",
-    "SlotineLi1991": "J.-J. E. Slotine, W. Li, “Applied Nonlinear Control”, Prentice Hall, 1991.",
-    "NarendraAnnaswamy1987": "K. S. Narendra, A. M. Annaswamy, “A New Adaptive Law for Robust Adaptation Without "
-    "Persistent Excitation”, IEEE Transactions on Automatic Control 32(2), 1987, pp. 134–145.",
-    "IoannouSun1996": "P. A. Ioannou, J. Sun, “Robust Adaptive Control”, Prentice Hall, 1996.",
-    "LeeKwonPark2018": "T. Lee, J. Kwon, F. C. Park, “A Natural Adaptive Control Law for Robot Manipulators”, IEEE/RSJ "
-    "International Conference on Intelligent Robots and Systems, 2018.",
-    "Siciliano2009": "B. Siciliano, L. Sciavicco, L. Villani, G. Oriolo, “Robotics: Modelling, Planning and Control”, "
-    "Springer, 2009.",
-    "Spong2006": "M. W. Spong, S. Hutchinson, M. Vidyasagar, “Robot Modeling and Control”, Wiley, 2006.",
-}
+from dmframe.catalogue import packages
+from dmframe.errors import DmframeError
+
+_ENTRY: Final = re.compile(r"^@\w+\{\s*([^,\s]+)\s*,(.*?)^\}", re.MULTILINE | re.DOTALL)
+_FIELD: Final = re.compile(r"^\s*(\w+)\s*=\s*\{(.*)\},?\s*$", re.MULTILINE)
+_WHERE: Final = ("journal", "booktitle", "publisher", "institution", "school", "howpublished")
 
 
 def reference(key: str) -> str:
-    """The full title of a source; of one that a block of somebody else cites, where to look."""
-    return _REFERENCES.get(key, "see the documentation of the block that cites it")
+    """The full title of a source; of one that no bibliography holds, where to look."""
+    fields = _bibliography().get(key)
+    return _told(fields) if fields else "see the documentation of the block that cites it"
+
+
+@functools.cache
+def _bibliography() -> dict[str, dict[str, str]]:
+    """The fields of each source, by its key."""
+    found = dict[str, dict[str, str]]()
+    try:
+        folders = [Path(folder) for package in packages() for folder in package.__path__]
+    except DmframeError:  # told where blocks are looked for
+        return found
+    for folder in folders:
+        file = folder / "references.bib"
+        if file.is_file():
+            for entry in _ENTRY.finditer(file.read_text(encoding="utf-8")):
+                found[entry[1]] = dict(_FIELD.findall(entry[2]))
+    return found
+
+
+def _told(fields: Mapping[str, str]) -> str:
+    """As a paper tells it: ``H. Wang, W. Ren, “Title”, Journal 65(6), 2020, pp. 1–8``."""
+    authors = ", ".join(_forwards(name) for name in fields.get("author", "").split(" and ") if name)
+    number = f"({fields['number']})" if "number" in fields else ""
+    volume = f" {fields['volume']}{number}" if "volume" in fields else ""
+    place = next((fields[kind] for kind in _WHERE if kind in fields), "")
+    pages = f"pp. {fields['pages'].replace('--', '–')}" if "pages" in fields else ""
+    title = f"“{fields.get('title', '')}”"
+    parts = [authors, title, f"{place}{volume}".strip(), fields.get("year", ""), pages]
+    return ", ".join(re.sub(r"[{}]", "", part) for part in parts if part) + "."
+
+
+def _forwards(name: str) -> str:
+    """``Wang, H.`` as ``H. Wang``."""
+    last, _, first = name.strip().partition(", ")
+    return f"{first} {last}".strip()

@@ -13,7 +13,7 @@ SOURCES = ("dmframe", "blocks/dmframe_blocks", "plants/dmframe_plants")
 
 
 def entries() -> dict[str, tuple[str, set[str]]]:
-    text = ROOT.joinpath("docs", "references.bib").read_text(encoding="utf-8")
+    text = ROOT.joinpath("blocks", "dmframe_blocks", "references.bib").read_text(encoding="utf-8")
     return {m[2]: (m[1], set(re.findall(r"^  (\w+)", m[3], re.MULTILINE))) for m in ENTRY.finditer(text)}
 
 
