@@ -81,7 +81,7 @@ class DocumentError(DmframeError):
 
 
 @final
-class UnknownNameError(DmframeError):
+class UnknownNameError(DmframeError, KeyError):
     """A name that nothing bears: a block type, a parameter, a key, a graph, a signal."""
 
     def __init__(self, where: str, kind: str, name: str, choices: Iterable[str], **place: object) -> None:

@@ -13,6 +13,7 @@ from html import escape
 from typing import Any
 
 _LEFT = "text-align:left"
+_FIT = '<svg style="max-width:100%;height:auto" '
 
 
 def heading(name: str, says: str = "") -> str:
@@ -61,3 +62,9 @@ def _scoped(style: str, prefix: str) -> str:
         own = ", ".join(f"#{prefix} {selector.strip()}" for selector in selectors.split(","))
         rules.append(f"{own} {{{body}}}")
     return "<style>" + "\n".join(rules) + "</style>"
+
+
+def fitted(svg: str, prefix: str) -> str:
+    """An SVG as a part of a page, no wider than the page."""
+    held = embedded(svg, prefix)
+    return f'<div style="overflow-x:auto">{held.replace("<svg ", _FIT, 1)}</div>'

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, final
+from threading import RLock
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
@@ -19,6 +20,9 @@ from dmframe.errors import BlockError, nearest
 from dmframe.linalg import Inverted, inverting
 from dmframe.parameter import specs
 from dmframe.port import Port, State
+
+SYMBOLIC: Final = RLock()
+"""Held where expressions are made or read: CasADi counts their owners without regard to threads."""
 
 
 @final

@@ -56,7 +56,12 @@ def _addressed(text: str, names: Sequence[str]) -> tuple[list[int], str]:
     graph, colon, key = label.rpartition(":")
     if not colon:
         return list(range(len(names))), text
-    places = [place for place, name in enumerate(names) if graph.strip() in (name, Path(name).stem)]
+    places = [place for place, name in enumerate(names) if graph.strip() == name]
+    if not places:
+        places = [place for place, name in enumerate(names) if graph.strip() == Path(name).stem]
+        if len({names[place] for place in places}) > 1:
+            alike = " and ".join(dict.fromkeys(names[place] for place in places))
+            raise ValueFault(f"--set {label}: {graph.strip()} may be {alike}; write the one that is meant in full")
     if not places:
         raise UnknownNameError(f"--set {label}", "graph", graph.strip(), names)
     return places, f"{key}{equals}{value}"

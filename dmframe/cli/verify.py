@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from dmframe.cli.streams import tell
 from dmframe.graph import Graph
 from dmframe.graph.progress import telling
+from dmframe.graph.runs import labels_of
 
 NOT_PROVED = 1
 
@@ -23,7 +25,8 @@ def verify_graphs(
         check_place(report)
     for graph in graphs:  # faults of every graph are told before the first is proved
         _ = graph.diagram
-    found = [graph.verify(seed=seed) for graph in graphs]
+    labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+    found = [replace(graph.verify(seed=seed), label=label) for graph, label in zip(graphs, labels, strict=True)]
     try:
         if report is not None:  # on the disk before anything is printed: printing may fail
             words = [*replay, "--seed", str(seed), "--report", report.name]

@@ -13,6 +13,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Number
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
@@ -187,8 +188,10 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
     where = ".".join(map(str, path)) or "graph"
     if len(path) > _DEEPEST:
         raise DocumentError(f"nested deeper than {_DEEPEST} levels; a graph needs about four", location=said)
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
+    if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
+        value = np.asarray(value).tolist()
+    if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
+        value = float(value)  # type: ignore[arg-type]
     if isinstance(value, Mapping):
         entries = dict[str, tuple[Node, Node]]()
         for key, item in value.items():
@@ -236,7 +239,9 @@ def _order(fault: DmframeError) -> tuple[int, int]:
 
 def _neighbours(folder: Path) -> list[str]:
     try:
-        return [item.name for item in folder.iterdir() if item.suffix in {".yaml", ".yml"}]
+        return [
+            item.name for item in folder.iterdir() if item.suffix in {".yaml", ".yml"} and not item.name.startswith(".")
+        ]
     except OSError:
         return []
 

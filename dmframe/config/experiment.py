@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from pydantic import BaseModel, ValidationError
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection, robot_name
@@ -71,7 +72,8 @@ class Experiment:
         """
         file = self.file
         try:
-            diagram = Diagram.build(self.blocks, file.wires, self.robot)
+            with SYMBOLIC:
+                diagram = Diagram.build(self.blocks, file.wires, self.robot)
             check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
             return diagram
         except DmframeError as error:
@@ -114,7 +116,8 @@ class Experiment:
 
         diagram = diagram or self.diagram()
         try:
-            return verify(diagram, seed=seed, uncertain=self.intervals(diagram), start=self.start)
+            with SYMBOLIC:
+                return verify(diagram, seed=seed, uncertain=self.intervals(diagram), start=self.start)
         except DmframeError as error:
             raise placed(error, self.document) from None
 

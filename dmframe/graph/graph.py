@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.model import SYMBOLIC
 from dmframe.config import Experiment, load_experiment
-from dmframe.config.document import document_of, read_document
+from dmframe.config.document import Document, document_of, read_document
 from dmframe.config.experiment import experiment_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault
+from dmframe.graph.named import Named
 from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
 from dmframe.units import plain, to_unit
@@ -70,7 +72,7 @@ class Graph:
     @property
     def blocks(self) -> Mapping[str, AbstractBlock]:
         """The blocks by name; their parameters are attributes, ``g.blocks["dynamics"].Gamma``."""
-        return self.experiment.blocks
+        return Named("block", self.experiment.blocks)
 
     @property
     def robot(self) -> Any:
@@ -103,8 +105,10 @@ class Graph:
         Raises
         ------
         DmframeError
-            All faults of the new values at once.
+            All faults of the new values at once; those of sizes and wires when something is asked of the graph.
         """
+        if not isinstance(values, Mapping | None):
+            raise ValueFault(f"set: expected values by name, {{'dynamics.Gamma': 3}}, found {values!r:.40}")
         return Graph(self.experiment.changed({**(values or {}), **keys}))
 
     def until(self, duration: float | str) -> Graph:
@@ -165,6 +169,8 @@ class Graph:
         """
         from dmframe.report import Verification
 
+        if isinstance(seed, bool) or not isinstance(seed, int):
+            raise ValueFault(f"seed: expected a whole number, found {seed!r:.40}")
         with telling(self.name) as tell:
             tell("proving")
             verdict = self.experiment.verify(self.diagram, seed=seed)
@@ -189,7 +195,7 @@ class Graph:
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
         try:
-            with telling(self.name) as tell:
+            with telling(self.name) as tell, SYMBOLIC:
                 found = analyse(
                     diagram,
                     self.clock,
@@ -234,8 +240,21 @@ class Graph:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
         from dmframe.files import write_text
 
+        _ = self.diagram  # faults of sizes and wires, too
+        path = Path(path).expanduser()
         write_text(path, self.text, new=True)
-        return Path(path)
+        return path
+
+    def __reduce__(self) -> Any:
+        """Pickled as its document: a process elsewhere makes its blocks anew."""
+        return _again, (self.experiment.document, self.experiment.name, self.experiment.overrides)
+
+    def __eq__(self, other: object) -> bool:
+        """The same text gives the same run."""
+        return isinstance(other, Graph) and (self.name, self.text) == (other.name, other.text)
+
+    def __hash__(self) -> int:
+        return hash((self.name, self.text))
 
     def __repr__(self) -> str:
         clock = "in continuous time" if self.clock is None else f"every {plain(self.clock, 's')}"
@@ -247,11 +266,13 @@ class Graph:
         return check_page(self.experiment, self.diagram)
 
     def _repr_html_(self) -> str:
+        from dmframe.drawing import svg
+
         rows = [(name, type_name(type(block)), block.side.value) for name, block in self.blocks.items()]
         clock = "continuous time" if self.clock is None else f"sampled every {plain(self.clock, 's')}"
         return (
             notebook.heading(self.name, self.title)
-            + notebook.embedded(self.draw().svg, f"dm-{self.diagram.fingerprint[:8]}")
+            + notebook.fitted(svg(self.diagram), f"dm-{self.diagram.fingerprint[:8]}")
             + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
             + notebook.table(rows, ("block", "type", "side"))
         )
@@ -308,3 +329,8 @@ def seconds(what: str, value: float | str) -> float:
     if not found > 0:
         raise ValueFault(f"{what} {value}: expected a time above zero")
     return found
+
+
+def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Graph:
+    """A graph that was pickled."""
+    return Graph(replace(experiment_of(document), name=name, overrides=overrides))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final, overload
+from typing import TYPE_CHECKING, Any, Final, final, overload
 
 from dmframe import notebook
 from dmframe.config import Experiment
@@ -15,13 +16,16 @@ from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
 from dmframe.results.run import HEADS, NOTE, Run, ended, row, table_of
 from dmframe.simulate import Recording, simulate_many
-from dmframe.units import shorten
+from dmframe.units import plain, shorten
 
 if TYPE_CHECKING:
     import pandas
 
     from dmframe.results.figures import Figures
     from dmframe.simulate.engine import Choice
+
+
+EXAMPLE: Final = '{"dynamics.Gamma": [1, 10]}'
 
 
 @final
@@ -41,33 +45,37 @@ class Runs(Sequence[Run]):
 
     @property
     def table(self) -> pandas.DataFrame:
-        """A row a run: label, clock, the tracking error's RMS in each eighth, its unit, did it diverge."""
+        """A row a run: what was set, clock and duration [s], did it diverge, the error's RMS in each eighth."""
         import pandas
 
         rows = list[dict[str, Any]]()
         for run in self.runs:
             told, error = run.summary, run.error
             eighths = error.rms_by_eighth if error is not None else ()
+            clock = None if told["clock"] == "continuous" else told["clock"]
             rows.append(
-                {"run": run.name, "clock": told["clock"], "diverged": told["diverged"]}
+                {"run": run.name, **_set_in(run), "clock": clock, "duration": told["duration"]}
+                | {"diverged": told["diverged"], "wall_time": told["wall_time"]}
                 | {"error": error.signal if error else None, "unit": error.unit if error else None}
                 | {f"rms_{k}": value for k, value in enumerate(eighths, start=1)}
             )
-        return pandas.DataFrame(rows).set_index("run")
+        return pandas.DataFrame(rows, columns=None if rows else ["run"]).set_index("run")
 
-    def plot(self, *signals: str) -> Figures:
+    def plot(self, *signals: str | Sequence[str]) -> Figures:
         """The figures of the command line, overlaid, or one of some signals. See `Run.plot`."""
         from dmframe.results.figures import figures_of, signals_figure
 
         runs = {run.name: run.recording for run in self.runs}
-        return signals_figure(runs, signals) if signals else figures_of(runs)
+        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
+        return signals_figure(runs, labels) if labels else figures_of(runs)
 
-    def save(self, folder: str | Path, *, plots: bool = True) -> Path:
+    def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write each to a folder of its own below `folder`, and the figures beside them. See `Run.save`."""
         from dmframe.results.folder import write_run
 
-        write_run(folder, self.runs, plots=plots)
-        return Path(folder)
+        path = Path(folder).expanduser()
+        write_run(path, self.runs, plots=plots, force=force)
+        return path
 
     @overload
     def __getitem__(self, key: int | str) -> Run: ...
@@ -110,7 +118,7 @@ class Runs(Sequence[Run]):
 
 
 def compare(
-    items: Iterable[Graph | Run | str | Path | Mapping[str, Any]],
+    items: Iterable[Graph | Run | str | Path | Mapping[str, Any]] | Graph | Run | str | Path | Mapping[str, Any],
     *,
     until: float | str | None = None,
     engine: Choice = "auto",
@@ -132,7 +140,15 @@ def compare(
     DmframeError
         Faults of every graph, before the first runs.
     """
+    if isinstance(items, Run | Graph | str | Path | Mapping):  # one alone
+        items = [items]
     found: list[Graph | Run] = [item if isinstance(item, Run) else load(item) for item in items]
+    for item in found:
+        if until is not None and isinstance(item, Run) and item.recording.duration != seconds("until", until):
+            raise ValueFault(
+                f"compare: {item.name} has run for {plain(item.recording.duration, 's')} already, not {until}; "
+                "give its graph, to run it again"
+            )
     graphs = [item for item in found if isinstance(item, Graph)]
     for graph in graphs:
         _ = graph.diagram
@@ -179,7 +195,13 @@ def sweep(
 
 def variants(base: Graph, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
     """The graph with each combination of values; faults of all of them at once."""
-    tried = {label: list(several) for label, several in values.items()}
+    if not isinstance(values, Mapping):
+        raise ValueFault(f"sweep: expected values by name, {EXAMPLE}, found {shorten(repr(values), 30)}")
+    tried = dict[str, list[Any]]()
+    for label, several in values.items():
+        if isinstance(several, str | bytes | Mapping) or not isinstance(several, Iterable):
+            raise ValueFault(f"sweep {label}: expected a list of values, {EXAMPLE}, found {shorten(repr(several), 30)}")
+        tried[label] = list(several)
     for label, several in tried.items():
         if not several:
             raise ValueFault(f"sweep {label}: expected at least one value, found none")
@@ -244,21 +266,39 @@ def _numbers(base: Experiment, other: Experiment) -> dict[str, Any] | None:
 
 def labelled(runs: Sequence[Run]) -> Runs:
     """Each under a label of its own: the graph's name, with what was set where several bear one name."""
+    labels = labels_of([(run.name, run.experiment) for run in runs])
+    return Runs(tuple(Run(run.experiment, run.recording, label) for run, label in zip(runs, labels, strict=True)))
+
+
+def labels_of(items: Sequence[tuple[str, Experiment]]) -> list[str]:
+    """Names, made distinct by what was set in their graphs, or by a number."""
     labels = list[str]()
-    for run in runs:
-        alike = [set(other.experiment.overrides) for other in runs if other.name == run.name]
-        own = [text for text in run.experiment.overrides if not all(text in others for others in alike)]
-        labels.append(f"{run.name} {', '.join(map(_short, own))}".strip())
+    for name, experiment in items:
+        alike = [set(other.overrides) for called, other in items if called == name]
+        own = [text for text in experiment.overrides if not all(text in others for others in alike)]
+        labels.append(f"{name} {', '.join(map(_short, own))}".strip())
     for place, label in enumerate(labels):
         if label in labels[:place]:
             count = 2
             while f"{label} {count}" in labels:
                 count += 1
             labels[place] = f"{label} {count}"
-    return Runs(tuple(Run(run.experiment, run.recording, label) for run, label in zip(runs, labels, strict=True)))
+    return labels
 
 
 def _short(override: str) -> str:
     """``dynamics.Gamma=1`` as ``Gamma=1``."""
     label, _, value = override.partition("=")
     return f"{label.rpartition('.')[2]}={shorten(value, 20)}"
+
+
+def _set_in(run: Run) -> dict[str, Any]:
+    """What was set in a run's graph, by label."""
+    found = dict[str, Any]()
+    for text in run.experiment.overrides:
+        label, _, value = text.partition("=")
+        try:
+            found[label] = json.loads(value)
+        except ValueError:
+            found[label] = value
+    return {label: value if isinstance(value, int | float | str) else str(value) for label, value in found.items()}

@@ -10,7 +10,7 @@ from typing import Any, Generic, TypeVar, final
 from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
 from dmframe.columns import columns
-from dmframe.errors import UnknownNameError
+from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.graph.graph import Graph, load
 from dmframe.robot.chain import SerialChain
 
@@ -37,6 +37,8 @@ class Shelf(Mapping[str, T], Generic[T]):
     make: Callable[[str], T]
 
     def __getitem__(self, name: str) -> T:
+        if not isinstance(name, str):
+            raise ValueFault(f"{self.kind}s[{name!r:.30}]: expected a name, found {type(name).__name__}")
         if name not in self.rows:
             raise UnknownNameError(f"{self.kind}s[{name!r}]", self.kind, name, self.rows)
         return self.make(name)

@@ -66,7 +66,9 @@ class Analysis:
             poles = (*found.at_rest.poles, *found.moving.poles)
             slowest = max((float(pole.real) for pole in poles), default=0.0)
             if slowest < 0:
-                return "Near the set-point the loop is stable in continuous time;"
+                least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)
+                until = "" if math.isinf(least.unstable) else f", and sampled up to {plain(least.stable, 's', 4)}"
+                return f"Near the set-point the loop is stable in continuous time{until};"
             return f"Near the set-point the loop is unstable: a pole has the real part {slowest:.3g} 1/s;"
         radius = max(linear.spectral_radius(found.clock) for linear in (found.at_rest, found.moving))
         least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)

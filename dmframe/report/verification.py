@@ -34,17 +34,20 @@ class Verification:
         The outcome with everything it rests on.
     seed
         Of the random points and primes.
+    label
+        What tells it from others of its graph's name.
     """
 
     experiment: Experiment
     diagram: Diagram
     verdict: Verdict
     seed: int = 0
+    label: str = ""
 
     @property
     def name(self) -> str:
-        """The graph's name."""
-        return self.experiment.name
+        """What pages call it: the graph's name, or a label that tells it from others of that name."""
+        return self.label or self.experiment.name
 
     @property
     def outcome(self) -> str:
@@ -119,8 +122,9 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     known = graphs()
 
     def place(item: Verification) -> str:
-        packaged = item.name in known and str(known[item.name]) == item.experiment.document.name
-        return item.name if packaged else item.experiment.document.name
+        own = item.experiment.name
+        packaged = own in known and str(known[own]) == item.experiment.document.name
+        return own if packaged else item.experiment.document.name
 
     same = len({item.experiment.overrides for item in found}) == 1
     changes = [

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, final
 
 from dmframe import notebook
+from dmframe.errors import OutputError
+from dmframe.files import writing
 from dmframe.plotting import save
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
@@ -35,11 +37,17 @@ class Figures(Mapping[str, Any]):
     about: str
 
     def save(self, folder: str | Path) -> list[Path]:
-        """Write each as PNG and SVG to a folder that is there."""
-        files = list[Path]()
+        """Write each as PNG and SVG to a folder. Raises `OutputError` where that cannot be done."""
+        place, files = Path(folder).expanduser(), list[Path]()
+        if place.suffix in (".png", ".svg", ".pdf"):
+            raise OutputError(
+                f"{place}: expected a folder, found the name of a file; each figure has a savefig of its own"
+            )
+        with writing(place, "figures"):
+            place.mkdir(parents=True, exist_ok=True)
         for name, figure in self.items():
-            save(figure, Path(folder), name, about=self.about)
-            files += [Path(folder, f"{name}{ending}") for ending in (".png", ".svg")]
+            save(figure, place, name, about=self.about)
+            files += [place / f"{name}{ending}" for ending in (".png", ".svg")]
         return files
 
     def __getitem__(self, name: str) -> Any:

@@ -46,6 +46,7 @@ def write_run(
     runs: Sequence[Run],
     *,
     plots: bool = True,
+    force: bool = False,
     seed: int | None = None,
     command: Sequence[str] | None = None,
     now: datetime | None = None,
@@ -62,6 +63,8 @@ def write_run(
         A new or an empty folder, or one held by `reserved`.
     plots
         Draw the figures.
+    force
+        The folder may hold files; those of the same names are replaced.
     seed
         Of the runs' noise, for the record.
     command, now
@@ -72,7 +75,7 @@ def write_run(
     OutputError
         The folder has files in it, or cannot be written.
     """
-    with nullcontext(path) if isinstance(path, Place) else reserved(path) as place:
+    with nullcontext(path) if isinstance(path, Place) else reserved(path, force=force) as place:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
         if plots:
             draw_figures(place, runs)

@@ -192,6 +192,8 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
             frame(axes, curves)
             axes.set_ylabel(f"{labels[row]} [{unit_text(errors[first].unit)}]")
             axes.set_xlim(begin, end)
+        if begin > 0:
+            panels[0].set_title(f"from {plain(begin, 's')}, where the last lap begins")
         panels[-1].set_xlabel("time [s]")
         note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
         names_above(figure, panels[0], PAGE / 2, [Line2D([], [], color=GREY, linewidth=2.4, label="desired")])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -13,7 +13,9 @@ import numpy as np
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import Experiment
-from dmframe.errors import UnknownNameError
+from dmframe.config.document import Document
+from dmframe.config.experiment import experiment_of
+from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.results.summary import summary
@@ -87,11 +89,19 @@ class Run:
         return summary(self.experiment.name, self.recording)
 
     def __getitem__(self, label: str) -> xarray.DataArray:
+        if not isinstance(label, str):
+            raise ValueFault(
+                f"run[{label!r:.40}]: expected a signal's name such as arm.q, found {type(label).__name__}"
+            )
         if label not in self:
-            raise UnknownNameError(f"run[{label!r}]", "signal", label, self)
+            own = [name for name in self if name.startswith(f"{label}.")]
+            raise UnknownNameError(f"run[{label!r}]", "signal", "" if own else label, own or self)
         return self.data[label]
 
     def __contains__(self, label: object) -> bool:
+        return isinstance(label, str) and self._has(label)
+
+    def _has(self, label: str) -> bool:
         return label in self.recording.states or label in self.recording.outputs
 
     def __iter__(self) -> Iterator[str]:
@@ -101,7 +111,7 @@ class Run:
     def _ipython_key_completions_(self) -> list[str]:
         return list(self)
 
-    def plot(self, *signals: str) -> Figures:
+    def plot(self, *signals: str | Sequence[str]) -> Figures:
         """The figures of the command line, or one of some signals, ``run.plot("arm.q", "dynamics.tau_dc")``.
 
         Raises
@@ -112,10 +122,13 @@ class Run:
         from dmframe.results.figures import figures_of, signals_figure
 
         runs = {self.name: self.recording}
-        return signals_figure(runs, signals) if signals else figures_of(runs)
+        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
+        return signals_figure(runs, labels) if labels else figures_of(runs)
 
-    def save(self, folder: str | Path, *, plots: bool = True) -> Path:
+    def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
+
+        With `force` the folder may hold files; those of the same names are replaced.
 
         Raises
         ------
@@ -124,11 +137,20 @@ class Run:
         """
         from dmframe.results.folder import write_run
 
-        write_run(folder, [self], plots=plots)
-        return Path(folder)
+        path = Path(folder).expanduser()
+        write_run(path, [self], plots=plots, force=force)
+        return path
+
+    def __reduce__(self) -> Any:
+        """Pickled with its arrays; its diagram is made anew when it is read."""
+        held = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
+        experiment = self.experiment
+        return _again, (experiment.document, experiment.name, experiment.overrides, held, self.label)
 
     def __repr__(self) -> str:
-        return f"<Run {self.name}: {plain(float(self.time[-1]), 's')}, {self._ended()}{self._followed()}>"
+        lasted = self.divergence or self.recording.interrupted
+        time = float(self.time[-1]) if lasted else self.recording.duration
+        return f"<Run {self.name}: {plain(time, 's')}, {self._ended()}{self._followed()}>"
 
     def __str__(self) -> str:
         return table_of([self])
@@ -191,3 +213,9 @@ def table_of(runs: Sequence[Run]) -> str:
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
         lines += [f"{run.name}: {text}" for text in ended(run)]
     return "\n".join(lines)
+
+
+def _again(document: Document, name: str, overrides: tuple[str, ...], held: dict[str, Any], label: str) -> Run:
+    """A run that was pickled."""
+    experiment = replace(experiment_of(document), name=name, overrides=overrides)
+    return Run(experiment, Recording(diagram=experiment.diagram(), **held), label)

@@ -66,7 +66,8 @@ class Controller:
         size = function.numel_out(0)
         self._z, self._t, self._period = np.zeros(size), np.zeros(1), np.array([clock])
         self._p = np.ascontiguousarray(loop.p_values)
-        inside, outside = np.zeros(function.numel_in(1)), np.zeros(function.numel_out(1))
+        # nan until they are written: a signal that was forgotten is refused, and moves no arm
+        inside, outside = np.full(function.numel_in(1), np.nan), np.zeros(function.numel_out(1))
         self._start = start_state(diagram, start or {})[:size].copy()
         self.measured: Mapping[str, np.ndarray] = MappingProxyType(_parts(ins, inside))
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))

@@ -108,7 +108,8 @@ def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[
                 f"expected at most {most} instants; take {ticks * period / most:.3g} s or more, or fewer log.signals",
                 path=("log", "every"),
             )
-        return every, ()
+        few = ticks // every < 2
+        return every, ("log.every keeps fewer than three instants of this run",) if few and ticks > 1 else ()
     every = max(1, math.ceil(ticks * width / PLENTY))
     if every == 1:
         return 1, ()

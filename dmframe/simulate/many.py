@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Lock
 from typing import Any, TypeVar, overload
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError, ValueFault
@@ -84,19 +84,18 @@ def simulate_many(
     prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
     prepared = prepared.stepping(diagram, start_state(diagram, start or {}, prepared.starts))
     chosen = prepared.engine(engine, len(variants))
-    symbolic = Lock()  # CasADi's expressions count their owners without regard to threads
 
     def one(variant: Mapping[str, Any]) -> Any:
         try:
             numbers = {key: value for key, value in variant.items() if key != START}
             begin = {**(start or {}), **variant.get(START, {})}
-            with symbolic:
+            with SYMBOLIC:
                 varied = with_values(diagram, numbers)
                 state = start_state(varied, begin, prepared.starts)
-            run = prepared.run(varied, chosen, state, guard=symbolic)
+            run = prepared.run(varied, chosen, state, guard=SYMBOLIC)
             if reduce is None:
                 return run
-            with symbolic:
+            with SYMBOLIC:
                 return reduce(run)
         except DmframeError as fault:
             return fault

@@ -160,7 +160,15 @@ class Prepared:
             told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
         step = build_step(diagram.loop, self.clock, solver, self.recorded, self.step.bounds)
         return Prepared(
-            self.clock, solver, step, self.ticks, self.matrices, self.keeping, self.recorded, self.starts, (told,)
+            self.clock,
+            solver,
+            step,
+            self.ticks,
+            self.matrices,
+            self.keeping,
+            self.recorded,
+            self.starts,
+            (*self.notices, told),
         )
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
@@ -232,7 +240,12 @@ def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: S
     recorded = stack(signal.expression for signal in (*outputs, *matrices))
     step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram))
     kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
-    return Prepared(clock, solver, step, ticks, matrices, kept, recorded)
+    whole, told = ticks * step.period, tuple[str, ...]()
+    if abs(whole - duration) > 0.01 * duration:
+        told = (
+            f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
+        )
+    return Prepared(clock, solver, step, ticks, matrices, kept, recorded, notices=told)
 
 
 def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:

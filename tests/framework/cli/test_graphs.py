@@ -71,6 +71,10 @@ def test_a_value_may_be_for_one_graph_of_several(tmp_path: Path, dmframe: Any) -
     assert gains[1] == graphs_of(["arm2_joint"], [])[0].blocks["dynamics"].Gamma  # type: ignore[attr-defined]
     assert [graph.duration for graph in found] == [0.1, 0.1]
     assert graphs_of(["mine.yaml"], ["mine:dynamics.Gamma=3"])[0].blocks["dynamics"].Gamma == 3.0  # type: ignore[attr-defined]
+    both = (
+        graphs_of(["pendulum", "./pendulum.yaml"], ["pendulum:dynamics.Gamma=3"]) if dmframe("new", "pendulum") else []
+    )
+    assert [graph.blocks["dynamics"].Gamma == 3.0 for graph in both] == [True, False]  # type: ignore[attr-defined]
     with pytest.raises(DmframeError, match=r"--set mien:clock: unknown graph; choose from mine\.yaml"):
         graphs_of(["mine.yaml"], ["mien:clock=1"])
 

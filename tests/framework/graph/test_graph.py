@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import pickle
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -258,3 +260,66 @@ def test_a_run_says_that_its_loop_is_unstable_on_its_clock_though_it_stayed_boun
     assert any("unstable near its set-point on a clock of 90 ms, spectral radius" in notice for notice in told)
     assert dm.load("ur10_slow").run("5 s").notices == ()  # too short to be worth the look
     assert dm.load("ur10_fast").run("12 s").notices == ()
+
+
+def test_a_graph_and_a_run_survive_pickling_and_a_graph_equals_one_of_the_same_text(pendulum: dm.Graph) -> None:
+    again = pickle.loads(pickle.dumps(pendulum))
+    assert again == pendulum
+    assert hash(again) == hash(pendulum)
+    assert again != pendulum.set({"dynamics.Gamma": 3})
+    assert again.experiment.overrides == pendulum.experiment.overrides
+    run = pendulum.run()
+    read = pickle.loads(pickle.dumps(run))
+    assert read.data.identical(run.data)
+    assert read.error.rms_final == run.error.rms_final  # type: ignore[union-attr]
+
+
+def test_several_threads_may_prove_one_graph(pendulum: dm.Graph) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda _: pendulum.verify().headline, range(8)))
+    assert found == ["proved"] * 8
+
+
+def test_blocks_cannot_be_exchanged_behind_a_graphs_back(pendulum: dm.Graph) -> None:
+    with pytest.raises(TypeError):
+        pendulum.blocks["servo"] = pendulum.blocks["servo"]  # type: ignore[index]
+    with pytest.raises(UnknownNameError, match="did you mean dynamics"):
+        pendulum.blocks["dynmics"]
+    assert dm.blocks().get("nothing") is None
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda g: g.set("dynamics.Gamma=3"), "set: expected values by name"),
+        (lambda g: dm.sweep(g, {"dynamics.Gamma": "15"}), "sweep dynamics.Gamma: expected a list of values"),
+        (lambda g: dm.sweep(g, {"dynamics.Gamma": 5}), "sweep dynamics.Gamma: expected a list of values"),
+        (lambda g: dm.sweep(g, [1]), "sweep: expected values by name"),
+        (lambda g: g.run(0.1)[3], "expected a signal's name such as arm.q, found int"),
+        (lambda g: g.run(0.1)["arm"], "choose from arm.ddq, arm.dq"),
+        (lambda g: g.verify(seed="a"), "seed: expected a whole number, found 'a'"),
+        (lambda g: dm.compare([g.run(0.1)], until=0.2), "has run for 100 ms already"),
+        (lambda g: g.run(0.1).plot("arm.q").save("x.png"), "expected a folder, found the name of a file"),
+    ],
+)
+def test_what_one_tries_first_and_does_not_work_is_told(pendulum: dm.Graph, call: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as told:
+        call(pendulum)
+    assert text in str(told.value)
+
+
+def test_a_run_that_is_not_as_long_as_asked_says_so(pendulum: dm.Graph) -> None:
+    told = dm.load("ur10_fast").run("12 ms").notices
+    assert told == ("16 ms are simulated, not 12 ms: whole ticks of 8 ms",)
+    assert pendulum.run("0.3 s").notices == ()
+    few = pendulum.set({"log.every": 0.5}).run("0.5 s")
+    assert few.notices == ("log.every keeps fewer than three instants of this run",)
+    assert repr(few).startswith("<Run pendulum: 500 ms, to its end")
+
+
+def test_a_measurement_that_was_forgotten_moves_no_arm() -> None:
+    controller = dm.load("ur10_fast_tuned").controller()
+    assert controller.step(0.0) is False
+    for array in controller.measured.values():
+        array[:] = 0.1
+    assert controller.step(0.0) is True
