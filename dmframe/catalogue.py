@@ -22,8 +22,8 @@ from typing import TypeGuard
 
 from dmframe import trust
 from dmframe.block import AbstractBlock
-from dmframe.errors import BlockError, MissingError, UnknownNameError
-from dmframe.files import is_file, reason
+from dmframe.errors import BlockError, UnknownNameError
+from dmframe.files import is_file
 
 GROUP = "dmframe.blocks"
 
@@ -78,9 +78,7 @@ def find_block(name: str, base: Path | None = None, where: str = "type") -> type
     """The block of a type, or of ``file.py:Class`` beside the graph (`base` is the graph's folder)."""
     file, colon, class_name = name.rpartition(":")
     if colon and file.endswith(".py"):
-        if Path(file).is_absolute() or ".." in Path(file).parts:
-            raise BlockError(f"{where}: expected a file in the graph's folder or below it, found {file}")
-        return _from_file((base or Path()) / file, class_name, where)
+        return _from_file(base or Path(), file, class_name, where)
     if name.endswith(".py"):
         raise BlockError(f"{where}: expected {name}:MyBlock, a file and a class in it, found the file alone")
     modules = block_modules()
@@ -102,8 +100,9 @@ def _is_block(found: object) -> TypeGuard[type[AbstractBlock]]:
     return inspect.isclass(found) and issubclass(found, AbstractBlock) and not inspect.isabstract(found)
 
 
-def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
-    module = _load(path, where)
+def _from_file(base: Path, file: str, class_name: str, where: str) -> type[AbstractBlock]:
+    path = base / file
+    module = _load(path, trust.read(base, file, where), where)
     found = getattr(module, class_name, None)
     if _is_block(found):
         return found
@@ -113,15 +112,8 @@ def _from_file(path: Path, class_name: str, where: str) -> type[AbstractBlock]:
     raise UnknownNameError(f"{where}: {path.name}:{class_name}", "class", class_name, choices)
 
 
-def _load(path: Path, where: str) -> ModuleType:
+def _load(path: Path, source: bytes, where: str) -> ModuleType:
     """A user's file as a module of its own name, so that it can shadow nothing; loaded once."""
-    try:
-        source = path.read_bytes()
-    except FileNotFoundError:
-        raise MissingError(f"{where}: the file {path} does not exist; it is looked for beside the graph") from None
-    except OSError as error:
-        raise BlockError(f"{where}: {path} cannot be read: {reason(error)}") from None
-    trust.check(path, where)
     digest = hashlib.sha256(str(path.resolve()).encode() + source).hexdigest()[:16]
     name = f"dmframe_file_{path.stem}_{digest}"
     if name in sys.modules:

@@ -28,8 +28,9 @@ def graphs_of(names: Sequence[str], overrides: Sequence[str], *, trust: bool = F
     With `trust`, the code of blocks that lie in a graph's folder is run from now on, whoever wrote it.
     """
     if trust:
-        for name in names:
-            remember(find_graph(name).parent)
+        for path in map(find_graph, names):
+            if path.is_file():
+                remember(path.parent)
     mine = {place: list[str]() for place in range(len(names))}
     for text in overrides:
         places, rest = _addressed(text, names)

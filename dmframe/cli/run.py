@@ -56,14 +56,16 @@ def run_graphs(
         if not found:
             return STOPPED
         runs = labelled(found)
-        with ExitStack() as last:
-            if not as_json:
-                last.callback(tell, str(runs))  # where the data cannot be written, too
+        try:
             with held_off() as signals:
                 summaries = write_data(place, runs)
+        except BaseException:
+            if not as_json:
+                tell(str(runs))  # the numbers, at least
+            raise
+        told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
         try:  # printing may fail, and figures are drawn all the same
-            told = summaries[0] if len(graphs) == 1 else summaries
-            tell(json.dumps(told, indent=2) if as_json else f"results: {place.path}")
+            tell(told if as_json else f"{runs}\nresults: {place.path}")
         finally:
             if plots and not signals:
                 _say("drawing the figures", as_json)

@@ -189,7 +189,11 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
     if len(path) > _DEEPEST:
         raise DocumentError(f"nested deeper than {_DEEPEST} levels; a graph needs about four", location=said)
     if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
-        value = np.asarray(value).tolist()
+        array = np.asarray(value)
+        if array.dtype.kind in "mM" or array.size > _MOST_NODES:
+            what = "a date or a span of time" if array.dtype.kind in "mM" else f"{array.size} of them"
+            raise DocumentError(f"{where}: expected at most {_MOST_NODES} numbers, found {what}", location=said)
+        value = array.tolist()
     if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
         value = float(value)  # type: ignore[arg-type]
     if isinstance(value, Mapping):
@@ -197,20 +201,36 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
         for key, item in value.items():
             if not isinstance(key, str):
                 raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=said)
+            _check_letters(key, where, said)
             entries[key] = (Node(0, 0, key, said=said), node_of(item, (*path, key), said))
         return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), said)
     if isinstance(value, list | tuple):
+        if len(value) > _MOST_NODES:
+            raise DocumentError(f"{where}: expected at most {_MOST_NODES} values, found {len(value)}", location=said)
         items = [node_of(item, (*path, place), said) for place, item in enumerate(value)]
         return Node(0, 0, items, 1 + sum(node.size for node in items), said)
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=said)
+    if isinstance(value, os.PathLike):
+        value = os.fsdecode(value)
+    if isinstance(value, str):
+        _check_letters(value, where, said)
+    if isinstance(value, int) and abs(value) > 10**400:
+        raise ValueFault(
+            f"{where}: expected a finite number, found one of hundreds of digits", path=path, location=said
+        )
     if value is None or isinstance(value, str | int | float):
         return Node(0, 0, value, said=said)
-    if isinstance(value, os.PathLike):
-        return Node(0, 0, os.fspath(value), said=said)
     raise DocumentError(
         f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
     )
+
+
+def _check_letters(text: str, where: str, said: str) -> None:
+    if len(text) > _MOST_BYTES:
+        raise DocumentError(f"{where}: expected a short text, found one of {len(text)} letters", location=said)
+    if strange := _UNPRINTABLE.search(text):
+        raise DocumentError(f"{where}: {_unreadable(strange.group())}", location=said)
 
 
 def visible(text: str) -> str:

@@ -35,6 +35,8 @@ def changed(document: Document, values: Mapping[str, Any], known: Sequence[str])
     """The document with a program's values put in, and each as ``--set`` would have it."""
     texts = list[str]()
     for label, value in values.items():
+        if isinstance(label, str) and "=" in label:
+            raise ValueFault(f"set {shorten(visible(label), 60)}: expected a name alone, without an equals sign")
         if not isinstance(label, str):
             raise ValueFault(f"set: expected a text such as 'task.gamma' as the name, found {shorten(repr(label), 30)}")
         said = f"set {shorten(visible(label), 60)}"

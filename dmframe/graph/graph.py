@@ -308,6 +308,8 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
 
         named = isinstance(source, Path) or (isinstance(source, str) and "\n" not in source)
         remember(find_graph(str(source)).parent if named else Path())
+    if not isinstance(name, str):
+        raise ValueFault(f"load: expected a text as name, found {name!r:.40}")
     if isinstance(source, Graph):
         return source
     if isinstance(source, Mapping):

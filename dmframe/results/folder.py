@@ -19,7 +19,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
 from dmframe.files import encoded, writing
 from dmframe.results.dataset import netcdf
-from dmframe.results.place import Place, built, reserved
+from dmframe.results.place import Place, built, clear_figures, reserved
 from dmframe.results.resolved import companions, resolved_text, robot_source
 from dmframe.results.run import Run
 from dmframe.results.summary import summary
@@ -99,6 +99,8 @@ def write_data(
             own = building / folder.relative_to(place.path)
             own.mkdir(exist_ok=True)
             _write_one(own, run, told, seed, command, now)
+    with writing(place.path, "folder"):
+        clear_figures(place.folder)
     return summaries
 
 

@@ -9,10 +9,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import final
+from typing import Final, final
 
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name, is_hidden, writing
+
+FILES: Final = ("graph.yaml", "provenance.json", "signals.nc", "summary.json")
+FIGURES: Final = ("error", "path", "commands", "effort")
 
 
 @final
@@ -86,6 +89,7 @@ def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
     for item in list(folder.iterdir()):
         if not (ours and is_hidden(item.name)):
             if force:
+                _check_replaceable(item, path)
                 continue
             raise OutputError(
                 f"{path}: expected an empty or a new folder, found one with files; name another folder, or take --force"
@@ -94,6 +98,27 @@ def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
     trial = folder / hidden_name()
     trial.mkdir()
     trial.rmdir()
+
+
+def is_ours(name: str) -> bool:
+    """Is it the name of a file that a run writes?"""
+    stem, _, ending = name.rpartition(".")
+    return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith("estimates")))
+
+
+def _check_replaceable(item: Path, path: Path) -> None:
+    """With --force: a folder in the place of a file of ours, or one that holds no results, is left alone."""
+    if item.is_symlink() or not item.is_dir():
+        return
+    if is_ours(item.name):
+        raise OutputError(f"{path}: {item.name} is a folder, where a file is to be written; move it, or name another")
+
+
+def clear_figures(folder: Path) -> None:
+    """Take away an earlier run's figures, links among them: beside new data they would tell another story."""
+    for item in folder.iterdir():
+        if is_ours(item.name) and item.name not in FILES and (item.is_symlink() or item.is_file()):
+            item.unlink()
 
 
 def _locked(folder: Path, path: Path) -> int | None:
@@ -130,8 +155,12 @@ def built(place: Place) -> Iterator[Path]:
                 return
             for item in list(building.iterdir()):
                 target = place.folder / item.name
-                if target.is_dir() and not target.is_symlink():
-                    shutil.rmtree(target)  # --force: results of before
+                if target.is_dir() and not target.is_symlink():  # --force: results of before
+                    if not (target / FILES[0]).is_file() and any(target.iterdir()):
+                        raise OutputError(
+                            f"{place.path}: the folder {item.name} holds no results; move it, or name another"
+                        )
+                    shutil.rmtree(target)
                 item.replace(target)
                 moved.append(target)
             building.rmdir()

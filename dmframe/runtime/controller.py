@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, final, get_args
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from dmframe.build import load
 from dmframe.build.library import address
+from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
@@ -98,7 +100,7 @@ class Controller:
             source, constants = control_source(function)
         except EngineError:
             return None
-        library = load(source).library
+        library = load(source, lambda library: _works(library, function, constants)).library
         if library is None:
             return None
         c, tick = np.zeros(max(1, constants)), library.dm_tick
@@ -132,6 +134,25 @@ class Controller:
             return True
 
         return call
+
+
+def _works(library: Path, function: Any, constants: int) -> bool:
+    """Does a new library give the interpreter's numbers at a sample that means nothing?"""
+    rng = np.random.default_rng(0)
+    z, measured, p = (rng.uniform(0.5, 1.5, function.numel_in(place)) for place in (0, 1, 4))
+    given = [{"doubles": array.tolist()} for array in (z, measured, np.array([0.3]), np.array([1e-3]), p)]
+    prepared = called(library, "dm_prepare", [given[4], {"doubles": [0.0] * constants}])
+    if prepared is None:
+        return False
+    sizes = function.numel_out(0), function.numel_out(1)
+    found = called(library, "dm_tick", [*given, {"doubles": prepared[1]}, {"doubles": [0.0] * sizes[1]}])
+    if found is None:
+        return False
+    after, commands = (part.full().ravel() for part in function(z, measured, 0.3, 1e-3, p))
+    if not (np.isfinite(after).all() and np.isfinite(commands).all()):
+        return bool(np.array_equal(found[0][: sizes[0]], z))  # refused
+    pairs = ((found[0][: sizes[0]], after), (found[6][: sizes[1]], commands))
+    return all(np.allclose(mine, theirs, rtol=1e-6, atol=1e-9) for mine, theirs in pairs)
 
 
 def control_function(diagram: Diagram, ins: list[Leaf], outs: list[Leaf]) -> Any:

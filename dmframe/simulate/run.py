@@ -121,7 +121,29 @@ def simulate(
     prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
     state = start_state(diagram, start or {}, prepared.starts)
     prepared = prepared.stepping(diagram, state)
-    return prepared.run(diagram, prepared.engine(engine), state, progress)
+    recording = prepared.run(diagram, prepared.engine(engine), state, progress)
+    chosen = prepared.solver.step if (solver or Solver()).step is None else None
+    if recording.divergence is None or chosen is None or prepared.solver.method != "rk4":
+        return recording
+    return _finer(prepared, diagram, state, engine, recording, chosen / 4)
+
+
+def _finer(
+    prepared: Prepared, diagram: Diagram, state: np.ndarray, engine: Choice, recording: Recording, step: float
+) -> Recording:
+    """A run that diverged, at shorter steps, where those tell that the integrator did and not the loop."""
+    step = max(step, prepared.step.period / MOST_SUBSTEPS)
+    solver = replace(prepared.solver, step=step)
+    finer = replace(
+        prepared,
+        solver=solver,
+        step=build_step(diagram.loop, prepared.clock, solver, prepared.recorded, prepared.step.bounds),
+    )
+    again = finer.run(diagram, finer.engine(engine), state)
+    if again.divergence is not None and again.divergence.time < 1.5 * recording.divergence.time:  # type: ignore[union-attr]
+        return recording
+    told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
+    return replace(again, notices=(*again.notices, told))
 
 
 @final

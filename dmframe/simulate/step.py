@@ -171,7 +171,7 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
     if solver.step is None:
         return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEP, 9))))
     steps = period / solver.step
-    if steps > MOST_SUBSTEPS:
+    if steps > MOST_SUBSTEPS * (1 + 1e-9):
         tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")
         raise EngineError(
             f"solver.step: expected at most {MOST_SUBSTEPS} steps in a tick of {tick}{period:g} s, found {steps:.3g}; "

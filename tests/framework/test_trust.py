@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -90,7 +91,8 @@ def test_trust_in_a_folder_reaches_below_it_and_nowhere_else(graph: Path, tmp_pa
     trust.remember(tmp_path)
     trust.remember(tmp_path)
     dm.load(graph)
-    assert len((tmp_path / "config" / "dmframe" / "trusted_folders").read_text().splitlines()) == 2
+    held = json.loads((tmp_path / "config" / "dmframe" / "trusted_folders.json").read_text())
+    assert held == [str(tmp_path / "other"), str(tmp_path)]
 
 
 @pytest.mark.parametrize("name", ["/tmp/mine.py:Mine", "../mine.py:Mine", "a/../../mine.py:Mine"])
@@ -113,3 +115,52 @@ def test_the_command_line_asks_and_remembers(graph: Path, monkeypatch: pytest.Mo
         statuses.append(stopped.value.code)
     assert statuses == [2, 0, 0]
     assert "add --trust" in capsys.readouterr().err
+
+
+def test_a_link_that_leads_out_of_the_graphs_folder_is_not_followed(graph: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    graph.with_name("mine.py").rename(elsewhere / "mine.py")
+    graph.with_name("lib").symlink_to(elsewhere)
+    text = graph.read_text(encoding="utf-8").replace("mine.py:Mine", "lib/mine.py:Mine")
+    graph.write_text(text, encoding="utf-8")
+    with pytest.raises(BlockError, match="in the graph's folder or below it"):
+        dm.load(graph)
+    assert not (elsewhere / "it_ran").exists()
+
+
+def test_a_folder_above_that_others_may_write_makes_a_file_theirs(graph: Path) -> None:
+    below = graph.with_name("below")
+    below.mkdir()
+    graph.with_name("mine.py").rename(below / "mine.py")
+    graph.write_text(graph.read_text(encoding="utf-8").replace("mine.py:Mine", "below/mine.py:Mine"), encoding="utf-8")
+    graph.parent.chmod(0o777)
+    with pytest.raises(BlockError, match="all users may write to"):
+        dm.load(graph)
+
+
+def test_a_pipe_is_no_block_file(graph: Path) -> None:
+    graph.with_name("mine.py").unlink()
+    os.mkfifo(graph.with_name("mine.py"))
+    with pytest.raises(BlockError, match="which is none"):
+        dm.load(graph)
+
+
+@pytest.mark.parametrize("content", [b"\xff", b"{}", b"[1]", b""])
+def test_a_damaged_list_of_trusted_folders_trusts_nothing_and_is_mended(
+    graph: Path, tmp_path: Path, content: bytes
+) -> None:
+    place = tmp_path / "config" / "dmframe" / "trusted_folders.json"
+    place.parent.mkdir(parents=True)
+    place.write_bytes(content)
+    graph.with_name("mine.py").chmod(0o666)
+    with pytest.raises(BlockError, match="add --trust"):
+        dm.load(graph)
+    dm.load(graph, trust=True)
+    assert json.loads(place.read_text()) == [str(graph.parent)]
+
+
+def test_a_folder_that_all_users_share_cannot_be_trusted(tmp_path: Path) -> None:
+    tmp_path.chmod(0o1777)
+    with pytest.raises(BlockError, match="all users share"):
+        trust.remember(tmp_path)

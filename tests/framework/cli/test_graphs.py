@@ -161,3 +161,25 @@ def test_a_shell_completes_graphs_blocks_and_robots(tmp_path: Path, words: str, 
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert expected in done.stdout.split()
+
+
+def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_others(
+    dmframe: Any, tmp_path: Path
+) -> None:
+    out, elsewhere = tmp_path / "o", tmp_path / "elsewhere.png"
+    out.mkdir()
+    elsewhere.write_text("precious")
+    (out / "error.png").symlink_to(elsewhere)
+    (out / "estimates_old.svg").write_text("old")
+    (out / "notes.txt").write_text("mine")
+    assert dmframe("run", "pendulum", *SHORT, "--out", "o", "--force").status == 0
+    assert elsewhere.read_text() == "precious"
+    assert {item.name for item in out.iterdir()} == {
+        "graph.yaml", "provenance.json", "signals.nc", "summary.json", "notes.txt"
+    }  # fmt: skip
+    (out / "signals.nc").unlink()
+    (out / "signals.nc" / "deep").mkdir(parents=True)
+    said = dmframe("run", "pendulum", *SHORT, "--out", "o", "--force")
+    assert said.status == 2
+    assert "signals.nc is a folder, where a file is to be written" in said.err
+    assert (out / "signals.nc" / "deep").is_dir()

@@ -339,3 +339,9 @@ def test_a_plant_too_steep_to_compute_with_is_said_to_be_so_without_its_digits(v
     run = simulate(graph.diagram(), 0.02, solver=graph.solver, start=graph.start)
     assert run.notices == ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
     assert run.divergence is not None
+
+
+def test_a_run_that_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> None:
+    run = load_experiment("ur10_fast", ["servo.K_D=[8e5, 800, 400]", "duration=2 s"]).simulate()
+    assert run.divergence is None
+    assert any("at longer steps the integrator itself diverged" in notice for notice in run.notices)
