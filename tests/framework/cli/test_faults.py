@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from pathlib import Path
 from typing import Any
 
@@ -242,7 +243,8 @@ def test_a_file_that_cannot_be_read_is_named(dmframe: Any, monkeypatch: pytest.M
     def refuse(path: object, *_: Any, **__: Any) -> None:
         raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    really = os.open
+    monkeypatch.setattr(os, "open", lambda path, *a, **k: (refuse if "my.py" in str(path) else really)(path, *a, **k))
     assert dmframe("blocks", "my.py:Mine").err == "dmframe: blocks: my.py cannot be read: permission denied\n"
     monkeypatch.setattr("dmframe.robot.library.load", refuse)
     assert dmframe("regressor", "arm.urdf").err == "dmframe: arm.urdf: cannot be read: permission denied\n"
