@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import json
-import sys
 import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from rich.text import Text
-
 from dmframe.analysis.rank_region import RankRegion, rank_region
 from dmframe.analysis.rank_report import KEPT, MODEL, PROVED, option_value, rank_summary
 from dmframe.cli.streams import tell
-from dmframe.cli.terminal import console
 from dmframe.columns import columns
 from dmframe.graph import Graph
+from dmframe.graph.progress import telling
 from dmframe.units import plain
 
 NO_REGION = 1
@@ -23,15 +20,9 @@ NO_REGION = 1
 
 def rank_of(graph: Graph, *, tube: float, as_json: bool, **options: Any) -> int:
     """Find the region of one graph and print it; returns the exit status."""
-    with console(aside=True).status(Text(f"{graph.name}: rank")) as status:
-        quiet = as_json or not sys.stderr.isatty()
+    with telling(f"{graph.name}: rank", quiet=as_json) as progress:
         region = rank_region(
-            graph.diagram,
-            graph.experiment.start,
-            duration=graph.duration,
-            tube=tube,
-            progress=None if quiet else lambda text: status.update(Text(f"{graph.name}: {text}")),
-            **options,
+            graph.diagram, graph.experiment.start, duration=graph.duration, tube=tube, progress=progress, **options
         )
     tell(json.dumps(rank_summary(graph.name, region), indent=2) if as_json else page(graph, region))
     return 0 if region.holds else NO_REGION

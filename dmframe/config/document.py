@@ -190,12 +190,13 @@ def node_of(value: Any, path: Steps, said: str = "") -> Node:
         raise DocumentError(f"nested deeper than {_DEEPEST} levels; a graph needs about four", location=said)
     if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
         array = np.asarray(value)
-        if array.dtype.kind in "mM" or array.size > _MOST_NODES:
-            what = "a date or a span of time" if array.dtype.kind in "mM" else f"{array.size} of them"
-            raise DocumentError(f"{where}: expected at most {_MOST_NODES} numbers, found {what}", location=said)
+        if array.dtype.kind in "mM":
+            raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=said)
+        if array.size > _MOST_NODES:
+            raise DocumentError(f"{where}: expected at most {_MOST_NODES} numbers, found {array.size}", location=said)
         value = array.tolist()
     if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
-        value = float(value)  # type: ignore[arg-type]
+        value = float(value)  # type: ignore[arg-type]  # Number itself promises no __float__
     if isinstance(value, Mapping):
         entries = dict[str, tuple[Node, Node]]()
         for key, item in value.items():

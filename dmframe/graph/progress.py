@@ -16,6 +16,14 @@ from dmframe.simulate.run import Progress as Bar
 __all__ = ["Bar", "Bars", "shown", "telling"]
 
 
+def _aside() -> Console:
+    """Standard error, for texts as they are: names of others may hold what rich would obey or hide.
+
+    Where rich takes a text without its console (`TextColumn`, a status), it must be told once more.
+    """
+    return Console(stderr=True, markup=False, emoji=False, highlight=False)
+
+
 @final
 class Bars:
     """A bar for each run; ``with Bars() as bars: bars.of("ur10_fast", 200.0)``.
@@ -35,7 +43,7 @@ class Bars:
             TextColumn("{task.completed:.0f} / {task.total:.0f} s"),
             TextColumn("{task.fields[speed]}"),
             TimeRemainingColumn(),
-            console=Console(stderr=True, markup=False, emoji=False, highlight=False),
+            console=_aside(),
             disable=not sys.stderr.isatty() if quiet is None else quiet,
             transient=transient,
         )
@@ -76,6 +84,6 @@ def telling(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
-    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    console = _aside()
     with console.status(Text(name)) as status:
         yield lambda text: status.update(Text(f"{name}: {text}"))

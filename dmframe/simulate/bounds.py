@@ -55,12 +55,16 @@ def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float)
     """Which state of those after a tick has left its bound; a number that is not finite goes before others."""
     wild = np.flatnonzero(~np.isfinite(state))
     row = int((wild if wild.size else np.flatnonzero(np.abs(state) > bounds))[0])
-    first = 0
+    variable, element = located(diagram, row)
+    return Divergence(variable.block, variable.name, element, time, _how(bounds[row], variable, wild.size))
+
+
+def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
+    """The state that a row of the loop's state belongs to, and its element there."""
     for variable in (*diagram.loop.controller, *diagram.loop.plant):
-        size = variable.symbol.numel()
-        if row < first + size:
-            return Divergence(variable.block, variable.name, row - first, time, _how(bounds[row], variable, wild.size))
-        first += size
+        if row < variable.symbol.numel():
+            return variable, row
+        row -= variable.symbol.numel()
     raise EngineError("a state outside the diagram diverged")
 
 

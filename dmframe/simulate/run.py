@@ -18,12 +18,13 @@ from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
-from dmframe.simulate.bounds import Divergence, beyond, bounds_of
+from dmframe.simulate.bounds import Divergence, beyond, bounds_of, located
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
-from dmframe.simulate.step import MOST_SUBSTEPS, RK4_STABLE, Solver, Step, build_step, substeps_of
+from dmframe.simulate.step import MOST_SUBSTEPS, Solver, Step, build_step, substeps_of
+from dmframe.simulate.stiffness import MOST_SLOPE, RK4_TAKES, speed_of, stiffness
 from dmframe.units import plain
 
 BREATH = 0.05
@@ -31,12 +32,6 @@ BREATH = 0.05
 
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
-
-RK4_TAKES = 0.8 * RK4_STABLE
-"""h |lambda| of the steps that are chosen for rk4."""
-
-MOST_SLOPE = 1e12
-"""No solver takes a plant whose rates change faster [1/s, or its other units]."""
 
 Progress = Callable[[float], None]
 """Called with the simulated time [s] that is done."""
@@ -170,7 +165,7 @@ class Prepared:
         """The same, with the integrator that the plant takes at that start, where nobody has chosen its step."""
         if self.solver.method != "rk4" or self.solver.step is not None:
             return self
-        h, speed = self.step.period / self.step.substeps, _speed(diagram, self.step, self.jacobian, state)
+        h, speed = self.step.period / self.step.substeps, speed_of(diagram, self.jacobian, state)
         if not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
             return replace(self, solver=replace(self.solver, step=h))
         h = float(f"{RK4_TAKES / speed:.2g}")
@@ -181,17 +176,7 @@ class Prepared:
             solver = replace(self.solver, step=h)
             told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
         step = build_step(diagram.loop, self.clock, solver, self.recorded, self.step.bounds)
-        return Prepared(
-            self.clock,
-            solver,
-            step,
-            self.ticks,
-            self.matrices,
-            self.keeping,
-            self.recorded,
-            self.starts,
-            (*self.notices, told),
-        )
+        return replace(self, solver=solver, step=step, notices=(*self.notices, told))
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
         """What is to run it, `runs` times."""
@@ -210,7 +195,7 @@ class Prepared:
         guard = guard or nullcontext()
         p, state = diagram.loop.p_values, state.copy()
         with guard:
-            stiff = _stiffness(diagram, self.step, self.jacobian, self.solver, state)
+            stiff = stiffness(diagram, self.step, self.jacobian, self.solver, state)
         begin = time.perf_counter()
         rows, end, done = _march(engine, self.step, self.keeping, state, p, self.ticks, progress)
         wall = time.perf_counter() - begin
@@ -395,36 +380,6 @@ def _divergence(
         return beyond(diagram, state, step.bounds, (done + 1) * step.period)
     if end is not End.FAILED:
         return None
-    moment, row = done * step.period, _fastest(step, state, done * step.period, p)
-    for variable in (*diagram.loop.controller, *diagram.loop.plant):
-        if row < variable.symbol.numel():
-            return Divergence(variable.block, variable.name, row, moment, "moves too fast for the integrator")
-        row -= variable.symbol.numel()
-    raise EngineError("a state outside the diagram diverged")
-
-
-def _speed(diagram: Diagram, step: Step, slope: Any, state: np.ndarray) -> float:
-    """The largest modulus of an eigenvalue of the plant at a state [1/s]; at rest the friction law is steepest."""
-    if not diagram.loop.plant:
-        return 0.0
-    size = stack(v.symbol for v in diagram.loop.plant).numel()
-    jacobian = slope(state, 0, diagram.loop.p_values, 0)[0].full()[:, -size:]
-    if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
-        return math.inf
-    return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
-
-
-def _stiffness(diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray) -> tuple[str, ...]:
-    """Is the plant too stiff, at the start, for a fixed-step method?"""
-    if solver.method != "rk4":
-        return ()
-    speed, h = _speed(diagram, step, slope, state), step.period / step.substeps
-    if math.isinf(speed):
-        return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
-    if h * speed > 0.9 * RK4_STABLE:
-        return (
-            f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
-            f"{RK4_STABLE}; take solver.step: {RK4_TAKES / speed * 1e3:.2g} ms, leave it out, or take "
-            "solver.method: cvodes",
-        )
-    return ()
+    moment = done * step.period
+    variable, element = located(diagram, _fastest(step, state, moment, p))
+    return Divergence(variable.block, variable.name, element, moment, "moves too fast for the integrator")

@@ -1,0 +1,45 @@
+"""How fast the plant moves by itself, and the steps that rk4 may then take."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.simulate.step import RK4_STABLE, Solver, Step
+
+RK4_TAKES = 0.8 * RK4_STABLE
+"""h |lambda| of the steps that are chosen for rk4."""
+
+MOST_SLOPE = 1e12
+"""No solver takes a plant whose rates change faster [1/s, or its other units]."""
+
+
+def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
+    """The largest modulus of an eigenvalue of the plant at a state [1/s]; at rest the friction law is steepest."""
+    if not diagram.loop.plant:
+        return 0.0
+    size = stack(v.symbol for v in diagram.loop.plant).numel()
+    jacobian = slope(state, 0, diagram.loop.p_values, 0)[0].full()[:, -size:]
+    if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
+        return math.inf
+    return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+
+
+def stiffness(diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray) -> tuple[str, ...]:
+    """Is the plant too stiff, at the start, for a fixed-step method?"""
+    if solver.method != "rk4":
+        return ()
+    speed, h = speed_of(diagram, slope, state), step.period / step.substeps
+    if math.isinf(speed):
+        return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
+    if h * speed > 0.9 * RK4_STABLE:
+        return (
+            f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
+            f"{RK4_STABLE}; take solver.step: {RK4_TAKES / speed * 1e3:.2g} ms, leave it out, or take "
+            "solver.method: cvodes",
+        )
+    return ()
