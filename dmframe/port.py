@@ -27,14 +27,14 @@ class Access(StrEnum):
 
 @final
 class Side(StrEnum):
-    """Where a block stands."""
+    """Which signals a block may read. In which time its states move, each `State` says."""
 
     SOURCE = "source"
     """A function of time alone: a desired trajectory."""
     CONTROLLER = "controller"
-    """Runs on the graph's clock, reads what is measured, writes what is commanded."""
+    """Reads what is measured, writes what is commanded."""
     PLANT = "plant"
-    """Continuous time, closed: the maker's servo and the robot."""
+    """Closed: the maker's servo and the robot, and what stands between them and the controller."""
 
 
 @final
@@ -62,6 +62,9 @@ class Port:
     full_rank
         Of a matrix that is an output: whoever reads it counts on its rows being independent. A run tells how close it
         came to losing that.
+    drawn
+        Of an input that nobody drives, the distribution from which each sample draws it anew: ``normal`` (mean 0,
+        variance 1) or ``uniform`` (from -1 to 1), every element by itself. The run's seed decides the numbers.
     """
 
     name: str
@@ -71,18 +74,22 @@ class Port:
     derivative_of: str = ""
     optional: bool = False
     full_rank: bool = False
+    drawn: str = ""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class State:
-    """A quantity that a block integrates.
+    """A quantity that a block integrates, or moves from sample to sample.
 
     A parameter of the same name, if the block has one, is the state's start; else it starts at zero or where the
-    block's `start` says.
+    block's `start` says. On a clock, a continuous state of a controller is emulated: one explicit Euler step a sample.
 
     Parameters
     ----------
+    sampled
+        It keeps its value between samples, and `Equations.next` says what it is at the next one. Without it the state
+        moves in continuous time, as `Equations.rates` says.
     box
         Name of the parameter that holds the interval onto which the state is projected, where there is one.
     ball
@@ -100,10 +107,17 @@ class State:
     ball: str = ""
     gain: str = ""
     optional: bool = False
+    sampled: bool = False
 
+
+DISTRIBUTIONS = ("normal", "uniform")
+"""What the numbers of an input can be drawn from."""
 
 ANY = "*"
 """The unit of an input that takes any unit: an error that drives an adaptation, say."""
 
 TIME = Port("t", "", "s")
-"""The input that every block may declare without anyone driving it."""
+"""The input that every block may declare without anyone driving it: the time."""
+
+PERIOD = Port("T", "", "s")
+"""The same for the sampling period; a block that reads it runs on a clock alone."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, final
@@ -11,13 +11,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.set_point import MOST, at_set_point, computable, equilibrium, frozen, rates, variables
+from dmframe.analysis.set_point import MOST, at_set_point, computable, equilibrium, frozen, rates
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.errors import EngineError, ShapeError
-from dmframe.port import Side
 from dmframe.simulate import Solver
-from dmframe.simulate.step import build_step, project
+from dmframe.simulate.step import build_step
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -36,9 +35,9 @@ _PARTED: Final = 1e-6
 class Linear:
     r"""The loop near a point, x the deviation of all states, the controller's z first.
 
-    .. math:: \dot x = A x + B w, \qquad \dot z = C x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
+    .. math:: \dot x = A x + B w, \qquad z^+ = Z(T) x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
 
-    with w the desired trajectory and its derivatives, C `control`, D `command`, :math:`A_p` `plant_A` and
+    with w the desired trajectory and its derivatives, Z `advanced`, D `command`, :math:`A_p` `plant_A` and
     :math:`B_p` `plant_B`.
 
     Parameters
@@ -51,6 +50,8 @@ class Linear:
         How many states are the controller's.
     drift
         Largest rate at `point`; it would be zero at an equilibrium.
+    advanced
+        Z as a function of the period T [s]: the slope of the map of one sample that a run takes.
     """
 
     states: tuple[str, ...]
@@ -61,7 +62,7 @@ class Linear:
     drift: float
     A: Array
     B: Array
-    control: Array
+    advanced: Callable[[float], Array]
     command: Array
     plant_A: Array
     plant_B: Array
@@ -96,9 +97,9 @@ class Linear:
     def sampled(self, period: float) -> Array:
         r"""The state's transition over one tick of that period [s].
 
-        Explicit Euler for the controller, as a run has it, and exact zero-order hold for the plant:
+        The controller as a run has it, and exact zero-order hold for the plant:
 
-        .. math:: z^+ = z + T\, C x, \qquad
+        .. math:: z^+ = Z(T) x, \qquad
             x_p^+ = e^{A_p T} x_p + \int_0^T e^{A_p \tau} d\tau\, B_p\, D x.
         """
         from scipy.linalg import expm
@@ -109,7 +110,7 @@ class Linear:
         with np.errstate(all="ignore"):  # what overflows is told where the poles are asked for
             held = expm(joined)
         Phi = np.zeros_like(self.A)
-        Phi[: self.controller] = np.eye(self.controller, len(self.states)) + period * self.control
+        Phi[: self.controller] = self.advanced(period)
         with np.errstate(all="ignore"):
             Phi[self.controller :] = held[:size, size:] @ self.command
             Phi[self.controller :, self.controller :] += held[:size, :size]
@@ -160,26 +161,25 @@ def linearise(
     if point.shape != (loop.state.numel(),):
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
     p = _moving(loop) if moving else loop.p_values
-    commands = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
-    control = at_set_point(loop, "control", stack(variable.rate for variable in loop.controller))
-    command = at_set_point(loop, "command", columns(commands)[1])
-    u = command(point, loop.p_values)
-    first = control.size1_out(0)
-    plant_A, plant_B = _plant(loop, commands)
+    slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
+    command = at_set_point(loop, "command", columns(loop.commanded)[1])
+    u = command(point, loop.p_values, 0)
+    first = slopes.size1_out(0)
+    plant_A, plant_B = _plant(loop)
 
     def told(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix)))
 
     return Linear(
-        states=_labels([(v.label, v.symbol.numel()) for v in variables(loop)]),
+        states=_labels([(v.label, v.symbol.numel()) for v in loop.variables]),
         trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
-        commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in commands]),
+        commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.commanded]),
         point=point,
         controller=first,
-        drift=float(np.max(np.abs(rates(loop)(point, loop.p_values).full()), initial=0.0)),
+        drift=float(np.max(np.abs(rates(loop)(point, loop.p_values, 0).full()), initial=0.0)),
         A=told(_slope(rates(loop), point, p)),
         B=told(_trajectory_slope(loop, point, p)),
-        control=told(_slope(control, point, p)),
+        advanced=lambda period: told(slopes(point, p, period, 0)[0].full()),
         command=told(_slope(command, point, p)),
         plant_A=told(plant_A(point[first:], u, p).full()),
         plant_B=told(plant_B(point[first:], u, p).full()),
@@ -187,24 +187,22 @@ def linearise(
 
 
 def _slope(function: Any, point: Array, p: Array) -> Array:
-    return np.asarray(function.jacobian()(point, p, 0)[0].full())
+    return np.asarray(function.jacobian()(point, p, 0, 0)[0].full())
 
 
 def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array) -> Array:
     """The Jacobian of all rates in the trajectory's leaves."""
-    (rate,) = project(loop, loop.joined([stack(variable.rate for variable in variables(loop))]))
-    leaves, values = columns(loop.trajectories)
-    slope = ca.substitute(ca.densify(ca.jacobian(rate, leaves)), leaves, values)
+    (rate,) = loop.acting([stack(variable.rate for variable in loop.variables)])
+    leaves, _ = columns(loop.trajectories)
+    slope = loop.on_path(ca.densify(ca.jacobian(rate, leaves)))
     return np.asarray(ca.Function("B", [loop.state, loop.p], [slope])(point, p).full())
 
 
-def _plant(loop: ClosedLoop, commands: list[Any]) -> tuple[Any, Any]:
+def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
     """Jacobians of the plant's rate in its states and in the held commands."""
-    x, held = stack(v.symbol for v in loop.plant), columns(commands)[0]
-    (rate,) = project(loop, [stack(v.rate for v in loop.plant)], joined=False)
-    leaves = stack(leaf.symbol for leaf in loop.trajectories)
-    rate = ca.substitute(rate, leaves, stack(leaf.expression for leaf in loop.trajectories))
-    inputs = [x, held, loop.p]
+    x, (held, _) = stack(v.symbol for v in loop.flowing), columns(loop.commanded)
+    (rate,) = loop.projected([stack(v.rate for v in loop.flowing)], joined=False)
+    rate, inputs = loop.on_path(rate), [x, held, loop.p]
     return (
         ca.Function("plant_A", inputs, [ca.jacobian(rate, x)]),
         ca.Function("plant_B", inputs, [ca.jacobian(rate, held)]),
@@ -220,7 +218,8 @@ def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver
     """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen."""
     loop = frozen(diagram).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
-    return np.asarray(step.tick.jacobian()(linear.point, 0, loop.p_values, 0, 0)[0].full())
+    given = step.instants.rows(0, 1).ravel()
+    return np.asarray(step.tick.jacobian()(linear.point, given, loop.p_values, 0, 0)[0].full())
 
 
 def rest_space(A: Array) -> Array:

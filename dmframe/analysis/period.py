@@ -12,7 +12,6 @@ from dmframe.analysis.linear import Linear, linearise
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
-from dmframe.simulate.start import goals
 from dmframe.simulate.step import MOST_SUBSTEPS
 from dmframe.units import plain
 
@@ -153,7 +152,7 @@ def simulated_period(
     """
     if not (np.isfinite(horizon) and horizon > 0):
         raise ValueFault(f"horizon: expected a positive number of seconds, found {horizon}")
-    if not goals(diagram.loop):
+    if not diagram.loop.followed:
         raise EngineError("largest stable period: expected a goal to follow, such as x_d for x, found none")
 
     def error(period: float, step: float | None = None) -> tuple[float, float]:
@@ -200,7 +199,7 @@ def _largest_error(
     step = run.solver.step or period
     if run.divergence is not None:
         return float("inf"), step
-    desired, actual, *_ = goals(diagram.loop)[0]
+    desired, actual, *_ = diagram.loop.followed[0]
     with np.errstate(over="ignore"):
         norms = np.linalg.norm(run[actual] - run[desired], axis=1)
     return float(np.max(norms)), step

@@ -21,7 +21,7 @@ from dmframe.exact.enclosure import Enclosure
 from dmframe.results.dataset import element_labels
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate.rank import watched
-from dmframe.simulate.start import goals, loop_trajectories, start_state
+from dmframe.simulate.start import start_state
 
 Array = NDArray[np.float64]
 Centre = Literal["truth", "start"]
@@ -96,7 +96,7 @@ def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> 
     joints = _only([v for v in loop.plant if _depends(actual, v)], f"one state of the plant behind {desired}")
     estimates = [v for v in loop.controller if _depends(matrix, v)]
     reach = _reach(loop, desired, actual, joints)
-    period = period_of(_numeric(loop, loop_trajectories(loop, desired)), loop.time)
+    period = period_of(_numeric(loop, loop.on_path(desired)), loop.time)
     common = {"matrix": signal.label, "unit": signal.unit, "q": joints.symbol, "reach": reach, "period": period}
     common["start"] = _part(loop, state, joints)
     if estimates:
@@ -172,7 +172,7 @@ def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> di
 
 
 def _goal(loop: ClosedLoop) -> tuple[SX, SX]:
-    pairs = goals(loop)
+    pairs = loop.followed
     if not pairs:
         raise MissingError("rank: expected a path that a measured signal follows, such as x_d; found none")
     _, _, desired, actual = pairs[0]
@@ -183,7 +183,7 @@ def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> Reach
     p = loop.p_values
     values = ca.Function("actual", [joints.symbol, loop.p], [ca.vec(actual)])
     slopes = ca.Function("slope", [joints.symbol, loop.p], [ca.jacobian(ca.vec(actual), joints.symbol)])
-    goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(loop_trajectories(loop, desired))])
+    goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(desired))])
     return Reach(
         lambda q: np.asarray(values(q, p).full().ravel()),
         lambda q: np.asarray(slopes(q, p).full()),
@@ -196,7 +196,7 @@ def _numeric(loop: ClosedLoop, expression: SX) -> SX:
 
 
 def _part(loop: ClosedLoop, state: Array, variable: Variable) -> Array:
-    sizes = [(v.label, v.symbol.numel()) for v in (*loop.controller, *loop.plant)]
+    sizes = [(v.label, v.symbol.numel()) for v in loop.variables]
     first = sum(size for _, size in sizes[: [label for label, _ in sizes].index(variable.label)])
     return state[first : first + variable.symbol.numel()]
 

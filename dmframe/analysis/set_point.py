@@ -13,11 +13,10 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.resolve import Leaf
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
-from dmframe.simulate.step import project
 
 AT_REST: Final = 1e-8
 """An equilibrium's largest rate, relative to 1 + |state|."""
@@ -42,11 +41,6 @@ def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
     at = ca.substitute(meanings, [loop.time], [ca.SX(t)]) if meanings else []
     held = [Leaf(leaf.name, leaf.side, leaf.symbol, value) for leaf, value in zip(loop.trajectories, at, strict=True)]
     return replace(diagram, loop=replace(loop, trajectories=tuple(held)))
-
-
-def variables(loop: ClosedLoop) -> tuple[Variable, ...]:
-    """All states, the controller's first, as a run stacks them."""
-    return (*loop.controller, *loop.plant)
 
 
 def equilibrium(
@@ -77,7 +71,7 @@ def equilibrium(
     loop = diagram.loop
     held = true_values(diagram) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
-    labels = [variable.label for variable in variables(loop) for _ in range(variable.symbol.numel())]
+    labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     free = np.array([label not in held for label in labels], dtype=bool)
     for label, value in held.items():
         x[[other == label for other in labels]] = value
@@ -85,12 +79,12 @@ def equilibrium(
     slope = field.jacobian()
     p = loop.p_values
     for _ in range(_STEPS):
-        rate = field(x, p).full().ravel()
+        rate = field(x, p, 0).full().ravel()
         if not np.all(np.isfinite(rate)):
             break
         if np.max(np.abs(rate), initial=0.0) <= AT_REST * (1 + np.max(np.abs(x), initial=0.0)) * 1e-3:
             return x
-        now = computable(loop, "set-point", slope(x, p, 0)[0].full())
+        now = computable(loop, "set-point", slope(x, p, 0, 0)[0].full())
         step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
     computable(loop, "set-point", rate)
@@ -140,20 +134,21 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
 
 
 def rates(loop: ClosedLoop) -> Any:
-    """The continuous loop's vector field, (state, p) -> rates, with its trajectories as frozen."""
-    return at_set_point(loop, "rates", stack(variable.rate for variable in variables(loop)))
+    """The continuous loop's vector field, (state, p, T) -> rates, with its trajectories as frozen."""
+    return at_set_point(loop, "rates", stack(variable.rate for variable in loop.variables))
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
-    """An expression of the loop as a function of (state, p), the trajectories frozen, the projections acting.
+    """An expression of the loop as a function of (state, p, T), the trajectories frozen, the projections acting.
 
-    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
+    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest;
+    and for one of which nothing is known yet at a set-point: with sampled states, or with what is drawn.
     """
-    (joined,) = project(loop, loop.joined([expression]))
-    leaves = stack(leaf.symbol for leaf in loop.trajectories)
-    held = ca.substitute(joined, leaves, stack(leaf.expression for leaf in loop.trajectories))
+    if loop.clocked:
+        raise EngineError(f"set-point: expected a loop in continuous time, which a clock may sample; {loop.clocked}")
+    held = loop.on_path(loop.acting([expression])[0])
     if symbols_in([held]) & symbols_in([loop.time]):
-        reads = [v.label for v in variables(loop) if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
+        reads = [v.label for v in loop.variables if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
         where = ", ".join(f"d {label}/dt" for label in reads) or name
         raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
-    return ca.Function(name, [loop.state, loop.p], [ca.cse(held)])
+    return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])

@@ -52,13 +52,24 @@ class Signals:
 @final
 @dataclass(frozen=True)
 class Equations:
-    """What a block's equations say: its outputs, and the rates of its states."""
+    """What a block's equations say: its outputs, the rates of its states, and the next values of its sampled ones."""
 
     outputs: Mapping[str, SX] = field(default_factory=dict)
     rates: Mapping[str, SX] = field(default_factory=dict)
+    next: Mapping[str, SX] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def moves(self) -> dict[str, SX]:
+        """Rates and next values, by the state's name."""
+        return {**self.rates, **self.next}
+
+    @property
+    def expressions(self) -> tuple[SX, ...]:
+        """All of them: outputs, rates, next values."""
+        return (*self.outputs.values(), *self.rates.values(), *self.next.values())
 
 
 class AbstractBlock(BaseModel):
@@ -121,7 +132,7 @@ class AbstractBlock(BaseModel):
 
     @abstractmethod
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """Outputs and rates, as pure expressions."""
+        """Outputs, rates and next values, as pure expressions."""
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """Where states start that no parameter of the same name sets, as functions of the plant's start."""
@@ -154,7 +165,7 @@ class AbstractBlock(BaseModel):
         Returns
         -------
         Values
-            Arrays by name: `outputs`, and `rates` of the states.
+            Arrays by name: `outputs`, `rates` of the states, and `next` of the sampled ones.
 
         Raises
         ------

@@ -15,7 +15,7 @@ from dmframe.block.base import AbstractBlock
 from dmframe.block.names import names_of
 from dmframe.errors import DmframeError, UnitError, nearest
 from dmframe.parameter import read, specs
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import DISTRIBUTIONS, TIME, Access, Port, Side, State
 from dmframe.units import compatible, shorten
 
 _LISTS: Final[Mapping[str, type[Port | State]]] = {"inputs": Port, "outputs": Port, "states": State, "truth": Port}
@@ -108,6 +108,11 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"says that {old} is renamed {new}, which is no parameter, state or port; {nearest(new, present)}"
         if old in present:
             yield f"says that {old} is renamed {new}, and still has {old}"
+    for port in (*block.inputs, *block.outputs):
+        if port.drawn and port not in block.inputs:
+            yield f"the output {port.name} is drawn; an input is, from which outputs may follow"
+        elif port.drawn and port.drawn not in DISTRIBUTIONS:
+            yield f"the input {port.name} is drawn from {port.drawn}, unknown; {nearest(port.drawn, DISTRIBUTIONS)}"
     yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)

@@ -14,6 +14,7 @@ from dmframe.block.model import BlockModel, model_block
 from dmframe.block.names import type_name
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
+from dmframe.certificate import SX
 from dmframe.errors import DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault, raise_all
 from dmframe.parameter import specs
 from dmframe.port import Port, State
@@ -22,10 +23,14 @@ from dmframe.port import Port, State
 @final
 @dataclass(frozen=True)
 class Values:
-    """What equations give: arrays by name, (n,) for a column, (n, p) for a matrix, a number for a scalar."""
+    """What equations give: arrays by name, (n,) for a column, (n, p) for a matrix, a number for a scalar.
+
+    `rates` are those of states in continuous time, `next` the values of sampled ones one sample later.
+    """
 
     outputs: Mapping[str, np.ndarray]
     rates: Mapping[str, np.ndarray]
+    next: Mapping[str, np.ndarray]
 
 
 def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[str, Any], robot: Any) -> Values:
@@ -107,15 +112,19 @@ def _evaluated(
     spec = specs(type(model.block))
     pairs += [unique(spec.get(key), symbol, model.values[key]) for key, symbol in model.parameters.items()]
     if model.robot is not None:
-        numbers = model.robot.values()
-        pairs += [(constant.symbol, numbers[constant.name]) for constant in model.robot.constants]
-    outputs, rates = model.equations.outputs, model.equations.rates
-    stated = [ca.densify(expression) for expression in (*outputs.values(), *rates.values())]
-    found = ca.Function("evaluate", [symbol for symbol, _ in pairs], stated).call([ca.DM(value) for _, value in pairs])
-    items: list[Port | State] = [*model.block.states, *model.block.outputs]
-    declared = {item.name: item for item in items}
-    arrays = [
-        value.full().reshape(sizes.of(declared[key].shape), order="F")
-        for key, value in zip((*outputs, *rates), found, strict=True)
-    ]
-    return Values(dict(zip(outputs, arrays, strict=False)), dict(zip(rates, arrays[len(outputs) :], strict=True)))
+        robot = model.robot.values()
+        pairs += [(constant.symbol, robot[constant.name]) for constant in model.robot.constants]
+    symbols, numbers = [symbol for symbol, _ in pairs], [ca.DM(value) for _, value in pairs]
+    states = {state.name: state.shape for state in model.block.states}
+
+    def valued(stated: Mapping[str, SX], shapes: Mapping[str, str]) -> dict[str, np.ndarray]:
+        found = ca.Function("evaluate", symbols, [ca.densify(item) for item in stated.values()]).call(numbers)
+        arrays = (value.full() for value in found)
+        return {key: a.reshape(sizes.of(shapes[key]), order="F") for key, a in zip(stated, arrays, strict=True)}
+
+    equations = model.equations
+    return Values(
+        valued(equations.outputs, {port.name: port.shape for port in model.block.outputs}),
+        valued(equations.rates, states),
+        valued(equations.next, states),
+    )

@@ -111,34 +111,36 @@ def model_block(
     mine = robot if block.uses_robot else None
     signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
     with inverting() as inverted:
-        outputs, rates = stated_by(name, block, signals, sizes)
-    _check_steady(name, (outputs, rates), stated_by(name, block, signals, sizes))
-    used = symbols_in([*outputs.values(), *rates.values()])
-    for key in states.keys() - rates.keys():
+        equations = stated_by(name, block, signals, sizes)
+    _check_steady(name, equations, stated_by(name, block, signals, sizes))
+    used = symbols_in(equations.expressions)
+    for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
     values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
-    return BlockModel(
-        name, block, inputs, states, parameters, values, mine, Equations(outputs, rates), starts, tuple(inverted)
-    )
+    return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
 
 
-def stated_by(
-    name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes
-) -> tuple[dict[str, SX], dict[str, SX]]:
-    """Outputs and rates as a block's equations state them, held to its declared ports and states."""
+def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
+    """What a block's equations state, held to its declared ports and states."""
     with told_by(name, "equations()"):
         stated = block.equations(*signals)
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
-    outputs = _checked(name, "output", block.outputs, stated.outputs, sizes)
-    return outputs, _checked(name, "rate", block.states, stated.rates, sizes)
+    sampled = [state for state in block.states if state.sampled]
+    moving = [state for state in block.states if not state.sampled]
+    return Equations(
+        _checked(name, "output", block.outputs, stated.outputs, sizes),
+        _checked(name, "rate", moving, stated.rates, sizes, sampled),
+        _checked(name, "next value", sampled, stated.next, sizes, moving),
+    )
 
 
-def _check_steady(name: str, first: tuple[dict[str, SX], ...], second: tuple[dict[str, SX], ...]) -> None:
+def _check_steady(name: str, first: Equations, second: Equations) -> None:
     """The equations are a function of their arguments: what is proved must be what runs."""
-    for kind, once, again in zip(("output", "rate"), first, second, strict=True):
+    pairs = ((first.outputs, second.outputs), (first.rates, second.rates), (first.next, second.next))
+    for kind, (once, again) in zip(("output", "rate", "next value"), pairs, strict=True):
         for key in {**once, **again}:
             if key not in once or key not in again or not same_expression(once[key], again[key]):
                 raise BlockError(
@@ -147,13 +149,27 @@ def _check_steady(name: str, first: tuple[dict[str, SX], ...], second: tuple[dic
                 )
 
 
+_OTHERWISE: Final = {
+    "rate": "a sampled state; state its next value, or declare it without sampled",
+    "next value": "a state in continuous time; state its rate, or declare it with sampled=True",
+}
+"""What is wrong where a state of the other kind of time is stated."""
+
+
 def _checked(
-    name: str, kind: str, declared: Sequence[Port | State], stated: Mapping[str, SX], sizes: Sizes
+    name: str,
+    kind: str,
+    declared: Sequence[Port | State],
+    stated: Mapping[str, SX],
+    sizes: Sizes,
+    others: Sequence[State] = (),
 ) -> dict[str, SX]:
-    known = {item.name: item for item in declared}
+    """What is stated of ports or states of one kind; `others` are the states whose time is of the other kind."""
+    known, elsewhere = {item.name: item for item in declared}, {item.name for item in others}
     for key in stated:
         if key not in known:
-            raise BlockError(f"{name}: equations state the {kind} of {key}, undeclared; {nearest(key, known)}")
+            why = _OTHERWISE[kind] if key in elsewhere else f"undeclared; {nearest(key, known)}"
+            raise BlockError(f"{name}: equations state the {kind} of {key}, {why}")
     checked = {}
     for key, item in known.items():
         if key not in stated:

@@ -12,7 +12,6 @@ from dmframe.certify.claim import Claim
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.simulate import Recording
-from dmframe.simulate.start import loop_trajectories
 
 CHUNK = 2048
 """Samples evaluated in one call."""
@@ -95,7 +94,7 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
 
 def _check_same(claim: Claim, run: Recording) -> None:
     """The run has the states and parameters of the claim, each of its size."""
-    variables = (*claim.loop.controller, *claim.loop.plant)
+    variables = claim.loop.variables
     wanted = {variable.label: variable.symbol.numel() for variable in variables}
     wanted |= {parameter.label: parameter.symbol.numel() for parameter in claim.loop.parameters}
     found = {label: rows.shape[1] for label, rows in run.states.items()}
@@ -111,10 +110,10 @@ def _check_same(claim: Claim, run: Recording) -> None:
 def _evaluated(claim: Claim, run: Recording, expressions: list[Any], kappa: float) -> np.ndarray:
     """Each expression at every sample, (terms, N), with the trajectories as the functions of time that they are."""
     loop, count = claim.loop, run.time.size
-    column = loop_trajectories(loop, stack(expressions))
+    column = loop.on_path(stack(expressions))
     if not claim.kappa.is_constant():
         column = ca.substitute(column, claim.kappa, kappa)
-    states = np.hstack([run.states[variable.label] for variable in (*loop.controller, *loop.plant)]).T
+    states = np.hstack([run.states[variable.label] for variable in loop.variables]).T
     function = ca.Function("terms", [loop.state, loop.time, loop.p], [ca.cse(column)])
     values, mapped = np.empty((len(expressions), count)), dict[int, Any]()
     for first in range(0, count, CHUNK):

@@ -197,8 +197,10 @@ def claim_of(diagram: Diagram) -> Claim:
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a truth that the diagram
     does not have.
     """
-    stated, truths = certificates_of(diagram)
     loop = diagram.loop
+    if loop.clocked:
+        raise NotApplicableError(f"{loop.clocked}; a proof in continuous time does not reach it")
+    stated, truths = certificates_of(diagram)
     laws, notices = _laws(diagram, stated, truths)
     field = Field(diagram)
     named = labelled(stated, laws)
@@ -212,12 +214,12 @@ def claim_of(diagram: Diagram) -> Claim:
 
 @final
 class Field:
-    """The closed loop's vector field with the wall taken away, and time derivatives along it."""
+    """The closed loop's vector field, measured and commanded signals substituted, and time derivatives along it."""
 
     def __init__(self, diagram: Diagram) -> None:
         self.diagram, self.loop = diagram, diagram.loop
         loop = self.loop
-        variables = (*loop.controller, *loop.plant)
+        variables = loop.variables
         self._leaves = [loop.time, *(variable.symbol for variable in variables)]
         self._rates = [ca.SX(1), *loop.joined([variable.rate for variable in variables])]
         self._labels = ["", *(variable.label for variable in variables)]

@@ -68,7 +68,7 @@ class Closure:
     def __init__(self, claim: Claim, numbers: Numbers, bases: Bases, *, seed: int) -> None:
         self._claim, self._numbers = claim, numbers
         self._symbols = symbols_of(claim, numbers.uncertain)
-        self._variables = (*claim.loop.controller, *claim.loop.plant)
+        self._variables = claim.loop.variables
         self.seed = seed
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
         self._draw(random.Random(seed + 3))

@@ -91,7 +91,7 @@ Told = Iterator[tuple[str, str]]
 def _symbols(diagram: Diagram, claim: Claim, part: Part) -> Told:
     """Every symbol of a storage is a state of the loop, a trajectory, the time or a parameter."""
     loop = claim.loop
-    states = symbols_in(variable.symbol for variable in (*loop.controller, *loop.plant))
+    states = symbols_in(variable.symbol for variable in loop.variables)
     leaves = symbols_in(leaf.symbol for leaf in diagram.resolver.trajectories.values())
     constant = symbols_in([*(parameter.symbol for parameter in loop.parameters), loop.time])
     for term in part.certificate.storage:
@@ -159,7 +159,7 @@ def jumps(expression: SX, still: set[int]) -> bool:
 def _field(claim: Claim) -> Told:
     """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
     loop = claim.loop
-    for variable in (*loop.controller, *loop.plant):
+    for variable in loop.variables:
         (rate,) = loop.joined([variable.rate])
         symbols = ca.symvar(rate)
         function = ca.Function("rate", [stack(symbols)], [rate])

@@ -303,7 +303,7 @@ def _assumed(claim: Claim) -> Iterator[str]:
 def _is_projected(claim: Claim, square: Square) -> bool:
     """Does it hold a projected estimate, and no other state?"""
     used = symbols_in([square.vector])
-    variables = (*claim.loop.controller, *claim.loop.plant)
+    variables = claim.loop.variables
     moving = {variable.label for variable in variables if used & symbols_in([variable.symbol])}
     return moving == {p.name for p in claim.loop.projections if used & symbols_in([p.state])} and len(moving) == 1
 

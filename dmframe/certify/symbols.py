@@ -66,7 +66,7 @@ def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
     that are not `uncertain`, by label.
     """
     loop, diagram = claim.loop, claim.diagram
-    states = [Group(v.label, "state", v.symbol) for v in (*loop.controller, *loop.plant)]
+    states = [Group(v.label, "state", v.symbol) for v in loop.variables]
     trajectories = [Group(leaf.name, "trajectory", leaf.symbol) for leaf in diagram.resolver.trajectories.values()]
     corrections = [Group(f"{p.name}, correction", "projection", p.correction) for p in loop.projections]
     parameters = [

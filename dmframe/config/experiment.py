@@ -65,6 +65,19 @@ class Experiment:
         """What the file asks to be kept."""
         return Log(self.file.log.every, self.file.log.signals)
 
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All that `simulate` is told of a run beside the diagram and the duration."""
+        file = self.file
+        return {
+            "clock": file.clock,
+            "solver": self.solver,
+            "log": self.log,
+            "start": self.start,
+            "seed": file.seed,
+            "jitter": file.jitter,
+        }
+
     def diagram(self) -> Diagram:
         """Wire and flatten it, and check what the file says of runs; faults carry their place in the file.
 
@@ -74,7 +87,7 @@ class Experiment:
         try:
             with SYMBOLIC:
                 diagram = Diagram.build(self.blocks, file.wires, self.robot)
-            check_run(diagram, file.duration, clock=file.clock, solver=self.solver, log=self.log, start=self.start)
+            check_run(diagram, file.duration, **self.settings)
             return diagram
         except DmframeError as error:
             raise placed(error, self.document) from None
@@ -100,12 +113,9 @@ class Experiment:
             return simulate(
                 diagram or self.diagram(),
                 self.file.duration,
-                clock=self.file.clock,
-                solver=self.solver,
-                start=self.start,
                 progress=progress,
                 engine=engine,
-                log=log or self.log,
+                **(self.settings if log is None else {**self.settings, "log": log}),
             )
         except DmframeError as error:
             raise placed(error, self.document) from None

@@ -31,6 +31,7 @@ def _schema(unit: str) -> WithJsonSchema:
 
 
 Seconds = Annotated[float, _reader("s", positive=True), _schema("s")]
+Jitter = Annotated[float, _reader("s", positive=False), _schema("s")]
 Angle = Annotated[float, _reader("rad", positive=False), _schema("rad")]
 Length = Annotated[float, _reader("m", positive=False), _schema("m")]
 Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
@@ -121,6 +122,8 @@ class GraphFile(_Section):
     clock: Annotated[Seconds | None, BeforeValidator(_clock), _schema("s, or continuous")] = Field(
         description="sampling period of the controller, or continuous"
     )
+    jitter: Jitter = Field(0.0, description="how much earlier or later a sample may begin, at random")
+    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="decides what is drawn at random")
     duration: Seconds = Field(description="simulated time")
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()

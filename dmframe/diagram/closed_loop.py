@@ -1,27 +1,29 @@
-"""The flattened diagram: one vector field, with every gain and every true parameter a named symbol."""
+"""The flattened diagram: one vector field and one map of a sample; gains and true parameters are symbols in it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import final
+from typing import NamedTuple, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
-from dmframe.diagram.wiring import End
+from dmframe.diagram.resolve import Leaf
 from dmframe.port import Side
 
 
 @final
 @dataclass(frozen=True)
 class Variable:
-    """A state of the closed loop; `shape` in letters, as declared."""
+    """A state of the closed loop; `shape` in letters, as declared.
+
+    `rate` is its time derivative, zero of a sampled state between samples; `next` a sampled state's value one sample
+    later, before it is projected, and None in continuous time.
+    """
 
     block: str
     name: str
@@ -29,6 +31,7 @@ class Variable:
     unit: str
     symbol: SX
     rate: SX
+    next: SX | None = None
 
     @property
     def label(self) -> str:
@@ -55,6 +58,16 @@ class Signal:
 
 @final
 @dataclass(frozen=True)
+class Noise:
+    """An input that each sample draws anew, of a distribution of `dmframe.port.DISTRIBUTIONS`."""
+
+    label: str
+    symbol: SX
+    distribution: str
+
+
+@final
+@dataclass(frozen=True)
 class Parameter:
     """A gain, a true parameter or a number of the robot: `symbol` in expressions, `value` in a run."""
 
@@ -65,39 +78,74 @@ class Parameter:
 
 
 @final
+class Followed(NamedTuple):
+    """A trajectory s_d and the plant's output s that should follow it: their labels and expressions."""
+
+    desired: str
+    actual: str
+    wanted: SX
+    found: SX
+
+
+@final
 @dataclass(frozen=True)
 class ClosedLoop:
-    """x' = F(t, x, p) and the sampled update, from the one set of block equations.
+    """x' = F(t, x, p) and the map of one sample, from the one set of block equations.
 
-    The rates of `controller` and `plant`, and the `outputs`, stand in leaves: states, parameters,
-    `trajectories`, projections' corrections, and `crossings`, the measured and commanded signals. `joined` puts
-    the crossings' expressions in place.
+    Expressions stand in leaves: states, parameters, `trajectories`, the corrections of `projections`, and `crossings`,
+    the measured and commanded signals; so the controller can be had alone, and trajectories left free. The methods
+    replace leaves by what they stand for.
+
+    Parameters
+    ----------
+    time, period
+        t, and the sampling period T where a block reads it.
+    controller, plant
+        The states; of the plant's, the sampled ones first.
+    noises
+        What each sample draws anew.
     """
 
     time: SX
+    period: SX
     controller: tuple[Variable, ...]
     plant: tuple[Variable, ...]
     trajectories: tuple[Leaf, ...]
+    noises: tuple[Noise, ...]
     crossings: tuple[Leaf, ...]
     projections: tuple[Projection, ...]
     parameters: tuple[Parameter, ...]
     outputs: tuple[Signal, ...]
 
-    def joined(self, expressions: Sequence[SX]) -> list[SX]:
-        """Expressions with the wall taken away: measured and commanded signals replaced by what they are."""
-        if not self.crossings:
-            return list(expressions)
-        leaves, meanings = self._crossed
-        return list(ca.substitute(list(expressions), [leaves], [meanings]))
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """All states, the controller's first."""
+        return (*self.controller, *self.plant)
 
-    @cached_property
-    def _crossed(self) -> tuple[SX, SX]:
-        return columns(self.crossings)
+    @property
+    def stepped(self) -> tuple[Variable, ...]:
+        """The states that a clock moves from sample to sample: all but the plant's continuous ones. They come first."""
+        return (*self.controller, *(variable for variable in self.plant if variable.next is not None))
+
+    @property
+    def flowing(self) -> tuple[Variable, ...]:
+        """The states that move between samples, too."""
+        return tuple(variable for variable in self.plant if variable.next is None)
+
+    @property
+    def measured(self) -> tuple[Leaf, ...]:
+        """What the plant hands out."""
+        return tuple(leaf for leaf in self.crossings if leaf.side is Side.PLANT)
+
+    @property
+    def commanded(self) -> tuple[Leaf, ...]:
+        """What the plant takes."""
+        return tuple(leaf for leaf in self.crossings if leaf.side is Side.CONTROLLER)
 
     @cached_property
     def state(self) -> SX:
-        """The controller's states, then the plant's, as one column."""
-        return stack(variable.symbol for variable in (*self.controller, *self.plant))
+        """All states as one column, the controller's first."""
+        return stack(variable.symbol for variable in self.variables)
 
     @cached_property
     def p(self) -> SX:
@@ -110,6 +158,107 @@ class ClosedLoop:
         parts = [parameter.value.ravel(order="F") for parameter in self.parameters]
         return np.concatenate(parts) if parts else np.zeros(0)
 
+    @property
+    def followed(self) -> list[Followed]:
+        """Where an output s of the plant is to follow an output s_d of a source."""
+        sources = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
+        desired = {leaf.name.split(".")[1]: leaf for leaf in self.trajectories if leaf.name in sources}
+        plant = {variable.block for variable in self.plant}
+        return [
+            Followed(leaf.name, signal.label, leaf.symbol, signal.expression)
+            for signal in self.outputs
+            if signal.block in plant and (leaf := desired.get(f"{signal.name}_d")) is not None
+        ]
+
+    @property
+    def clocked(self) -> str:
+        """Why it runs on a clock alone, as a clause; empty for a loop that runs in continuous time too."""
+        for variable in self.variables:
+            if variable.next is not None:
+                return f"{variable.label} is a sampled state"
+        if self.noises:
+            return f"{self.noises[0].label} is drawn anew at each sample"
+        moves = stack([*(v.rate for v in self.variables), *(signal.expression for signal in self.outputs)])
+        return "a block reads the sampling period" if ca.depends_on(moves, self.period) else ""
+
+    @cached_property
+    def w(self) -> SX:
+        """What moves by itself, as one column: the trajectories and, for blocks that read it, the time."""
+        return stack([*(leaf.symbol for leaf in self.trajectories), self.time])
+
+    @cached_property
+    def drawn(self) -> SX:
+        """What each sample draws anew, as one column."""
+        return stack(noise.symbol for noise in self.noises)
+
+    def joined(self, expressions: Sequence[SX]) -> list[SX]:
+        """Expressions with measured and commanded signals replaced by what they are."""
+        return _put(expressions, self._crossed)
+
+    def on_path(self, expression: SX) -> SX:
+        """An expression with the trajectories replaced by what they are as functions of time."""
+        return _put([expression], self._path)[0]
+
+    def projected(self, expressions: Sequence[SX], *, joined: bool = True) -> list[SX]:
+        """Expressions with each projection's correction as its law says: it stops a rate that leads out of the set.
+
+        Not `joined`, a law keeps measured and commanded signals as leaves, as the rates of one side alone need it.
+        """
+        expressions = list(expressions)
+        for projection in reversed(self.projections):  # the nominal rate of a later one may hold an earlier correction
+            law = self.joined([projection.law])[0] if joined else projection.law
+            expressions = list(ca.substitute(expressions, [projection.correction], [law]))
+        return expressions
+
+    def acting(self, expressions: Sequence[SX]) -> list[SX]:
+        """Expressions in states, parameters, trajectories and time alone: joined, and with the projections acting."""
+        return self.projected(self.joined(expressions))
+
+    def held(self, states: SX) -> SX:
+        """A column of states with each put back into its box or ball."""
+        for projection in self.projections:
+            states = ca.substitute(states, projection.state, projection.set.held(projection.state))
+        return states
+
+    @cached_property
+    def advanced(self) -> SX:
+        """The stepped states one sample later, before they are put back into their sets, in the leaves of their sides.
+
+        A sampled state goes where its block says. One of the controller in continuous time is emulated by an explicit
+        Euler step of length T, here and nowhere else.
+        """
+        moved = (v.symbol + self.period * v.rate if v.next is None else v.next for v in self.stepped)
+        return stack(moved)
+
+    @property
+    def held_over_a_sample(self) -> tuple[SX, SX]:
+        """What the plant reads between samples and does not move there: its leaves, and their values at the sample.
+
+        These are the commands, the plant's sampled states, what is drawn, and the period.
+        """
+        leaves, commands = columns(self.commanded)
+        still = [*(v.symbol for v in self.plant if v.next is not None), self.drawn, self.period]
+        used = [symbol for symbol in still if any(ca.depends_on(v.rate, symbol) for v in self.flowing)]
+        return ca.vertcat(leaves, *map(ca.vec, used)), ca.vertcat(commands, *map(ca.vec, used))
+
+    def put_back(self, advanced: SX) -> SX:
+        """The column of `advanced`, each state back in its set."""
+        states = stack(variable.symbol for variable in self.stepped)
+        return ca.substitute(self.held(states), states, advanced)
+
+    @cached_property
+    def _crossed(self) -> tuple[SX, SX]:
+        return columns(self.crossings)
+
+    @cached_property
+    def _path(self) -> tuple[SX, SX]:
+        return columns(self.trajectories)
+
+
+def _put(expressions: Sequence[SX], pair: tuple[SX, SX]) -> list[SX]:
+    leaves, meanings = pair
+    return list(ca.substitute(list(expressions), [leaves], [meanings])) if leaves.numel() else list(expressions)
+
 
 def stack(items: Iterable[SX]) -> SX:
     """Expressions of any size as one dense column."""
@@ -119,72 +268,3 @@ def stack(items: Iterable[SX]) -> SX:
 def columns(leaves: Sequence[Leaf]) -> tuple[SX, SX]:
     """The leaves' symbols, and their expressions, each as one column."""
     return stack(leaf.symbol for leaf in leaves), stack(leaf.expression for leaf in leaves)
-
-
-def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
-    """Resolve every rate and output of the diagram. Faults are left in ``resolver.faults``."""
-    sides: dict[Side, list[Variable]] = {side: [] for side in Side}
-    outputs = list[Signal]()
-    for name, model in resolver.models.items():
-        for state in (state for state in model.block.states if state.name in model.states):
-            rate = resolver.rate(name, state.name)
-            leaf = model.states[state.name]
-            sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, leaf, rate))
-        for port in model.block.outputs:
-            if port.name in model.equations.outputs:
-                expression = _output(resolver, model, port.name)
-                outputs.append(Signal(name, port.name, port.shape, port.unit, expression))
-    return ClosedLoop(
-        time=resolver.time,
-        controller=tuple(sides[Side.CONTROLLER]),
-        plant=tuple(sides[Side.PLANT]),
-        trajectories=tuple(resolver.trajectories.values()),
-        crossings=_crossings(resolver),
-        projections=tuple(resolver.projections.values()),
-        parameters=tuple(parameters),
-        outputs=tuple(outputs),
-    )
-
-
-def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
-    """An output; a source's is its trajectory, which stays a leaf."""
-    if model.block.side is Side.SOURCE:
-        return resolver.trajectory(model.name, port, 0).symbol
-    return resolver.output(model.name, port)
-
-
-def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
-    """A closed way through signals that each need at least one other."""
-    way = [next(iter(needs))]
-    while way[-1] not in way[:-1]:
-        way.append(needs[way[-1]][0])
-    return way[way.index(way[-1]) :]
-
-
-def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
-    """Measured and commanded signals with their expressions, free of one another, in the order of need."""
-    waiting = dict[End, tuple[Leaf, SX]]()
-    while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
-        waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
-    symbols = {end: symbols_in([leaf.symbol]) for end, (leaf, _) in waiting.items()}
-    done = list[Leaf]()
-    while waiting:
-        ready = [
-            end
-            for end, (_, expression) in waiting.items()
-            if not any(symbols[other] & symbols_in([expression]) for other in waiting)
-        ]
-        if not ready:
-            needs = {
-                end: [other for other in waiting if symbols[other] & symbols_in([expression])]
-                for end, (_, expression) in waiting.items()
-            }
-            resolver.faults.append(loop_fault([".".join(end) for end in _cycle(needs)]))
-            break
-        for end in ready:
-            leaf, expression = waiting.pop(end)
-            if done:
-                leaves, meanings = columns(done)
-                expression = ca.substitute([expression], [leaves], [meanings])[0]
-            done.append(Leaf(leaf.name, leaf.side, leaf.symbol, expression))
-    return tuple(done)

@@ -11,8 +11,9 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import BlockModel, model_block
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
-from dmframe.diagram.closed_loop import ClosedLoop, Parameter, flatten
+from dmframe.diagram.closed_loop import ClosedLoop, Parameter
 from dmframe.diagram.fingerprint import fingerprint
+from dmframe.diagram.flatten import flatten
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.wiring import End, Outputs, Source, check_truths, check_wires, wire_blocks
 from dmframe.errors import DmframeError, MissingError, WiringError, raise_all

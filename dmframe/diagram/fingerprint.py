@@ -27,8 +27,9 @@ def fingerprint(loop: ClosedLoop) -> str:
 
 def _lines(loop: ClosedLoop) -> list[str]:
     """The field as text; the instructions are numbered by CasADi in the order in which it evaluates them."""
-    variables = (*loop.controller, *loop.plant)
-    lines = [f"state {variable.label} {variable.symbol.shape}" for variable in variables]
+    kinds = ((variable, "state" if variable.next is None else "sampled") for variable in loop.variables)
+    lines = [f"{kind} {variable.label} {variable.symbol.shape}" for variable, kind in kinds]
+    lines += [f"{noise.distribution} {noise.label} {noise.symbol.shape}" for noise in loop.noises]
     for parameter in loop.parameters:
         values = " ".join(float(value).hex() for value in parameter.value.ravel(order="F"))
         lines.append(f"parameter {parameter.label} {parameter.symbol.shape} {values}")
@@ -36,16 +37,11 @@ def _lines(loop: ClosedLoop) -> list[str]:
 
 
 def _field(loop: ClosedLoop) -> Any:
-    """(t, states, parameters) -> rates, and where each projection puts its state after a finite step."""
+    """(t, states, p, drawn, T) -> rates or next values, and where projections put their states after a finite step."""
     held = [projection.set.held(projection.state) for projection in loop.projections]
-    rates = [variable.rate for variable in (*loop.controller, *loop.plant)]
-    whole = stack(loop.joined([*rates, *held]))
-    for projection in reversed(loop.projections):  # the nominal rate of a later one may hold an earlier correction
-        (law,) = loop.joined([projection.law])
-        whole = ca.substitute(whole, projection.correction, law)
-    leaves = stack(leaf.symbol for leaf in loop.trajectories)
-    whole = ca.substitute(whole, leaves, stack(leaf.expression for leaf in loop.trajectories))
-    return ca.Function("field", [loop.time, loop.state, loop.p], [whole])
+    moves = [variable.rate if variable.next is None else variable.next for variable in loop.variables]
+    whole = loop.on_path(stack(loop.acting([*moves, *held])))
+    return ca.Function("field", [loop.time, loop.state, loop.p, loop.drawn, loop.period], [whole])
 
 
 def _instructions(function: Any) -> list[str]:

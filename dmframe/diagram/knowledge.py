@@ -90,9 +90,9 @@ def _live(diagram: Diagram) -> set[End]:
     """Outputs and states of controllers that act: on a rate of any block, directly or through other outputs."""
     live, waiting = set[End](), list[End]()
     for name, model in diagram.models.items():
-        for state, rate in model.equations.rates.items():
+        for state, move in model.equations.moves.items():
             live.add((name, state))
-            waiting += [(name, port) for port in model.needs([rate])]
+            waiting += [(name, port) for port in model.needs([move])]
     seen = set[End]()
     while waiting:
         block, port = waiting.pop()
@@ -149,7 +149,7 @@ def _changed(diagram: Diagram, model: BlockModel, robot: Any) -> Iterator[str]:
 
 
 def _signals(model: BlockModel) -> dict[str, SX]:
-    return {**model.equations.outputs, **model.equations.rates}
+    return {**model.equations.outputs, **model.equations.moves}
 
 
 def _groups(robot: Any) -> dict[str, set[int]]:
@@ -166,10 +166,10 @@ def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
     parameters = {**model.parameters, **model.starts}
     signals = signals_of(model.name, model.inputs, model.states, parameters, robot)
     try:
-        outputs, rates = stated_by(model.name, model.block, signals, diagram.sizes)
+        stated = stated_by(model.name, model.block, signals, diagram.sizes)
     except DmframeError:
         return {}
-    return {**outputs, **rates}
+    return {**stated.outputs, **stated.moves}
 
 
 def _others(robot: Any) -> dict[str, Any]:

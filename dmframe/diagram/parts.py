@@ -40,7 +40,7 @@ def split(bodies: Mapping[str, tuple[Sequence[Any], Sequence[Any]]], p: Any) -> 
 @final
 @dataclass(frozen=True)
 class Parts:
-    """The functions of one tick; the state is the controller's part z, then what is integrated, x.
+    """The functions of one tick; the state is what a sample moves, z, then what is integrated, x.
 
     In continuous time z is empty and x is everything.
 
@@ -48,18 +48,18 @@ class Parts:
     ----------
     trajectory
         (t, p) -> w: what moves by itself.
-    control
-        (state, w, p) -> (dz, u): the controller's rates and its commands.
+    sample
+        (state, w, drawn, T, p) -> (z one sample later, u): u is what the plant is given, held until then.
     rate
-        (x, u, w, p) -> dx under held commands.
+        (x, u, w, p) -> dx.
     outputs
-        (state, w, p) -> y: what is recorded beside the state.
+        (state, w, drawn, T, p) -> y: what is recorded beside the state.
     clip
-        (state, p) -> the state projected onto its boxes.
+        (x, p) -> x put back into its sets.
     """
 
     trajectory: Any
-    control: Any
+    sample: Any
     rate: Any
     outputs: Any
     clip: Any
@@ -68,14 +68,17 @@ class Parts:
     def hoisted(self) -> Hoisted:
         """The same, with what follows from p alone taken out of each."""
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.trajectory.numel_in(1))
-        state = ca.SX.sym("state", self.control.numel_in(0))
-        x, u, w = (ca.SX.sym(name, self.rate.numel_in(i)) for i, name in enumerate("xuw"))
+        state, w, drawn, period = (
+            ca.SX.sym(name, self.sample.numel_in(i)) for i, name in enumerate(("state", "w", "drawn", "T"))
+        )
+        x, u = (ca.SX.sym(name, self.rate.numel_in(i)) for i, name in enumerate("xu"))
+        seen = (state, w, drawn, period, p)
         bodies = {
             "trajectory": ([t], [self.trajectory(t, p)]),
-            # control and outputs see the same instant, and share most of their work
-            "sample": ([state, w], ca.cse([*self.control(state, w, p), self.outputs(state, w, p)])),
+            # sample and outputs see the same instant, and share most of their work
+            "sample": (list(seen[:-1]), ca.cse([*self.sample(*seen), self.outputs(*seen)])),
             "rate": ([x, u, w], [self.rate(x, u, w, p)]),
-            "clip": ([state], [self.clip(state, p)]),
+            "clip": ([x], [self.clip(x, p)]),
         }
         (trajectory, sample, rate, clip), constants = split(bodies, p)
         return Hoisted(trajectory, sample, rate, clip, constants)
@@ -89,10 +92,11 @@ class Parts:
     def sizes(self) -> dict[str, int]:
         """How many numbers each column holds, by its name in the C source."""
         return {
-            "Z": self.control.numel_out(0),
+            "Z": self.sample.numel_out(0),
             "X": self.rate.numel_in(0),
             "U": self.rate.numel_in(1),
             "W": self.rate.numel_in(2),
+            "N": self.sample.numel_in(2),
             "P": self.rate.numel_in(3),
             "Y": self.outputs.numel_out(0),
         }

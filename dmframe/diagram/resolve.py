@@ -17,7 +17,7 @@ import casadi as ca
 from dmframe.block.model import BlockModel, symbol, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.projection import Ball, Box, Projection
-from dmframe.diagram.wiring import Derived, End, Source, Time, Wire
+from dmframe.diagram.wiring import Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
 from dmframe.port import Access, Side
@@ -40,7 +40,8 @@ class Resolver:
 
     def __init__(self, models: Mapping[str, BlockModel], sources: Mapping[End, Source]) -> None:
         self.models, self.sources = models, sources
-        self.time = ca.SX.sym("t")
+        self.time, self.period = ca.SX.sym("t"), ca.SX.sym("T")
+        self.drawn = dict[End, SX]()
         self.trajectories = dict[tuple[str, str, int], Leaf]()
         self.crossings = dict[End, Leaf]()
         self.projections = dict[End, Projection]()
@@ -59,15 +60,25 @@ class Resolver:
         return self._outputs[end]
 
     def rate(self, block: str, state: str) -> SX:
-        """The rate of a state; a projected one carries its correction."""
+        """The rate of a state between samples; a projected one carries its correction. A sampled state stands still."""
         end = (block, state)
         if end not in self._rates:
             model = self.models[block]
+            if state in model.equations.next:
+                rest = ca.SX.zeros(*model.states[state].shape)
+                self._projected(model, state, rest)
+                self._rates[end] = rest
+                return rest
             stated = model.equations.rates[state]
             with self._entered(f"d{block}.{state}/dt") as free:
                 rate = self.expand(block, stated) if free else _unknown(end, stated)
             self._rates[end] = self._projected(model, state, rate)
         return self._rates[end]
+
+    def next(self, block: str, state: str) -> SX | None:
+        """The value of a sampled state one sample later, before it is projected; None for one in continuous time."""
+        stated = self.models[block].equations.next.get(state)
+        return None if stated is None else self.expand(block, stated)
 
     def input(self, block: str, port: str) -> SX:
         """An input, in the leaves of the block's side."""
@@ -75,6 +86,10 @@ class Resolver:
         match source:
             case Time():
                 return self.time
+            case Period():
+                return self.period
+            case Drawn():
+                return self.drawn.setdefault((block, port), symbol(f"{block}.{port}", model.inputs[port].shape))
             case Wire():
                 return self._across(source, model.block.side)
             case Derived():
@@ -96,12 +111,34 @@ class Resolver:
 
     def derivative(self, expression: SX, wanted_by: str) -> SX:
         """The total time derivative along the equations of the expression's own side."""
-        moving = list(self._moving(symbols_in([expression]), wanted_by))
+        used = symbols_in([expression])
+        self._refuse_steps(used, wanted_by)
+        moving = list(self._moving(used, wanted_by))
         if not moving:
             return ca.SX.zeros(*expression.shape)
         leaves = ca.vertcat(*(ca.vec(leaf) for leaf, _ in moving))
         rates = ca.vertcat(*(ca.vec(ca.densify(rate)) for _, rate in moving))
         return ca.jtimes(expression, leaves, rates)
+
+    def _refuse_steps(self, used: set[int], wanted_by: str) -> None:
+        """What moves in steps has no time derivative."""
+        drawn = (".".join(end) for end, leaf in self.drawn.items() if used & symbols_in([leaf]))
+        steps = [
+            f"{name}.{state}"
+            for name, model in self.models.items()
+            for state in model.equations.next
+            if used & symbols_in([model.states[state]])
+        ]
+        for name in (*steps, *drawn):
+            text = (
+                f"{wanted_by} is a time derivative of what moves with {name}, which jumps from sample to sample; "
+                "filter it in continuous time, or take differences"
+            )
+            self._tell_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
+
+    def _tell_once(self, fault: DmframeError) -> None:
+        if not any(str(known) == str(fault) for known in self.faults):
+            self.faults.append(fault)
 
     def _moving(self, used: set[int], wanted_by: str) -> Iterator[tuple[SX, SX]]:
         if self.time.element_hash() in used:
@@ -132,8 +169,7 @@ class Resolver:
             "computed by any block; a controller may use only what the robot hands out",
             path=("blocks", wanted_by.partition(".")[0]),
         )
-        if not any(str(known) == str(fault) for known in self.faults):
-            self.faults.append(fault)
+        self._tell_once(fault)
         return ca.SX.zeros(*self._crossing(end).symbol.shape)
 
     def _across(self, wire: Wire, side: Side) -> SX:

@@ -9,7 +9,7 @@ from typing import final
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
-from dmframe.port import ANY, TIME, Access, Port, Side
+from dmframe.port import ANY, PERIOD, TIME, Access, Port, Side
 from dmframe.units import compatible
 
 End = tuple[str, str]
@@ -41,11 +41,23 @@ class Time:
 
 @final
 @dataclass(frozen=True)
+class Period:
+    """The input is the sampling period T."""
+
+
+@final
+@dataclass(frozen=True)
+class Drawn:
+    """The input is drawn anew at each sample."""
+
+
+@final
+@dataclass(frozen=True)
 class Zero:
     """The optional input that nobody drives."""
 
 
-Source = Wire | Derived | Time | Zero
+Source = Wire | Derived | Time | Period | Drawn | Zero
 Outputs = Mapping[str, Mapping[str, Port]]
 
 
@@ -89,6 +101,10 @@ def _explicit(
 def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
     if port == TIME:
         return Time()
+    if port == PERIOD:
+        return Period()
+    if port.drawn:
+        return Drawn()
     found = [Wire(other, port.name) for other, ports in outputs.items() if other != name and port.name in ports]
     if len(found) == 1:
         return found[0]

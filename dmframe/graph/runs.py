@@ -226,11 +226,8 @@ def ran_together(base: Graph, graphs: Sequence[Graph], engine: Choice) -> list[R
         base.diagram,
         numbers,
         base.duration,
-        clock=base.clock,
-        solver=experiment.solver,
-        start=experiment.start,
         engine=engine,
-        log=experiment.log,
+        **experiment.settings,
     )
     raise_all([fault for fault in found if isinstance(fault, DmframeError)][:1])
     return [

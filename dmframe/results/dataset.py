@@ -190,7 +190,7 @@ def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
 def _recorded(run: Recording) -> list[tuple[str, str, str, str]]:
     """Label, shape, unit and kind of all that was recorded, in the order of the diagram."""
     loop = run.diagram.loop
-    states = [(v.label, v.shape, v.unit, "state") for v in (*loop.controller, *loop.plant) if v.label in run.states]
+    states = [(v.label, v.shape, v.unit, "state") for v in loop.variables if v.label in run.states]
     outputs = [(s.label, s.shape, s.unit, "output") for s in loop.outputs if s.label in run.outputs]
     return states + outputs
 

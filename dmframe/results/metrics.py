@@ -8,7 +8,6 @@ from typing import final
 import numpy as np
 
 from dmframe.simulate import Recording
-from dmframe.simulate.start import goals
 
 EIGHTHS = 8
 _PREFERRED = ("x", "q")
@@ -55,7 +54,7 @@ class TrackingError:
 
 def tracking_error(run: Recording) -> TrackingError | None:
     """The tracking error of a run: at the task where there is one, else at the joints; None without a goal."""
-    pairs = {actual.split(".", 1)[1]: (desired, actual) for desired, actual, _, _ in reversed(goals(run.diagram.loop))}
+    pairs = {pair.actual.split(".", 1)[1]: pair[:2] for pair in reversed(run.diagram.loop.followed)}
     name = next((name for name in (*_PREFERRED, *pairs) if name in pairs), None)
     if name is None:
         return None

@@ -18,12 +18,9 @@ from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.resolve import Leaf
 from dmframe.errors import EngineError, ValueFault
-from dmframe.port import Side
 from dmframe.simulate.engine import Choice
-from dmframe.simulate.start import loop_trajectories, start_state
-from dmframe.simulate.step import inside, project
+from dmframe.simulate.start import start_state
 
 
 @final
@@ -31,7 +28,7 @@ class Controller:
     """The controller's side of a diagram, sampled: what it measures goes in, what it commands comes out.
 
     The plant's blocks of the diagram are not computed; they only say where states start. A step is the one that
-    `simulate` takes: commands from what is measured now, then one explicit Euler step of the states, projected onto
+    `simulate` takes: commands from what is measured now, then the states one sample later (`ClosedLoop.advanced`), in
     their boxes. It allocates nothing: write to the arrays of `measured`, call `step`, read those of `commanded`.
 
     A sample that is not finite, or from which something follows that is not, is refused: commands and states stay as
@@ -60,11 +57,12 @@ class Controller:
         if engine not in get_args(Choice):
             raise ValueFault(f"engine: expected {', '.join(get_args(Choice))}, found {engine!r}", path=("engine",))
         loop = diagram.loop
-        ins = [leaf for leaf in loop.crossings if leaf.side is Side.PLANT]
-        outs = [leaf for leaf in loop.crossings if leaf.side is Side.CONTROLLER]
+        ins, outs = loop.measured, loop.commanded
         if not outs:
             raise EngineError("controller: expected a diagram that commands something, found no wire to a plant")
-        function = control_function(diagram, ins, outs)
+        if loop.noises:
+            raise EngineError(f"controller: {loop.noises[0].label} is drawn anew at each sample, in simulations alone")
+        function = control_function(diagram)
         size = function.numel_out(0)
         self._z, self._t, self._period = np.zeros(size), np.zeros(1), np.array([clock])
         self._p = np.ascontiguousarray(loop.p_values)
@@ -155,17 +153,15 @@ def _works(library: Path, function: Any, constants: int) -> bool:
     return all(np.allclose(mine, theirs, rtol=1e-6, atol=1e-9) for mine, theirs in pairs)
 
 
-def control_function(diagram: Diagram, ins: list[Leaf], outs: list[Leaf]) -> Any:
+def control_function(diagram: Diagram) -> Any:
     """(z, measured, t, T, p) -> (z one period later, commands)."""
     loop, resolver = diagram.loop, diagram.resolver
-    z, period = stack(variable.symbol for variable in loop.controller), ca.SX.sym("T")
-    rates = stack(variable.rate for variable in loop.controller)
-    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in outs)
-    rates, commands = project(loop, [rates, commands], joined=False)
-    (after,) = ca.substitute([inside(loop, z)], [z], [z + period * rates])
-    inputs = [z, stack(leaf.symbol for leaf in ins), loop.time, period, loop.p]
-    expressions = [loop_trajectories(loop, expression) for expression in (after, commands)]
-    return ca.Function("control", inputs, ca.cse(expressions))
+    size = stack(variable.symbol for variable in loop.controller).numel()
+    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
+    advanced, commands = loop.projected([loop.advanced, commands], joined=False)
+    expressions = [loop.on_path(expression) for expression in (loop.put_back(advanced)[:size], commands)]
+    z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
+    return ca.Function("control", [z, measured, loop.time, loop.period, loop.p], ca.cse(expressions))
 
 
 def _parts(items: Any, array: np.ndarray) -> dict[str, np.ndarray]:

@@ -41,7 +41,7 @@ def bounds_of(diagram: Diagram) -> np.ndarray:
     """
     loop, robot = diagram.loop, diagram.robot
     parts = [np.zeros(0)]
-    for variable in (*loop.controller, *loop.plant):
+    for variable in loop.variables:
         bounds = np.full(variable.symbol.numel(), LARGEST)
         plant = diagram.blocks[variable.block].side is Side.PLANT
         if robot is not None and plant and variable.unit == "rad/s" and variable.shape == "n":
@@ -61,7 +61,7 @@ def beyond(diagram: Diagram, state: np.ndarray, bounds: np.ndarray, time: float)
 
 def located(diagram: Diagram, row: int) -> tuple[Variable, int]:
     """The state that a row of the loop's state belongs to, and its element there."""
-    for variable in (*diagram.loop.controller, *diagram.loop.plant):
+    for variable in diagram.loop.variables:
         if row < variable.symbol.numel():
             return variable, row
         row -= variable.symbol.numel()

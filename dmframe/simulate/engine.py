@@ -72,7 +72,7 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
             notices.append(notice)
         if found is not None:
             return Compiled(step, kept, every, found, tuple(notices))
-    states = step.parts.control.numel_in(0)
+    states = step.parts.sample.numel_in(0)
     rows = kept[kept >= states] - states
     if rows.size < step.parts.outputs.numel_out(0):
         step, kept = step.recording(rows), np.concatenate([kept[kept < states], states + np.arange(rows.size)])
@@ -83,9 +83,7 @@ def _work(step: Step) -> int:
     """Instructions in a tick."""
     parts = step.parts
     return int(
-        parts.control.n_instructions()
-        + parts.outputs.n_instructions()
-        + 4 * step.substeps * parts.rate.n_instructions()
+        parts.sample.n_instructions() + parts.outputs.n_instructions() + 4 * step.substeps * parts.rate.n_instructions()
     )
 
 
@@ -105,9 +103,11 @@ def _works(library: Path, step: Step) -> bool:
     """Does a new library give the interpreter's numbers, over one tick from a state that means nothing?"""
     parts = step.parts
     rng = np.random.default_rng(0)
-    state, p = (rng.uniform(0.5, 1.5, parts.control.numel_in(place)) for place in (0, 2))
+    state, p = (rng.uniform(0.5, 1.5, parts.sample.numel_in(place)) for place in (0, 4))
     period = float(step.period) * 1e-3  # so short that nothing blows up
     count = parts.outputs.numel_out(0)
+    brief = step.with_period(period)
+    given = brief.instants.rows(0, 1)
     kept = (state.size + np.arange(count)).tolist()
     found = called(
         library,
@@ -116,7 +116,9 @@ def _works(library: Path, step: Step) -> bool:
             {"doubles": state.tolist()},
             {"doubles": p.tolist()},
             {"double": period},
-            *({"integer": value} for value in (1, 0, 1, 1)),
+            *({"integer": value} for value in (1, 0, 1)),
+            {"doubles": given.ravel().tolist()},
+            {"integer": 1},
             {"integers": kept},
             {"integer": count},
             {"doubles": [0.0] * count},
@@ -125,8 +127,8 @@ def _works(library: Path, step: Step) -> bool:
     )
     if found is None:
         return False
-    told = step.with_period(period).tick(state, 0, p)
-    after, recorded = (np.array(array) for array in (found[0][: state.size], found[2][:count]))
+    told = brief.tick(state, given, p)
+    after, recorded = (np.array(array) for array in (found[0][: state.size], found[3][:count]))
     pairs = ((after, told[0]), (recorded, told[1]))
     return all(np.allclose(mine, theirs.full().ravel(), rtol=1e-6, atol=1e-9, equal_nan=True) for mine, theirs in pairs)
 
@@ -147,6 +149,7 @@ class Compiled:
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         """See `Engine`."""
         whole = ctypes.c_int64
+        given = self.step.instants.rows(first, max(1, ticks))
         return int(
             self.run(
                 address(state),
@@ -155,6 +158,7 @@ class Compiled:
                 whole(self.step.substeps),
                 whole(first),
                 whole(ticks),
+                address(given),
                 whole(self.every),
                 address(self.kept),
                 whole(self.kept.size),
@@ -169,9 +173,10 @@ class Chunk:
     """Some ticks as one function, called without converting arrays."""
 
     def __init__(self, tick: Any, ticks: int) -> None:
-        begin, k, p = ca.MX.sym("begin", tick.numel_in(0)), ca.MX.sym("k", 1, ticks), ca.MX.sym("p", tick.numel_in(2))
+        begin, p = (ca.MX.sym(name, tick.numel_in(i)) for i, name in ((0, "begin"), (2, "p")))
+        given = ca.MX.sym("given", tick.numel_in(1), ticks)
         many = tick.mapaccum(f"ticks_{ticks}", ticks)
-        self._function = ca.Function("chunk", [begin, k, p], many(begin, k, p))
+        self._function = ca.Function("chunk", [begin, given, p], many(begin, given, p))
         self._given = [np.empty(self._function.numel_in(i)) for i in range(3)]
         self._states = np.empty((ticks + 1, tick.numel_out(0)))
         self._recorded = np.empty((ticks, tick.numel_out(1)))
@@ -181,13 +186,13 @@ class Chunk:
         self._buffer.set_res(0, self._states[1:].data)
         self._buffer.set_res(1, self._recorded.data)
 
-    def __call__(self, state: np.ndarray, first: int, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """States at the ticks `first` and after, and what is recorded there, a row each; overwritten by the next call.
+    def __call__(self, state: np.ndarray, given: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States from `state` on, and what is recorded there, a row a tick; overwritten by the next call.
 
         There is one state more than is recorded.
         """
-        begin, k, parameters = self._given
-        begin[:], k[:], parameters[:] = state, first + np.arange(k.size), p
+        for array, value in zip(self._given, (state, given.ravel(), p), strict=True):
+            array[:] = value
         self._states[0] = state
         self._evaluate()
         return self._states, self._recorded
@@ -220,7 +225,7 @@ class Interpreted:
         if ticks not in self.chunks:
             self.chunks[ticks] = Chunk(self.step.tick, ticks)
         try:
-            states, recorded = self.chunks[ticks](state, first, p)
+            states, recorded = self.chunks[ticks](state, self.step.instants.rows(first, ticks), p)
         except RuntimeError as error:  # CasADi's, for an adaptive integrator that gives up
             states = self._singly(state, p, first, ticks)
             self._keep(states, self._observed(states, p, first), first, rows)
@@ -239,16 +244,16 @@ class Interpreted:
         """Go again through the ticks of a chunk that failed, up to the one that cannot be computed."""
         states = [state.copy()]
         try:
-            for k in range(first, first + ticks):
-                states.append(self.step.tick(states[-1], k, p)[0].full().ravel())
+            for given in self.step.instants.rows(first, ticks):
+                states.append(self.step.tick(states[-1], given, p)[0].full().ravel())
         except RuntimeError:
             pass
         return np.stack(states)
 
     def _observed(self, states: np.ndarray, p: np.ndarray, first: int) -> np.ndarray:
         """What is recorded at states, a row each, of the ticks from `first` on."""
-        times = (first + np.arange(len(states))) * self.step.period
-        return np.stack([self.step.outputs(x, t, p).full().ravel() for x, t in zip(states, times, strict=True)])
+        given = self.step.instants.rows(first, len(states))
+        return np.stack([self.step.outputs(x, row, p).full().ravel() for x, row in zip(states, given, strict=True)])
 
     def _keep(self, states: np.ndarray, recorded: np.ndarray, first: int, rows: np.ndarray) -> None:
         """Write what is kept of these ticks, a row each."""

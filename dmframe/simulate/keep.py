@@ -12,7 +12,6 @@ import numpy as np
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
 from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
-from dmframe.simulate.start import goals
 
 MOST_NUMBERS = 500_000_000
 """Numbers that a run keeps at most; 4 GB."""
@@ -77,14 +76,14 @@ def keeping(
 
     Raises `UnknownNameError` for a signal that there is not, `EngineError` where it would be more than `MOST_NUMBERS`.
     """
-    variables = (*diagram.loop.controller, *diagram.loop.plant)
+    variables = diagram.loop.variables
     items: list[Variable | Signal] = [*variables, *recorded, *matrices]
     wanted = {variable.label for variable in variables} | {signal.label for signal in recorded}
     if log.signals is not None:
         strangers = [name for name in dict.fromkeys(log.signals) if name not in wanted]
         path = ("log", "signals")
         raise_all([UnknownNameError("log.signals", "signal", name, wanted, path=path) for name in strangers])
-        wanted = {*log.signals, *(label for pair in goals(diagram.loop) for label in pair[:2])}
+        wanted = {*log.signals, *(label for pair in diagram.loop.followed for label in pair[:2])}
     wanted |= {matrix.label for matrix in matrices}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
     for item in items:

@@ -35,6 +35,8 @@ def simulate_many(
     engine: Choice = ...,
     log: Log | None = ...,
     threads: int | None = ...,
+    seed: int = ...,
+    jitter: float = ...,
 ) -> list[Recording | DmframeError]: ...
 @overload
 def simulate_many(
@@ -49,6 +51,8 @@ def simulate_many(
     engine: Choice = ...,
     log: Log | None = ...,
     threads: int | None = ...,
+    seed: int = ...,
+    jitter: float = ...,
 ) -> list[T | DmframeError]: ...
 def simulate_many(
     diagram: Diagram,
@@ -62,6 +66,8 @@ def simulate_many(
     engine: Choice = "auto",
     log: Log | None = None,
     threads: int | None = None,
+    seed: int = 0,
+    jitter: float = 0.0,
 ) -> list[Any]:
     """Run a closed loop once for each variant; the loop is built and compiled once.
 
@@ -73,6 +79,8 @@ def simulate_many(
         Makes of each run what is kept of it, so that thousands need no memory; without it the runs are kept whole.
     threads
         How many run at once; by default as many as the process may use cores. The interpreted engine uses one.
+    seed, jitter
+        As of `simulate`; the same numbers are drawn in every run, so that runs compare.
 
     Returns
     -------
@@ -81,7 +89,9 @@ def simulate_many(
     """
     if threads is not None and threads < 1:
         raise ValueFault(f"threads: expected at least 1, found {threads}")
-    prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
+    prepared = prepare(
+        diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
+    )
     prepared = prepared.stepping(diagram, start_state(diagram, start or {}, prepared.starts))
     chosen = prepared.engine(engine, len(variants))
 

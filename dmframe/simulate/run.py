@@ -14,12 +14,12 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
 from dmframe.simulate.bounds import Divergence, beyond, bounds_of, located
 from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
+from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
@@ -88,6 +88,8 @@ def simulate(
     progress: Progress | None = None,
     engine: Choice = "auto",
     log: Log | None = None,
+    seed: int = 0,
+    jitter: float = 0.0,
 ) -> Recording:
     """Run a closed loop.
 
@@ -106,6 +108,10 @@ def simulate(
         same numbers to rounding. `Recording.engine` says which one ran.
     log
         What is kept, and how often.
+    seed
+        Decides what is drawn at random, where anything is.
+    jitter
+        How much earlier or later than on a perfect clock each sample may begin [s].
 
     Raises
     ------
@@ -113,7 +119,9 @@ def simulate(
         A start pose that cannot be reached; an integrator that fails at once or a run too long to keep; a time that is
         not above zero.
     """
-    prepared = prepare(diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log())
+    prepared = prepare(
+        diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
+    )
     state = start_state(diagram, start or {}, prepared.starts)
     prepared = prepared.stepping(diagram, state)
     recording = prepared.run(diagram, prepared.engine(engine), state, progress)
@@ -129,11 +137,7 @@ def _finer(
     """A run that diverged, at shorter steps, where those tell that the integrator did and not the loop."""
     step = max(step, prepared.step.period / MOST_SUBSTEPS)
     solver = replace(prepared.solver, step=step)
-    finer = replace(
-        prepared,
-        solver=solver,
-        step=build_step(diagram.loop, prepared.clock, solver, prepared.recorded, prepared.step.bounds),
-    )
+    finer = replace(prepared, solver=solver, step=prepared.step.solved_by(solver, prepared.clock))
     again = finer.run(diagram, finer.engine(engine), state)
     if again.divergence is not None and again.divergence.time < 1.5 * recording.divergence.time:  # type: ignore[union-attr]
         return recording
@@ -152,7 +156,6 @@ class Prepared:
     ticks: int
     matrices: Sequence[Signal]
     keeping: Keeping
-    recorded: SX
     starts: Made = field(default_factory=dict)
     notices: tuple[str, ...] = ()
 
@@ -175,7 +178,7 @@ class Prepared:
         else:
             solver = replace(self.solver, step=h)
             told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
-        step = build_step(diagram.loop, self.clock, solver, self.recorded, self.step.bounds)
+        step = self.step.solved_by(solver, self.clock)
         return replace(self, solver=solver, step=step, notices=(*self.notices, told))
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
@@ -213,7 +216,7 @@ class Prepared:
         wall: float,
         stiff: tuple[str, ...],
     ) -> Recording:
-        times = np.arange(len(rows)) * self.keeping.every * self.step.period
+        times = self.step.instants.times(np.arange(len(rows)) * self.keeping.every)
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
         ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
         for matrix in self.matrices:
@@ -241,18 +244,28 @@ class Prepared:
         )
 
 
-def prepare(diagram: Diagram, duration: float, *, clock: float | None, solver: Solver, log: Log) -> Prepared:
+def prepare(
+    diagram: Diagram,
+    duration: float,
+    *,
+    clock: float | None,
+    solver: Solver,
+    log: Log,
+    seed: int = 0,
+    jitter: float = 0.0,
+) -> Prepared:
     """Check what is asked, and build the functions of a tick."""
+    check_clock(diagram, clock, jitter)
     ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
     recorded = stack(signal.expression for signal in (*outputs, *matrices))
-    step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram))
+    step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram), seed=seed, jitter=jitter)
     kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
     whole, told = ticks * step.period, tuple[str, ...]()
     if abs(whole - duration) > 0.01 * duration:
         told = (
             f"{plain(whole, 's')} are simulated, not {plain(duration, 's')}: whole ticks of {plain(step.period, 's')}",
         )
-    return Prepared(clock, solver, step, ticks, matrices, kept, recorded, notices=told)
+    return Prepared(clock, solver, step, ticks, matrices, kept, notices=told)
 
 
 def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
@@ -278,6 +291,16 @@ def ticks_of(duration: float, clock: float | None, solver: Solver) -> int:
     return max(1, round(ticks))
 
 
+def check_clock(diagram: Diagram, clock: float | None, jitter: float) -> None:
+    """Refuse continuous time for what moves from sample to sample."""
+    if clock is not None:
+        return
+    why = diagram.loop.clocked or ("samples have a jitter" if jitter else "")
+    if why:
+        text = f"clock: expected a sampling period such as 8 ms, found continuous; {why}"
+        raise ValueFault(text, path=("clock",))
+
+
 def check_run(
     diagram: Diagram,
     duration: float,
@@ -286,6 +309,8 @@ def check_run(
     solver: Solver,
     log: Log,
     start: Mapping[str, Any],
+    seed: int = 0,
+    jitter: float = 0.0,
 ) -> None:
     """Refuse what `simulate` would refuse of times, log and start values, as far as no pose need be sought.
 
@@ -294,6 +319,8 @@ def check_run(
 
     def times_and_log() -> None:
         ticks, period = ticks_of(duration, clock, solver), clock if clock is not None else solver.output
+        check_clock(diagram, clock, jitter)
+        Instants.of(diagram.loop, period, seed, jitter)
         keeping(diagram, log, _recorded(diagram), watched(diagram), period, ticks)
 
     faults = list[DmframeError]()
@@ -308,7 +335,7 @@ def check_run(
 def _recorded(diagram: Diagram) -> list[Signal]:
     """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
-    others = {state.label for state in (*loop.controller, *loop.plant)} | {matrix.label for matrix in watched(diagram)}
+    others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
     moving = stack([loop.time, loop.state, *(leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))])
     return [
         signal

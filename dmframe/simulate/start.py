@@ -43,7 +43,7 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
     a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled.
     """
     loop, made = diagram.loop, {} if made is None else made
-    variables = (*loop.controller, *loop.plant)
+    variables = loop.variables
     values = _given(diagram, variables, given)
     for variable in variables:
         model = diagram.models[variable.block]
@@ -61,7 +61,7 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
 
 def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
     """Refuse start values of states that there are not, of another size or outside the joints' limits."""
-    _given(diagram, (*diagram.loop.controller, *diagram.loop.plant), given)
+    _given(diagram, diagram.loop.variables, given)
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
@@ -147,22 +147,10 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
     ]
 
 
-def goals(loop: ClosedLoop) -> list[tuple[str, str, Any, Any]]:
-    """Pairs (s_d, s) of a trajectory and the plant's output that should follow it, with their expressions."""
-    sources = {signal.label for signal in loop.outputs}  # a trajectory's derivative is no output
-    desired = {leaf.name.split(".")[1]: leaf for leaf in loop.trajectories if leaf.name in sources}
-    plant = {variable.block for variable in loop.plant}
-    return [
-        (desired[f"{signal.name}_d"].name, signal.label, desired[f"{signal.name}_d"].symbol, signal.expression)
-        for signal in loop.outputs
-        if signal.block in plant and f"{signal.name}_d" in desired
-    ]
-
-
 def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:
     loop = diagram.loop
     open_states = [v for v in loop.plant if v.label not in values and not _has_start(diagram, v, made)]
-    for desired, label, wanted, actual in goals(loop) if open_states else ():
+    for desired, label, wanted, actual in loop.followed if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(actual), ca.vec(v.symbol))]
         if len(used) != 1:
             continue
@@ -174,12 +162,6 @@ def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made:
         jacobian = _once(made, ("jacobian", *key), residual.jacobian)
         values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, f"{desired}(0)", label)
         open_states.remove(unknown)
-
-
-def loop_trajectories(loop: ClosedLoop, expression: Any) -> Any:
-    """An expression with its trajectories replaced by what they are as functions of time."""
-    leaves = stack(leaf.symbol for leaf in loop.trajectories)
-    return ca.substitute(expression, leaves, stack(leaf.expression for leaf in loop.trajectories))
 
 
 def _solve(
@@ -276,14 +258,14 @@ def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
 def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) -> None:
     """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
     loop = diagram.loop
-    for variable in (*loop.controller, *loop.plant):
+    for variable in loop.variables:
         if variable.label in values:
             continue
         expression = _said(diagram, variable.block, made).get(variable.name)
         if expression is None:
             values[variable.label] = np.zeros(variable.symbol.shape)
             continue
-        known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
+        known = [v for v in loop.variables if v.label in values]
         key = ("start", variable.label, *(v.label for v in known))
         function = _once(made, key, partial(_stated, loop, expression, known))
         now = function(0, loop.p_values, _column(known, values))
@@ -292,12 +274,12 @@ def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) 
 
 def _goal(loop: ClosedLoop, wanted: Any) -> Any:
     """(t, p) -> a trajectory."""
-    return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop_trajectories(loop, wanted))])
+    return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(wanted))])
 
 
 def _stated(loop: ClosedLoop, expression: Any, known: Sequence[Variable]) -> Any:
     """(t, p, known states as one column) -> what a block says."""
-    (joined,) = loop.joined([loop_trajectories(loop, expression)])
+    (joined,) = loop.joined([loop.on_path(expression)])
     return ca.Function("at_start", [loop.time, loop.p, stack(v.symbol for v in known)], [ca.vec(joined)])
 
 
@@ -308,7 +290,7 @@ def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> 
 
 def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]) -> np.ndarray:
     """An expression of states and parameters at t = 0."""
-    known = [v for v in (*loop.controller, *loop.plant) if v.label in values]
+    known = [v for v in loop.variables if v.label in values]
     inputs = [loop.time, loop.p, stack(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
     return np.asarray(function(0, loop.p_values, _column(known, values)).full().ravel())

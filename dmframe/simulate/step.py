@@ -1,11 +1,12 @@
 """One tick of the closed loop as one CasADi function: the sampled controller over the continuous plant.
 
-Within a tick from t_k = k T to t_{k+1}, in this order, with a sampled clock:
+Within a tick from t_k to t_{k+1}, in this order, with a sampled clock:
 
-1. the trajectories and what the plant measures are read at t_k;
-2. the controller's outputs follow from them and from its states at t_k;
-3. its states advance by one explicit Euler step of length T, and are then projected onto their sets;
-4. the plant runs to t_{k+1} with the commands held (zero-order hold).
+1. the trajectories, what the plant measures and what is drawn for this tick are read at t_k;
+2. outputs follow from them and from the states at t_k;
+3. sampled states go where their blocks say; those of the controller in continuous time advance by one explicit Euler
+   step of length T; all are then put back into their sets (`ClosedLoop.advanced`);
+4. the plant runs to t_{k+1} with what it is given held (zero-order hold).
 
 With a continuous clock controller and plant are integrated together, and a tick only says how often to log.
 """
@@ -25,7 +26,7 @@ from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
 from dmframe.errors import EngineError, ValueFault
-from dmframe.port import Side
+from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 
 Method = Literal["rk4", "cvodes"]
 """Fixed-step fourth-order Runge-Kutta, or SUNDIALS' variable-step backward differentiation."""
@@ -84,11 +85,11 @@ class Step:
     parts
         What the tick is made of.
     rate
-        (state, t, p) -> the plant's rate with the commands of that instant.
+        (state, t, p) -> the rates of what flows in the plant, with the commands of that instant and nothing drawn.
     solver
         How the plant is integrated.
-    period
-        T [s].
+    instants
+        When ticks begin, and what is drawn for them.
     substeps
         Integrator steps in a tick.
     bounds
@@ -98,68 +99,92 @@ class Step:
     parts: Parts
     rate: Any
     solver: Solver
-    period: float
+    instants: Instants
     substeps: int
     bounds: np.ndarray
 
+    @property
+    def period(self) -> float:
+        """T [s]."""
+        return self.instants.period
+
     @cached_property
     def tick(self) -> Any:
-        """(state, k, p) -> (state at (k + 1) T, recorded outputs at k T as one column), for the interpreter."""
-        return _tick(self.parts, self.solver, self.period, self.substeps)
+        """(state, given, p) -> (state at the next tick, recorded outputs as one column), for the interpreter.
+
+        `given` is the tick's row of `Instants`, as a column.
+        """
+        return _tick(self.parts, self.solver, self.instants, self.substeps)
 
     @cached_property
     def outputs(self) -> Any:
-        """(state, t, p) -> recorded outputs as one column."""
-        parts, (state, t, p) = self.parts, _columns_of(self.parts)
-        return ca.Function("recorded", [state, t, p], [parts.outputs(state, parts.trajectory(t, p), p)])
+        """(state, given, p) -> recorded outputs as one column."""
+        parts, (state, given, p) = self.parts, _columns_of(self.parts)
+        w = parts.trajectory(given[TIME], p)
+        return ca.Function("recorded", [state, given, p], [parts.outputs(state, w, given[DRAWN:], self.period, p)])
+
+    def solved_by(self, solver: Solver, clock: float | None) -> Step:
+        """The same with another solver."""
+        return replace(self, solver=solver, substeps=substeps_of(clock, solver))
 
     def with_period(self, period: float) -> Step:
         """The same with another period [s], in one step of the integrator."""
-        return replace(self, period=period, substeps=1, solver=Solver(step=period))
+        instants = replace(self.instants, period=period, jitter=0.0)
+        return replace(self, instants=instants, substeps=1, solver=Solver(step=period))
 
     def recording(self, rows: np.ndarray) -> Step:
         """The same, but of the recorded outputs only some."""
-        state, _, p = (ca.SX.sym("of", symbol.shape) for symbol in _columns_of(self.parts))
-        w = ca.SX.sym("w", self.parts.outputs.numel_in(1))
-        some = ca.Function("outputs", [state, w, p], [self.parts.outputs(state, w, p)[rows.tolist()]])
+        outputs = self.parts.outputs
+        seen = [ca.SX.sym("of", outputs.size_in(i)) for i in range(outputs.n_in())]
+        some = ca.Function("outputs", seen, [outputs(*seen)[rows.tolist()]])
         return replace(self, parts=replace(self.parts, outputs=some))
 
 
 def build_step(
-    loop: ClosedLoop, clock: float | None, solver: Solver, recorded: SX, bounds: np.ndarray | None = None
+    loop: ClosedLoop,
+    clock: float | None,
+    solver: Solver,
+    recorded: SX,
+    bounds: np.ndarray | None = None,
+    *,
+    seed: int = 0,
+    jitter: float = 0.0,
 ) -> Step:
     """The tick of a closed loop on a clock, or in continuous time where `clock` is None.
 
     Without `bounds`, a state may be any finite number.
     """
-    period = clock if clock is not None else solver.output
+    instants = Instants.of(loop, clock if clock is not None else solver.output, seed, jitter)
     substeps = substeps_of(clock, solver)
     parts = build_parts(loop, clock, recorded)
-    measured = _function("plant_rate", loop, [loop.state], [stack(variable.rate for variable in loop.plant)])
-    state, t, p = _columns_of(parts)
-    rate = ca.Function("rate", [state, t, p], [measured(state, parts.trajectory(t, p), p)])
+    flowing = _seen("flowing", loop, [stack(variable.rate for variable in loop.flowing)])
+    state, t, p = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
+    still = ca.MX.zeros(loop.drawn.numel())
+    rates = flowing(state, parts.trajectory(t, p), still, instants.period, p)
+    rate = ca.Function("rate", [state, t, p], [rates])
     most = np.full(loop.state.numel(), np.finfo(float).max) if bounds is None else bounds
-    return Step(parts, rate, solver, period, substeps, most)
+    return Step(parts, rate, solver, instants, substeps, most)
 
 
 def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
-    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is commanded."""
-    every, sampled = (*loop.controller, *loop.plant), clock is not None
-    integrated = stack(v.symbol for v in (loop.plant if sampled else every))
-    held, command = columns([leaf for leaf in loop.crossings if sampled and leaf.side is Side.CONTROLLER])
-    advanced = stack(variable.rate for variable in loop.controller if sampled)
-    if sampled:
-        (rate,) = project(loop, [stack(variable.rate for variable in loop.plant)], joined=False)
+    """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is held."""
+    if clock is None:
+        stepped, (held, given) = ca.SX(0, 1), (ca.SX(0, 1), ca.SX(0, 1))
+        integrated, (rate,) = loop.state, loop.acting([stack(variable.rate for variable in loop.variables)])
     else:
-        (rate,) = project(loop, loop.joined([stack(variable.rate for variable in every)]))
+        stepped, (held, given) = loop.advanced, loop.held_over_a_sample
+        integrated = stack(variable.symbol for variable in loop.flowing)
+        (rate,) = loop.projected([stack(variable.rate for variable in loop.flowing)], joined=False)
     (rate,) = _pruned(loop, [rate])
     _, meanings = columns(loop.trajectories)
+    after, given = _pruned(loop, loop.acting([stepped, given]))
+    seen = [loop.state, loop.w, loop.drawn, loop.period, loop.p]
     return Parts(
         trajectory=ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)]),
-        control=_function("control", loop, [loop.state], [advanced, command]),
-        rate=ca.Function("plant", [integrated, held, _signals(loop), loop.p], [ca.cse(rate)]),
-        outputs=_function("outputs", loop, [loop.state], [recorded]),
-        clip=ca.Function("clip", [loop.state, loop.p], [inside(loop, loop.state)]),
+        sample=ca.Function("sample", seen, ca.cse([loop.put_back(after) if clock else after, given])),
+        rate=ca.Function("plant", [integrated, held, loop.w, loop.p], [ca.cse(rate)]),
+        outputs=_seen("outputs", loop, [recorded]),
+        clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
     )
 
 
@@ -182,14 +207,15 @@ def substeps_of(clock: float | None, solver: Solver) -> int:
 
 
 def _columns_of(parts: Parts) -> tuple[Any, Any, Any]:
-    """State, t and p."""
-    return ca.MX.sym("state", parts.control.numel_in(0)), ca.MX.sym("t"), ca.MX.sym("p", parts.control.numel_in(2))
+    """State, what a tick is given, and p."""
+    state, _, drawn, _, p = (parts.sample.numel_in(i) for i in range(5))
+    return ca.MX.sym("state", state), ca.MX.sym("given", DRAWN + drawn), ca.MX.sym("p", p)
 
 
-def _function(name: str, loop: ClosedLoop, inputs: list[SX], expressions: list[SX]) -> Any:
-    """Joined expressions as a function of (inputs..., w, p); projections act as their law says."""
-    joined = _pruned(loop, project(loop, loop.joined(expressions)))
-    return ca.Function(name, [*inputs, _signals(loop), loop.p], ca.cse(joined))
+def _seen(name: str, loop: ClosedLoop, expressions: list[SX]) -> Any:
+    """Expressions at one instant as a function of (state, w, drawn, T, p); projections act as their law says."""
+    acting = ca.cse(_pruned(loop, loop.acting(expressions)))
+    return ca.Function(name, [loop.state, loop.w, loop.drawn, loop.period, loop.p], acting)
 
 
 def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
@@ -203,46 +229,23 @@ def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
     return list(ca.substitute(expressions, [ca.vertcat(*zeros)], [ca.SX.zeros(len(zeros))])) if zeros else expressions
 
 
-def _signals(loop: ClosedLoop) -> SX:
-    """w: what moves by itself, the trajectories and, for blocks that read it, the time."""
-    return stack([*(leaf.symbol for leaf in loop.trajectories), loop.time])
-
-
-def project(loop: ClosedLoop, expressions: list[SX], *, joined: bool = True) -> list[SX]:
-    """Put in each projection's correction: it stops a rate that leads out of the set at the set's end.
-
-    Not `joined`, a correction keeps the crossings as leaves, as the rates of one side alone need it.
-    """
-    for projection in reversed(loop.projections):
-        correction = projection.law
-        if joined:
-            correction = loop.joined([correction])[0]
-        expressions = list(ca.substitute(expressions, [projection.correction], [correction]))
-    return expressions
-
-
-def inside(loop: ClosedLoop, state: SX) -> SX:
-    """A column of states projected onto their boxes and balls."""
-    for projection in loop.projections:
-        state = ca.substitute(state, projection.state, projection.set.held(projection.state))
-    return state
-
-
-def _tick(parts: Parts, solver: Solver, period: float, substeps: int) -> Any:
-    """(state, k, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
-    state, k, p = _columns_of(parts)
-    t, hoisted = k * period, parts.hoisted
+def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> Any:
+    """(state, given, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
+    state, given, p = _columns_of(parts)
+    t, hoisted = given[TIME], parts.hoisted
     c = hoisted.constants(p)
-    dz, u, recorded = hoisted.sample(state, hoisted.trajectory(t, p, c), p, c)
-    z, x = ca.vertsplit(state, [0, dz.numel(), state.numel()])
+    z, u, recorded = hoisted.sample(state, hoisted.trajectory(t, p, c), given[DRAWN:], instants.period, p, c)
+    _, x = ca.vertsplit(state, [0, z.numel(), state.numel()])
     if solver.method == "cvodes":
-        x = _cvodes(parts, x, t, u, p, solver, period)
+        x = _cvodes(parts, x, given, u, p, solver, instants)
     else:
-        x = _rk4(parts, x, t, u, p, c, period / substeps, substeps)
-    return ca.Function("tick", [state, k, p], [hoisted.clip(ca.vertcat(z + period * dz, x), p, c), recorded])
+        # without jitter all ticks are as long, and the step is a number that CasADi folds
+        h = given[LENGTH] / substeps if instants.jitter else instants.period / substeps
+        x = _rk4(parts, x, t, u, p, c, h, substeps)
+    return ca.Function("tick", [state, given, p], [ca.vertcat(z, hoisted.clip(x, p, c)), recorded])
 
 
-def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: float, substeps: int) -> Any:
+def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps: int) -> Any:
     hoisted, moved = parts.hoisted, parts.moved
     still = ca.MX.zeros(hoisted.rate.size1_in(2))
 
@@ -260,15 +263,18 @@ def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: float, substep
     return x
 
 
-def _cvodes(parts: Parts, x: Any, t: Any, u: Any, p: Any, solver: Solver, period: float) -> Any:
+def _cvodes(parts: Parts, x: Any, given: Any, u: Any, p: Any, solver: Solver, instants: Instants) -> Any:
     if not ca.has_integrator("cvodes"):
         raise EngineError("solver: CasADi was built without SUNDIALS' cvodes; choose method: rk4")
     rate = parts.rate
     state, since = ca.MX.sym("x", rate.size1_in(0)), ca.MX.sym("since")
-    held = ca.MX.sym("held", rate.size1_in(1) + 1 + p.numel())
-    commands, start, numbers = ca.vertsplit(held, [0, rate.size1_in(1), rate.size1_in(1) + 1, held.numel()])
-    ode = rate(state, commands, parts.trajectory(start + since, numbers), numbers)
-    problem = {"x": state, "t": since, "p": held, "ode": ode}
+    held = ca.MX.sym("held", rate.size1_in(1) + 2 + p.numel())
+    sizes = [0, rate.size1_in(1), rate.size1_in(1) + 1, rate.size1_in(1) + 2, held.numel()]
+    commands, start, length, numbers = ca.vertsplit(held, sizes)
+    # an integrator has one horizon: ticks of several lengths are each run over the time 0 to 1
+    span, end = (length, 1.0) if instants.jitter else (1, instants.period)
+    ode = rate(state, commands, parts.trajectory(start + span * since, numbers), numbers)
+    problem = {"x": state, "t": since, "p": held, "ode": span * ode}
     options = {"reltol": solver.tolerance, "abstol": solver.tolerance * 1e-3, "max_num_steps": 10_000}
-    integrator = ca.integrator("integrator", "cvodes", problem, 0, period, options)
-    return integrator(x0=x, p=ca.vertcat(u, t, p))["xf"]
+    integrator = ca.integrator("integrator", "cvodes", problem, 0, end, options)
+    return integrator(x0=x, p=ca.vertcat(u, given[TIME], given[LENGTH], p))["xf"]

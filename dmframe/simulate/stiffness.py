@@ -20,9 +20,9 @@ MOST_SLOPE = 1e12
 
 def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
     """The largest modulus of an eigenvalue of the plant at a state [1/s]; at rest the friction law is steepest."""
-    if not diagram.loop.plant:
+    size = stack(v.symbol for v in diagram.loop.flowing).numel()
+    if not size:
         return 0.0
-    size = stack(v.symbol for v in diagram.loop.plant).numel()
     jacobian = slope(state, 0, diagram.loop.p_values, 0)[0].full()[:, -size:]
     if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
         return math.inf

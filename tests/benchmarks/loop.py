@@ -132,7 +132,7 @@ class Loop:
 
         column, start, first = start_state(diagram, graph.start), {}, 0
         labels = {label: key for key, label in STATES.items()}
-        for variable in (*diagram.loop.controller, *diagram.loop.plant):
+        for variable in diagram.loop.variables:
             size = variable.symbol.numel()
             start[labels[variable.label]] = column[first : first + size].copy()
             first += size

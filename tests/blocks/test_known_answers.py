@@ -18,7 +18,6 @@ from dmframe.errors import DmframeError
 from dmframe.robot.library import load
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate import simulate
-from dmframe.simulate.start import loop_trajectories
 from dmframe_plants.arm2 import closed_form
 
 
@@ -394,8 +393,8 @@ def test_the_derived_reference_acceleration_is_the_slope_of_the_reference_while_
     assert np.ptp(run["geometry.a_k_hat"], axis=0).max() > 1e-3  # it does adapt
     loop = diagram.loop
     (derived,) = loop.joined([diagram.resolver.input("model", "ddq_ref")])
-    function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [loop_trajectories(loop, derived)])
-    states = np.hstack([run.states[variable.label] for variable in (*loop.controller, *loop.plant)])
+    function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [loop.on_path(derived)])
+    states = np.hstack([run.states[variable.label] for variable in loop.variables])
     rows = range(10, len(run.time) - 10, 25)
     expected = np.array([(run["inverse.dq_ref"][k + 1] - run["inverse.dq_ref"][k - 1]) / 0.001 for k in rows])
     found = np.array([function(states[k], run.time[k], loop.p_values).full().ravel() for k in rows])

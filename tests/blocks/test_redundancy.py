@@ -16,7 +16,6 @@ from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.simulate import Recording, Solver, simulate
-from dmframe.simulate.start import loop_trajectories
 
 SERVOS = {
     "pi": (
@@ -57,7 +56,7 @@ def reference(diagram: Diagram, state: np.ndarray) -> dict[str, np.ndarray]:
     """dq_r, J_hat and dq_null at a state and a moment, as the controller computes them."""
     loop = diagram.loop
     wanted = [signal for signal in loop.outputs if signal.name in ("dq_r", "J_hat", "dq_null")]
-    expressions = loop.joined([loop_trajectories(loop, signal.expression) for signal in wanted])
+    expressions = loop.joined([loop.on_path(signal.expression) for signal in wanted])
     function = ca.Function("reference", [loop.state, loop.time, loop.p], expressions)
     return {
         signal.name: value.full() for signal, value in zip(wanted, function(state, 0.3, loop.p_values), strict=True)
@@ -110,9 +109,9 @@ def test_the_derived_reference_acceleration_follows_the_self_motion(tmp_path: Pa
     run = simulate(diagram, 1.0, solver=Solver(step=2e-4, output=5e-3), start=loaded.start)
     loop = diagram.loop
     expression = diagram.resolver.derivative(diagram.resolver.output("inverse", "dq_ref"), "test")
-    (joined,) = loop.joined([loop_trajectories(loop, expression)])
+    (joined,) = loop.joined([loop.on_path(expression)])
     function = ca.Function("ddq_ref", [loop.state, loop.time, loop.p], [stack([joined])])
-    states = np.hstack([run.states[v.label] for v in (*loop.controller, *loop.plant)])
+    states = np.hstack([run.states[v.label] for v in loop.variables])
     dq_ref, times = run["inverse.dq_ref"], run.time
     for k in (40, 100, 160):
         slope = (dq_ref[k + 1] - dq_ref[k - 1]) / (times[k + 1] - times[k - 1])

@@ -14,7 +14,6 @@ from dmframe.certify import Verdict, verify
 from dmframe.certify.along import Along, along
 from dmframe.config.experiment import load_experiment
 from dmframe.simulate import Recording, simulate
-from dmframe.simulate.start import goals
 
 THEOREMS = ("theorem_1", "theorem_2", "theorem_3", "theorem_4")
 TORQUES = ("torque_indirect_pi", "torque_indirect_pid", "torque_direct_pi", "torque_direct_pid")
@@ -61,7 +60,7 @@ def fall(name: str) -> Along:
 
 def rms(run: Recording) -> np.ndarray:
     """Of the tracking error, tenth by tenth."""
-    desired, actual, _, _ = goals(run.diagram.loop)[0]
+    desired, actual, _, _ = run.diagram.loop.followed[0]
     error = np.sum((run[actual] - run[desired]) ** 2, axis=1)
     return np.array([np.sqrt(part.mean()) for part in np.array_split(error, 10)])
 

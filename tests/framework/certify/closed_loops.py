@@ -19,7 +19,6 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.port import Side
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.library import load
-from dmframe.simulate.start import loop_trajectories
 from dmframe.simulate.step import Solver, build_step
 
 Spec = tuple[str, Mapping[str, Any]]
@@ -208,7 +207,7 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
     p = _unbounded(diagram)
 
     def rates(state: np.ndarray, t: float) -> np.ndarray:
-        advanced = step.tick(state, t / PERIOD, p)[0].full().ravel()
+        advanced = step.tick(state, [t, PERIOD], p)[0].full().ravel()
         return np.concatenate([(advanced - state)[:split] / PERIOD, step.rate(state, t, p).full().ravel()])
 
     return rates
@@ -233,7 +232,7 @@ def states_of(diagram: Diagram, count: int, seed: int) -> Iterator[tuple[np.ndar
     held = {projection.name: boxes[projection.parameter] for projection in loop.projections}
     for _ in range(count):
         parts = []
-        for variable in (*loop.controller, *loop.plant):
+        for variable in loop.variables:
             size = variable.symbol.numel()
             share = rng.uniform(-1, 1, size)
             if variable.label in held:
@@ -252,7 +251,7 @@ def true_in_numbers(diagram: Diagram, claim: Claim, tolerance: float = 1e-8) -> 
 
     def of_time(expression: Any) -> Any:
         inside = ca.substitute(ca.SX(expression), corrections, ca.SX.zeros(corrections.shape))
-        return loop_trajectories(loop, inside)
+        return loop.on_path(inside)
 
     V = of_time(claim.V)
     slopes = [ca.gradient(V, loop.state), ca.gradient(V, loop.time)]

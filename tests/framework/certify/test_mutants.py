@@ -19,7 +19,6 @@ from dmframe.certify import claim_of
 from dmframe.certify.identity import check_identity
 from dmframe.certify.symbols import symbols_of
 from dmframe.port import Side
-from dmframe.simulate.start import loop_trajectories
 
 CAUGHT = {"refuted", "no diagram", "condition", "equivalent"}
 
@@ -108,8 +107,8 @@ def test_the_independent_look_at_dv_dt_sees_a_false_claim() -> None:
 def test_the_field_of_a_run_is_the_rate_of_every_state() -> None:
     diagram = small()[1].diagram
     loop = diagram.loop
-    joined = loop.joined([ca.vertcat(*(variable.rate for variable in (*loop.controller, *loop.plant)))])[0]
-    exact = ca.Function("F", [loop.state, loop.time, loop.p], [loop_trajectories(loop, joined)])
+    joined = loop.joined([ca.vertcat(*(variable.rate for variable in loop.variables))])[0]
+    exact = ca.Function("F", [loop.state, loop.time, loop.p], [loop.on_path(joined)])
     rates = field_of(diagram)
     for state, t in states_of(diagram, 3, 0):
         np.testing.assert_allclose(rates(state, t), exact(state, t, loop.p_values).full().ravel(), rtol=1e-8, atol=1e-8)

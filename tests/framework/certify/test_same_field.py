@@ -17,7 +17,6 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.robot.library import load
 from dmframe.simulate import Solver, simulate
-from dmframe.simulate.start import loop_trajectories
 
 KAPPA = 0.7
 
@@ -28,14 +27,14 @@ def at_time(diagram: Diagram, expression: Any, kappa: Any) -> Any:
     for projection in loop.projections:
         expression = ca.substitute(expression, projection.correction, ca.SX.zeros(projection.correction.shape))
     weight = ca.SX.sym("weight") if kappa.is_constant() else kappa
-    return ca.Function("f", [loop.state, loop.time, loop.p, weight], [loop_trajectories(loop, expression)])
+    return ca.Function("f", [loop.state, loop.time, loop.p, weight], [loop.on_path(expression)])
 
 
 @pytest.mark.parametrize("loop", loops(), ids=lambda loop: loop.name)
 def test_dv_dt_of_the_claim_is_how_v_moves_along_what_a_run_integrates(loop: Any) -> None:
     diagram = loop.diagram
     claim, p = claim_of(diagram), diagram.loop.p_values
-    V = loop_trajectories(diagram.loop, claim.V)  # in reverse mode, where the claim's rate is in forward mode
+    V = diagram.loop.on_path(claim.V)  # in reverse mode, where the claim's rate is in forward mode
     slopes = [ca.gradient(V, part) for part in (diagram.loop.state, diagram.loop.time)]
     slope, by_time = (at_time(diagram, part, claim.kappa) for part in slopes)
     rate = at_time(diagram, claim.rate, claim.kappa)
@@ -74,7 +73,7 @@ def test_v_falls_along_a_run_in_continuous_time(name: str) -> None:
     claim = claim_of(diagram)
     run = simulate(diagram, 2.0, solver=Solver("cvodes", output=0.01, tolerance=1e-11), start={})
     V = at_time(diagram, claim.V, claim.kappa)
-    labels = [variable.label for variable in (*diagram.loop.controller, *diagram.loop.plant)]
+    labels = [variable.label for variable in diagram.loop.variables]
     states = np.hstack([run.states[label] for label in labels])
     values = np.array([float(V(x, t, diagram.loop.p_values, 1.0)) for x, t in zip(states, run.time, strict=True)])
     steps = np.diff(values)

@@ -358,7 +358,7 @@ def test_the_reference_acceleration_of_the_ur10_is_the_derivative_of_its_referen
     function = ca.Function("ddq_ref", [loop.state, *w, loop.p], [ddq_ref])
     found = []
     for k, t in enumerate(run.time):
-        state = np.concatenate([run.states[v.label][k] for v in (*loop.controller, *loop.plant)])
+        state = np.concatenate([run.states[v.label][k] for v in loop.variables])
         found.append(function(state, *path(t, loop.p_values), loop.p_values).full().ravel())
     expected = differences(run["inverse.dq_ref"], 0.002)
     # the servo's first transient is too fast for differences over 2 ms

@@ -247,12 +247,12 @@ def of_table(values: np.ndarray) -> np.ndarray:
 
 def test_an_operation_without_a_word_in_c_leaves_the_interpreter() -> None:
     t, p, state = ca.SX.sym("t"), ca.SX.sym("p"), ca.SX.sym("x")
-    none = ca.SX.sym("u", 0)
+    none, period = ca.SX.sym("u", 0), ca.SX.sym("T")
     parts = Parts(
         trajectory=ca.Function("trajectory", [t, p], [t]),
-        control=ca.Function("control", [state, t, p], [ca.SX(0, 1), ca.SX(0, 1)]),
+        sample=ca.Function("sample", [state, t, none, period, p], [ca.SX(0, 1), ca.SX(0, 1)]),
         rate=ca.Function("rate", [state, none, t, p], [ca.erfinv(state)]),
-        outputs=ca.Function("outputs", [state, t, p], [ca.SX(0, 1)]),
+        outputs=ca.Function("outputs", [state, t, none, period, p], [ca.SX(0, 1)]),
         clip=ca.Function("clip", [state, p], [state]),
     )
     with pytest.raises(EngineError, match=r"engine: rate holds CasADi's instruction \d+, which cannot be written as C"):

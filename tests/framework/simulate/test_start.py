@@ -45,7 +45,7 @@ def graph(folder: Path, *changes: tuple[str, str]) -> Experiment:
 def begin(folder: Path, *changes: tuple[str, str], **given: Any) -> dict[str, np.ndarray]:
     loop = (diagram := graph(folder, *changes).diagram()).loop
     state, found = start_state(diagram, given), dict[str, np.ndarray]()
-    for variable in (*loop.controller, *loop.plant):
+    for variable in loop.variables:
         found[variable.label], state = state[: variable.symbol.numel()], state[variable.symbol.numel() :]
     return found
 

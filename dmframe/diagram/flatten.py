@@ -1,0 +1,86 @@
+"""From resolved blocks to one `ClosedLoop`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+
+from dmframe.block.model import BlockModel, symbols_in
+from dmframe.certificate import SX
+from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable, columns
+from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
+from dmframe.diagram.wiring import End
+from dmframe.port import Side
+
+
+def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
+    """Resolve every rate and output of the diagram. Faults are left in ``resolver.faults``."""
+    sides: dict[Side, list[Variable]] = {side: [] for side in Side}
+    outputs = list[Signal]()
+    for name, model in resolver.models.items():
+        for state in (state for state in model.block.states if state.name in model.states):
+            rate, after = resolver.rate(name, state.name), resolver.next(name, state.name)
+            leaf = model.states[state.name]
+            sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, leaf, rate, after))
+        for port in model.block.outputs:
+            if port.name in model.equations.outputs:
+                expression = _output(resolver, model, port.name)
+                outputs.append(Signal(name, port.name, port.shape, port.unit, expression))
+    drawn = {(name, port.name): port.drawn for name, model in resolver.models.items() for port in model.block.inputs}
+    return ClosedLoop(
+        time=resolver.time,
+        period=resolver.period,
+        controller=tuple(sides[Side.CONTROLLER]),
+        plant=tuple(sorted(sides[Side.PLANT], key=lambda variable: variable.next is None)),
+        trajectories=tuple(resolver.trajectories.values()),
+        noises=tuple(Noise(".".join(end), leaf, drawn[end]) for end, leaf in resolver.drawn.items()),
+        crossings=_crossings(resolver),
+        projections=tuple(resolver.projections.values()),
+        parameters=tuple(parameters),
+        outputs=tuple(outputs),
+    )
+
+
+def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
+    """An output; a source's is its trajectory, which stays a leaf."""
+    if model.block.side is Side.SOURCE:
+        return resolver.trajectory(model.name, port, 0).symbol
+    return resolver.output(model.name, port)
+
+
+def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
+    """A closed way through signals that each need at least one other."""
+    way = [next(iter(needs))]
+    while way[-1] not in way[:-1]:
+        way.append(needs[way[-1]][0])
+    return way[way.index(way[-1]) :]
+
+
+def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
+    """Measured and commanded signals with their expressions, free of one another, in the order of need."""
+    waiting = dict[End, tuple[Leaf, SX]]()
+    while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
+        waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
+    symbols = {end: symbols_in([leaf.symbol]) for end, (leaf, _) in waiting.items()}
+    done = list[Leaf]()
+    while waiting:
+        ready = [
+            end
+            for end, (_, expression) in waiting.items()
+            if not any(symbols[other] & symbols_in([expression]) for other in waiting)
+        ]
+        if not ready:
+            needs = {
+                end: [other for other in waiting if symbols[other] & symbols_in([expression])]
+                for end, (_, expression) in waiting.items()
+            }
+            resolver.faults.append(loop_fault([".".join(end) for end in _cycle(needs)]))
+            break
+        for end in ready:
+            leaf, expression = waiting.pop(end)
+            if done:
+                leaves, meanings = columns(done)
+                expression = ca.substitute([expression], [leaves], [meanings])[0]
+            done.append(Leaf(leaf.name, leaf.side, leaf.symbol, expression))
+    return tuple(done)

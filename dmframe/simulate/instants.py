@@ -1,0 +1,110 @@
+"""What each tick is given from outside: its time, its length, and what is drawn for it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Final, final
+
+import numpy as np
+
+from dmframe.diagram import ClosedLoop
+from dmframe.errors import ValueFault
+from dmframe.units import plain
+
+TIME, LENGTH, DRAWN = 0, 1, 2
+"""Columns of a row: t [s], the time to the next tick [s], and from there on the numbers that are drawn."""
+
+_BLOCK: Final = 1024
+"""Ticks whose numbers are drawn together, each block from a stream of its own: any can be had without the others."""
+
+
+@final
+@dataclass(frozen=True)
+class Instants:
+    r"""The ticks of a run, a row each, the same whatever engine asks for them and in whatever portions.
+
+    The k-th begins at :math:`t_k = k T + \mathrm{jitter}\, u_k`, with :math:`u_k` uniform from -1 to 1 and
+    :math:`t_0 = 0`, and lasts to the next.
+
+    Parameters
+    ----------
+    period
+        T [s].
+    drawn
+        The distribution of each drawn number: ``normal`` or ``uniform``.
+    seed
+        Decides every number.
+    jitter
+        How much earlier or later than on a perfect clock a tick may begin [s].
+    """
+
+    period: float
+    drawn: tuple[str, ...] = ()
+    seed: int = 0
+    jitter: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a seed that is none, and ticks that could change places."""
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**64:
+            raise ValueFault(f"seed: expected a whole number from 0 to 2^64 - 1, found {self.seed!r}", path=("seed",))
+        if not (math.isfinite(self.jitter) and 0 <= self.jitter < self.period / 2):
+            raise ValueFault(
+                f"jitter: expected a time from 0 to half of the sampling period, {plain(self.period / 2, 's')}, found "
+                f"{plain(self.jitter, 's')}",
+                path=("jitter",),
+            )
+
+    @classmethod
+    def of(cls, loop: ClosedLoop, period: float, seed: int = 0, jitter: float = 0.0) -> Instants:
+        """Those of a closed loop."""
+        drawn = (noise.distribution for noise in loop.noises for _ in range(noise.symbol.numel()))
+        return cls(period, tuple(drawn), seed, jitter)
+
+    @property
+    def width(self) -> int:
+        """How many numbers a row has."""
+        return DRAWN + len(self.drawn)
+
+    def rows(self, first: int, ticks: int) -> np.ndarray:
+        """(ticks, width), from the tick `first` on."""
+        rows = np.empty((ticks, self.width))
+        count = np.arange(first, first + ticks)
+        rows[:, TIME], rows[:, LENGTH] = self.times(count), self.period
+        if self.jitter:
+            rows[:, LENGTH] = self.times(count + 1) - rows[:, TIME]
+        if self.drawn:
+            rows[:, DRAWN:] = self._random(count)[:, 1:]
+        return rows
+
+    def times(self, ticks: np.ndarray) -> np.ndarray:
+        """When ticks begin [s]."""
+        times = ticks * self.period
+        if not self.jitter:
+            return times
+        early = self._random(ticks)[:, 0]
+        return np.asarray(times + np.where(ticks == 0, 0.0, self.jitter * early))
+
+    def _random(self, ticks: np.ndarray) -> np.ndarray:
+        """The numbers of some ticks: one for the jitter, then what is drawn."""
+        found = np.empty((len(ticks), 1 + len(self.drawn)))
+        blocks = ticks // _BLOCK
+        for block in np.unique(blocks):
+            mine = blocks == block
+            found[mine] = _of_block(self.seed, int(block), self.drawn)[ticks[mine] % _BLOCK]
+        return found
+
+
+@functools.lru_cache(maxsize=16)
+def _of_block(seed: int, block: int, drawn: tuple[str, ...]) -> np.ndarray:
+    """All random numbers of a block of ticks, a row each."""
+    random = np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, 0, block]))
+    numbers = np.column_stack(
+        [
+            random.standard_normal(_BLOCK) if kind == "normal" else random.uniform(-1, 1, _BLOCK)
+            for kind in ("uniform", *drawn)
+        ]
+    )
+    numbers.flags.writeable = False
+    return numbers
