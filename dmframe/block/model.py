@@ -130,10 +130,13 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
     sampled = [state for state in block.states if state.sampled]
     moving = [state for state in block.states if not state.sampled]
+    for kind, others, found in (("rate", sampled, stated.rates), ("next value", moving, stated.next)):
+        for key in (state.name for state in others if state.name in found):
+            raise BlockError(f"{name}: equations state the {kind} of {key}, {_OTHERWISE[kind]}")
     return Equations(
         _checked(name, "output", block.outputs, stated.outputs, sizes),
-        _checked(name, "rate", moving, stated.rates, sizes, sampled),
-        _checked(name, "next value", sampled, stated.next, sizes, moving),
+        _checked(name, "rate", moving, stated.rates, sizes),
+        _checked(name, "next value", sampled, stated.next, sizes),
     )
 
 
@@ -157,19 +160,12 @@ _OTHERWISE: Final = {
 
 
 def _checked(
-    name: str,
-    kind: str,
-    declared: Sequence[Port | State],
-    stated: Mapping[str, SX],
-    sizes: Sizes,
-    others: Sequence[State] = (),
+    name: str, kind: str, declared: Sequence[Port | State], stated: Mapping[str, SX], sizes: Sizes
 ) -> dict[str, SX]:
-    """What is stated of ports or states of one kind; `others` are the states whose time is of the other kind."""
-    known, elsewhere = {item.name: item for item in declared}, {item.name for item in others}
+    known = {item.name: item for item in declared}
     for key in stated:
         if key not in known:
-            why = _OTHERWISE[kind] if key in elsewhere else f"undeclared; {nearest(key, known)}"
-            raise BlockError(f"{name}: equations state the {kind} of {key}, {why}")
+            raise BlockError(f"{name}: equations state the {kind} of {key}, undeclared; {nearest(key, known)}")
     checked = {}
     for key, item in known.items():
         if key not in stated:

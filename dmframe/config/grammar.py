@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, final
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from dmframe.errors import DmframeError
+from dmframe.simulate.instants import seed_fault
 from dmframe.simulate.step import Method
 from dmframe.units import to_unit
 
@@ -43,6 +44,12 @@ def _clock(value: Any) -> Any:
     if value is None or (isinstance(value, str) and not value[:1].isdigit() and value[:1] not in "+-."):
         found = "nothing" if value is None else repr(value)
         raise ValueError(f"expected a sampling period such as 8 ms, or continuous, found {found}")
+    return value
+
+
+def _seed(value: Any) -> Any:
+    if text := seed_fault(value):
+        raise ValueError(text)
     return value
 
 
@@ -123,7 +130,7 @@ class GraphFile(_Section):
         description="sampling period of the controller, or continuous"
     )
     jitter: Jitter = Field(0.0, description="how much earlier or later a sample may begin, at random")
-    seed: Annotated[int, Field(strict=True, ge=0)] = Field(0, description="decides what is drawn at random")
+    seed: Annotated[int, BeforeValidator(_seed)] = Field(0, ge=0, description="decides what is drawn at random")
     duration: Seconds = Field(description="simulated time")
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()

@@ -60,8 +60,6 @@ class Controller:
         ins, outs = loop.measured, loop.commanded
         if not outs:
             raise EngineError("controller: expected a diagram that commands something, found no wire to a plant")
-        if loop.noises:
-            raise EngineError(f"controller: {loop.noises[0].label} is drawn anew at each sample, in simulations alone")
         function = control_function(diagram)
         size = function.numel_out(0)
         self._z, self._t, self._period = np.zeros(size), np.zeros(1), np.array([clock])
@@ -160,6 +158,9 @@ def control_function(diagram: Diagram) -> Any:
     commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
     advanced, commands = loop.projected([loop.advanced, commands], joined=False)
     expressions = [loop.on_path(expression) for expression in (loop.put_back(advanced)[:size], commands)]
+    for noise in loop.noises:
+        if any(ca.depends_on(expression, noise.symbol) for expression in expressions):
+            raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
     z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
     return ca.Function("control", [z, measured, loop.time, loop.period, loop.p], ca.cse(expressions))
 

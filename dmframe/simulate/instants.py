@@ -20,6 +20,13 @@ _BLOCK: Final = 1024
 """Ticks whose numbers are drawn together, each block from a stream of its own: any can be had without the others."""
 
 
+def seed_fault(value: object) -> str:
+    """What is wrong with a seed; empty for one that can be taken."""
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**64:
+        return ""
+    return f"expected a whole number from 0 to 2^64 - 1, found {value!r}"
+
+
 @final
 @dataclass(frozen=True)
 class Instants:
@@ -47,8 +54,8 @@ class Instants:
 
     def __post_init__(self) -> None:
         """Refuse a seed that is none, and ticks that could change places."""
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or not 0 <= self.seed < 2**64:
-            raise ValueFault(f"seed: expected a whole number from 0 to 2^64 - 1, found {self.seed!r}", path=("seed",))
+        if text := seed_fault(self.seed):
+            raise ValueFault(f"seed: {text}", path=("seed",))
         if not (math.isfinite(self.jitter) and 0 <= self.jitter < self.period / 2):
             raise ValueFault(
                 f"jitter: expected a time from 0 to half of the sampling period, {plain(self.period / 2, 's')}, found "

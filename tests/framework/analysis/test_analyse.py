@@ -111,7 +111,8 @@ def test_a_pi_servo_on_a_pure_inertia_has_the_textbooks_poles_and_margins() -> N
 def test_a_double_real_pole_is_told_as_one_and_a_pair_as_a_pair() -> None:
     def loop(A: list[list[float]]) -> Linear:
         none = np.zeros((2, 0))
-        return Linear(("a[0]", "a[1]"), (), (), np.zeros(2), 0, 0.0, np.array(A), none, none, none, np.array(A), none)
+        whole = np.array(A)
+        return Linear(("a[0]", "a[1]"), (), (), np.zeros(2), 0, 0.0, whole, none, lambda _: none, none, whole, none)
 
     split = loop([[-0.1, 0.3], [-(0.2**2) / 0.3 * 1.00000000000001, -0.5]])  # (s + 0.3)^2 but for the last digits
     assert np.any(split.poles.imag)
