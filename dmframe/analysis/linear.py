@@ -196,7 +196,7 @@ def _slope(function: Any, point: Array, p: Array) -> Array:
 
 def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array) -> Array:
     """The Jacobian of all rates in the trajectory's leaves."""
-    (rate,) = loop.acting([stack(variable.rate for variable in loop.variables)])
+    (rate,) = loop.acting([loop.rate])
     leaves, _ = columns(loop.trajectories)
     slope = loop.on_path(ca.densify(ca.jacobian(rate, leaves)))
     return np.asarray(ca.Function("B", [loop.state, loop.p], [slope])(point, p).full())

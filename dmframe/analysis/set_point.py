@@ -13,8 +13,6 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.diagram.closed_loop import stack
-from dmframe.diagram.resolve import Leaf
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
 
@@ -35,12 +33,7 @@ def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
 
     For runs and linearisations; a certificate leaves trajectories free anyway.
     """
-    loop = diagram.loop
-    outputs = {signal.label for signal in loop.outputs}  # a trajectory's derivative is no output
-    meanings = [leaf.expression if leaf.name in outputs else 0 * leaf.expression for leaf in loop.trajectories]
-    at = ca.substitute(meanings, [loop.time], [ca.SX(t)]) if meanings else []
-    held = [Leaf(leaf.name, leaf.side, leaf.symbol, value) for leaf, value in zip(loop.trajectories, at, strict=True)]
-    return replace(diagram, loop=replace(loop, trajectories=tuple(held)))
+    return replace(diagram, loop=diagram.loop.standing(t))
 
 
 def equilibrium(
@@ -135,7 +128,7 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
 
 def rates(loop: ClosedLoop) -> Any:
     """The continuous loop's vector field, (state, p, T) -> rates, with its trajectories as frozen."""
-    return at_set_point(loop, "rates", stack(variable.rate for variable in loop.variables))
+    return at_set_point(loop, "rates", loop.rate)
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, final
 
@@ -148,6 +148,11 @@ class ClosedLoop:
         return stack(variable.symbol for variable in self.variables)
 
     @cached_property
+    def rate(self) -> SX:
+        """Their rates, in the leaves of their sides."""
+        return stack(variable.rate for variable in self.variables)
+
+    @cached_property
     def p(self) -> SX:
         """All parameters as one column."""
         return stack(parameter.symbol for parameter in self.parameters)
@@ -198,6 +203,13 @@ class ClosedLoop:
     def on_path(self, expression: SX) -> SX:
         """An expression with the trajectories replaced by what they are as functions of time."""
         return _put([expression], self._path)[0]
+
+    def standing(self, t: float) -> ClosedLoop:
+        """The same with its trajectories held at what they are at t [s], and their derivatives at zero."""
+        outputs = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
+        meanings = [leaf.expression if leaf.name in outputs else 0 * leaf.expression for leaf in self.trajectories]
+        at = ca.substitute(meanings, [self.time], [ca.SX(t)]) if meanings else []
+        return replace(self, trajectories=tuple(map(Leaf.standing_for, self.trajectories, at)))
 
     def projected(self, expressions: Sequence[SX], *, joined: bool = True) -> list[SX]:
         """Expressions with each projection's correction as its law says: it stops a rate that leads out of the set.

@@ -82,5 +82,5 @@ def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
             if done:
                 leaves, meanings = columns(done)
                 expression = ca.substitute([expression], [leaves], [meanings])[0]
-            done.append(Leaf(leaf.name, leaf.side, leaf.symbol, expression))
+            done.append(leaf.standing_for(expression))
     return tuple(done)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 import casadi as ca
@@ -32,6 +32,10 @@ class Leaf:
     side: Side
     symbol: SX
     expression: SX
+
+    def standing_for(self, expression: SX) -> Leaf:
+        """The same leaf with another meaning."""
+        return replace(self, expression=expression)
 
 
 @final

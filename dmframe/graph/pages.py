@@ -13,7 +13,7 @@ from dmframe.block.prose import about, prose
 from dmframe.columns import columns, width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
-from dmframe.diagram.wiring import Derived, Source, Time, Wire
+from dmframe.diagram.wiring import Derived, Drawn, Period, Source, Time, Wire
 from dmframe.formula import Line
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.docstring import check_docstring
@@ -65,6 +65,10 @@ def _source(source: Source, name: str) -> str:
             return f"d/dt {name}.{of}"
         case Time():
             return "time"
+        case Period():
+            return "the sampling period"
+        case Drawn():
+            return "drawn anew at each sample"
         case _:
             return "0 (nobody drives it)"
 
@@ -173,12 +177,14 @@ def _equations(lines: Sequence[Line], wide: int) -> str:
 
 def _said(state: State) -> str:
     sets = [name for name in (state.box, state.ball) if name]
-    return f"projected onto {' or '.join(sets)}" if sets else "optional" * state.optional
+    said = ["sampled"] * state.sampled + [f"projected onto {' or '.join(sets)}"] * bool(sets)
+    return ", ".join(said + ["optional"] * (state.optional and not sets))
 
 
 def _port(port: Port) -> tuple[str, ...]:
     said = [] if port.access is Access.INTERNAL else [port.access.value]
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
+    said += [f"drawn anew at each sample, {port.drawn}"] * bool(port.drawn)
     return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
 
 

@@ -170,7 +170,7 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     """The functions of a closed loop's tick; without a clock everything is integrated, and nothing is held."""
     if clock is None:
         stepped, (held, given) = ca.SX(0, 1), (ca.SX(0, 1), ca.SX(0, 1))
-        integrated, (rate,) = loop.state, loop.acting([stack(variable.rate for variable in loop.variables)])
+        integrated, (rate,) = loop.state, loop.acting([loop.rate])
     else:
         stepped, (held, given) = loop.advanced, loop.held_over_a_sample
         integrated = stack(variable.symbol for variable in loop.flowing)
