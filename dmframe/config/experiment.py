@@ -23,7 +23,8 @@ from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError,
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
-from dmframe.simulate.run import Progress, check_run
+from dmframe.simulate.march import Progress
+from dmframe.simulate.run import check_run
 from dmframe.units import to_unit
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from dmframe.simulate.run import Progress as Bar
+from dmframe.simulate.march import Progress as Bar
 
 __all__ = ["Bar", "Bars", "shown", "telling"]
 

@@ -39,6 +39,10 @@ class Engine(Protocol):
     """Something that advances a closed loop."""
 
     @property
+    def step(self) -> Step:
+        """The tick that it computes."""
+
+    @property
     def name(self) -> str:
         """As `Recording.engine` tells it."""
 

@@ -92,7 +92,6 @@ def simulate_many(
     prepared = prepare(
         diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
     )
-    prepared = prepared.stepping(diagram, start_state(diagram, start or {}, prepared.starts))
     chosen = prepared.engine(engine, len(variants))
 
     def one(variant: Mapping[str, Any]) -> Any:
@@ -102,7 +101,7 @@ def simulate_many(
             with SYMBOLIC:
                 varied = with_values(diagram, numbers)
                 state = start_state(varied, begin, prepared.starts)
-            run = prepared.run(varied, chosen, state, guard=SYMBOLIC)
+            run = prepared.complete(varied, state, engine, shared=chosen)
             if reduce is None:
                 return run
             with SYMBOLIC:

@@ -4,37 +4,31 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
-from dmframe.simulate.bounds import Divergence, beyond, bounds_of, located
-from dmframe.simulate.engine import CHUNK, Choice, Engine, Stuck, choose
+from dmframe.simulate.bounds import Divergence, bounds_of
+from dmframe.simulate.engine import Choice, Compiled, Engine, choose
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Keeping, Log, keeping
+from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
 from dmframe.simulate.step import MOST_SUBSTEPS, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import MOST_SLOPE, RK4_TAKES, speed_of, stiffness
 from dmframe.units import plain
 
-BREATH = 0.05
-"""Progress is told, and Ctrl-C is heard, about this often [s]."""
-
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
-
-Progress = Callable[[float], None]
-"""Called with the simulated time [s] that is done."""
 
 
 @final
@@ -122,27 +116,7 @@ def simulate(
     prepared = prepare(
         diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
     )
-    state = start_state(diagram, start or {}, prepared.starts)
-    prepared = prepared.stepping(diagram, state)
-    recording = prepared.run(diagram, prepared.engine(engine), state, progress)
-    chosen = prepared.solver.step if (solver or Solver()).step is None else None
-    if recording.divergence is None or chosen is None or prepared.solver.method != "rk4":
-        return recording
-    return _finer(prepared, diagram, state, engine, recording, chosen / 4)
-
-
-def _finer(
-    prepared: Prepared, diagram: Diagram, state: np.ndarray, engine: Choice, recording: Recording, step: float
-) -> Recording:
-    """A run that diverged, at shorter steps, where those tell that the integrator did and not the loop."""
-    step = max(step, prepared.step.period / MOST_SUBSTEPS)
-    solver = replace(prepared.solver, step=step)
-    finer = replace(prepared, solver=solver, step=prepared.step.solved_by(solver, prepared.clock))
-    again = finer.run(diagram, finer.engine(engine), state)
-    if again.divergence is not None and again.divergence.time < 1.5 * recording.divergence.time:  # type: ignore[union-attr]
-        return recording
-    told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
-    return replace(again, notices=(*again.notices, told))
+    return prepared.complete(diagram, start_state(diagram, start or {}, prepared.starts), engine, progress=progress)
 
 
 @final
@@ -164,11 +138,41 @@ class Prepared:
         """Of the plant's rate."""
         return self.step.rate.jacobian()
 
-    def stepping(self, diagram: Diagram, state: np.ndarray) -> Prepared:
-        """The same, with the integrator that the plant takes at that start, where nobody has chosen its step."""
+    def complete(
+        self,
+        diagram: Diagram,
+        state: np.ndarray,
+        choice: Choice,
+        *,
+        shared: Engine | None = None,
+        progress: Progress | None = None,
+    ) -> Recording:
+        """A run from a state with the numbers of `diagram`, with the steps that they take where nobody has chosen them.
+
+        One that diverges is tried at shorter steps before the loop is blamed. `shared` is the engine of a batch.
+        """
+        with SYMBOLIC:
+            speed = speed_of(diagram, self.jacobian, state)
+            own = self._stepping(speed)
+            engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
+        recording = own._run(diagram, engine, state, speed, progress)
+        if recording.divergence is None or self.solver.step is not None or own.solver.method != "rk4":
+            return recording
+        step = max(own.step.period / own.step.substeps / 4, own.step.period / MOST_SUBSTEPS)
+        finer = own.solved_by(replace(own.solver, step=step))
+        with SYMBOLIC:
+            engine = finer.engine(choice)
+        again = finer._run(diagram, engine, state, speed)
+        if again.divergence is not None and again.divergence.time < 1.5 * recording.divergence.time:
+            return recording
+        told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
+        return replace(again, notices=(*again.notices, told))
+
+    def _stepping(self, speed: float) -> Prepared:
+        """The same, with the integrator for a plant of that speed [1/s], where nobody has chosen its step."""
         if self.solver.method != "rk4" or self.solver.step is not None:
             return self
-        h, speed = self.step.period / self.step.substeps, speed_of(diagram, self.jacobian, state)
+        h = self.step.period / self.step.substeps
         if not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
             return replace(self, solver=replace(self.solver, step=h))
         h = float(f"{RK4_TAKES / speed:.2g}")
@@ -178,33 +182,34 @@ class Prepared:
         else:
             solver = replace(self.solver, step=h)
             told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
-        step = self.step.solved_by(solver, self.clock)
-        return replace(self, solver=solver, step=step, notices=(*self.notices, told))
+        return replace(self.solved_by(solver), notices=(*self.notices, told))
+
+    def solved_by(self, solver: Solver) -> Prepared:
+        """The same with another solver."""
+        return replace(self, solver=solver, step=self.step.solved_by(solver, self.clock))
 
     def engine(self, choice: Choice, runs: int = 1) -> Engine:
         """What is to run it, `runs` times."""
         kept = self.keeping
         return choose(choice, self.step, self.solver, kept.every, kept.kept, self.ticks * runs)
 
-    def run(
-        self,
-        diagram: Diagram,
-        engine: Engine,
-        state: np.ndarray,
-        progress: Progress | None = None,
-        guard: AbstractContextManager[Any] | None = None,
+    def sharing(self, engine: Engine, choice: Choice) -> Engine:
+        """A batch's engine for one run of it, which may take other steps: machine code serves them all."""
+        if isinstance(engine, Compiled) and self.solver.method == "rk4":
+            return replace(engine, step=self.step)
+        alike = (engine.step.substeps, engine.step.solver.method) == (self.step.substeps, self.solver.method)
+        return engine if alike else self.engine(choice)
+
+    def _run(
+        self, diagram: Diagram, engine: Engine, state: np.ndarray, speed: float, progress: Progress | None = None
     ) -> Recording:
-        """Run from a state with the numbers of `diagram`; `guard` is entered where CasADi's expressions are used."""
-        guard = guard or nullcontext()
         p, state = diagram.loop.p_values, state.copy()
-        with guard:
-            stiff = stiffness(diagram, self.step, self.jacobian, self.solver, state)
         begin = time.perf_counter()
-        rows, end, done = _march(engine, self.step, self.keeping, state, p, self.ticks, progress)
+        rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress)
         wall = time.perf_counter() - begin
-        with guard:
-            divergence = _divergence(diagram, self.step, end, done, state, p)
-            return self._told(diagram, engine, rows, divergence, end, wall, stiff)
+        with SYMBOLIC:
+            divergence = divergence_of(diagram, self.step, end, done, state, p)
+            return self._told(diagram, engine, rows, divergence, end, wall, stiffness(self.step, self.solver, speed))
 
     def _told(
         self,
@@ -342,71 +347,3 @@ def _recorded(diagram: Diagram) -> list[Signal]:
         for signal in loop.outputs
         if signal.label not in others and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
     ]
-
-
-@final
-class End(Enum):
-    """How the march through the ticks ended."""
-
-    DONE = "done"
-    DIVERGED = "left its bounds"
-    STOPPED = "stopped by Ctrl-C"
-    FAILED = "the integrator failed"
-
-
-def _march(
-    engine: Engine,
-    step: Step,
-    keeping: Keeping,
-    state: np.ndarray,
-    p: np.ndarray,
-    ticks: int,
-    progress: Progress | None,
-) -> tuple[np.ndarray, End, int]:
-    """What is kept, a row an instant, how it ended, and how many ticks are done; `state` is moved along."""
-    every = keeping.every
-    rows = np.empty((keeping.rows(ticks), keeping.kept.size))
-    done, size, end = 0, CHUNK, End.DONE
-    before = (0, state.copy())  # a chunk's number and state together: Ctrl-C may come between any two lines
-    try:
-        while done < ticks:
-            begin, wanted = time.perf_counter(), min(size, ticks - done)
-            reached = engine.advance(state, p, done, wanted, rows[-(-done // every) :])
-            if reached < wanted:
-                return rows[: keeping.rows(done + reached)], End.DIVERGED, done + reached
-            before = (done + wanted, state.copy())
-            done = before[0]
-            if progress is not None:
-                progress(done * step.period)
-            if engine.elastic:
-                size = max(1, round(size * min(8.0, BREATH / max(time.perf_counter() - begin, 1e-9))))
-    except KeyboardInterrupt:
-        (done, state), end = before, End.STOPPED
-    except Stuck as stuck:
-        done += stuck.done
-        if done == 0:
-            raise EngineError(f"solver: the integrator failed in the first tick: {stuck}") from None
-        end = End.FAILED
-    if done % every == 0:
-        engine.advance(state, p, done, 0, rows[done // every :])
-    return rows[: keeping.rows(done)], end, done
-
-
-def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
-    """The state of the plant, as a row of all, that moves fastest in proportion to its size."""
-    rate = step.rate(state, t, p).full().ravel()
-    first = int(state.size - rate.size)
-    speed = np.abs(rate) / (1e-6 + np.abs(state[first:]))
-    return first + int(np.argmax(np.nan_to_num(speed, nan=np.inf)))
-
-
-def _divergence(
-    diagram: Diagram, step: Step, end: End, done: int, state: np.ndarray, p: np.ndarray
-) -> Divergence | None:
-    if end is End.DIVERGED:
-        return beyond(diagram, state, step.bounds, (done + 1) * step.period)
-    if end is not End.FAILED:
-        return None
-    moment = done * step.period
-    variable, element = located(diagram, _fastest(step, state, moment, p))
-    return Divergence(variable.block, variable.name, element, moment, "moves too fast for the integrator")

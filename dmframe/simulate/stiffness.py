@@ -29,11 +29,11 @@ def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
 
 
-def stiffness(diagram: Diagram, step: Step, slope: Any, solver: Solver, state: np.ndarray) -> tuple[str, ...]:
-    """Is the plant too stiff, at the start, for a fixed-step method?"""
+def stiffness(step: Step, solver: Solver, speed: float) -> tuple[str, ...]:
+    """A notice where a plant of that speed [1/s] is too stiff for a fixed-step method."""
     if solver.method != "rk4":
         return ()
-    speed, h = speed_of(diagram, slope, state), step.period / step.substeps
+    h = step.period / step.substeps
     if math.isinf(speed):
         return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
     if h * speed > 0.9 * RK4_STABLE:

@@ -196,7 +196,7 @@ def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = sig
     told, tell = os.pipe()
     hook = (
         "import os, dmframe.simulate.run as run\n"
-        "march = run._march\n"
+        "march = run.march\n"
         "def hooked(*args, **kw):\n"
         "    words = list(args)\n"
         "    progress = words[6]\n"
@@ -205,7 +205,7 @@ def interrupted_while_running(words: Sequence[str], cwd: Path, number: int = sig
         "        progress(time)\n"
         "    words[6] = told\n"
         "    return march(*words, **kw)\n"
-        "run._march = hooked\n"
+        "run.march = hooked\n"
         "from dmframe.cli import main\n"
         "main()\n"
     )

@@ -43,6 +43,21 @@ def test_a_batch_gives_what_single_runs_of_changed_graphs_give(engine: Any) -> N
             np.testing.assert_array_equal(run[label], values)
 
 
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_a_run_of_a_batch_takes_the_steps_that_it_would_take_alone(engine: Any) -> None:
+    diagram = load_experiment("arm2_joint").diagram()
+    variants = [{}, {"arm.viscous": [1.0, 800.0]}, {"arm.viscous": [1.0, 1e7]}]
+    batch = simulate_many(diagram, variants, 0.1, clock=0.002, engine=engine)
+    for run, values in zip(batch, variants, strict=True):
+        single = simulate(with_values(diagram, values), 0.1, clock=0.002, engine=engine)
+        assert isinstance(run, Recording)
+        assert (run.solver, run.notices, run.divergence) == (single.solver, single.notices, single.divergence)
+        np.testing.assert_array_equal(run["arm.q"], single["arm.q"])
+    first, second, third = batch
+    assert second.solver.step < first.solver.step  # type: ignore[union-attr]
+    assert third.solver.method == "cvodes"  # type: ignore[union-attr]
+
+
 def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:
     graph = load_experiment("arm2_joint")
     diagram = graph.diagram()

@@ -1,0 +1,92 @@
+"""The march through a run's ticks: what is kept, how it ended, and where it diverged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from enum import Enum
+from typing import final
+
+import numpy as np
+
+from dmframe.diagram import Diagram
+from dmframe.errors import EngineError
+from dmframe.simulate.bounds import Divergence, beyond, located
+from dmframe.simulate.engine import CHUNK, Engine, Stuck
+from dmframe.simulate.keep import Keeping
+from dmframe.simulate.step import Step
+
+BREATH = 0.05
+"""Progress is told, and Ctrl-C is heard, about this often [s]."""
+
+Progress = Callable[[float], None]
+"""Called with the simulated time [s] that is done."""
+
+
+@final
+class End(Enum):
+    """How the march through the ticks ended."""
+
+    DONE = "done"
+    DIVERGED = "left its bounds"
+    STOPPED = "stopped by Ctrl-C"
+    FAILED = "the integrator failed"
+
+
+def march(
+    engine: Engine,
+    step: Step,
+    keeping: Keeping,
+    state: np.ndarray,
+    p: np.ndarray,
+    ticks: int,
+    progress: Progress | None,
+) -> tuple[np.ndarray, End, int]:
+    """What is kept, a row an instant, how it ended, and how many ticks are done; `state` is moved along."""
+    every = keeping.every
+    rows = np.empty((keeping.rows(ticks), keeping.kept.size))
+    done, size, end = 0, CHUNK, End.DONE
+    before = (0, state.copy())  # a chunk's number and state together: Ctrl-C may come between any two lines
+    try:
+        while done < ticks:
+            begin, wanted = time.perf_counter(), min(size, ticks - done)
+            reached = engine.advance(state, p, done, wanted, rows[-(-done // every) :])
+            if reached < wanted:
+                return rows[: keeping.rows(done + reached)], End.DIVERGED, done + reached
+            before = (done + wanted, state.copy())
+            done = before[0]
+            if progress is not None:
+                progress(done * step.period)
+            if engine.elastic:
+                size = max(1, round(size * min(8.0, BREATH / max(time.perf_counter() - begin, 1e-9))))
+    except KeyboardInterrupt:
+        (done, state), end = before, End.STOPPED
+    except Stuck as stuck:
+        done += stuck.done
+        if done == 0:
+            raise EngineError(f"solver: the integrator failed in the first tick: {stuck}") from None
+        end = End.FAILED
+    if done % every == 0:
+        engine.advance(state, p, done, 0, rows[done // every :])
+    return rows[: keeping.rows(done)], end, done
+
+
+def _fastest(step: Step, state: np.ndarray, t: float, p: np.ndarray) -> int:
+    """The state of the plant, as a row of all, that moves fastest in proportion to its size."""
+    rate = step.rate(state, t, p).full().ravel()
+    first = int(state.size - rate.size)
+    speed = np.abs(rate) / (1e-6 + np.abs(state[first:]))
+    return first + int(np.argmax(np.nan_to_num(speed, nan=np.inf)))
+
+
+def divergence_of(
+    diagram: Diagram, step: Step, end: End, done: int, state: np.ndarray, p: np.ndarray
+) -> Divergence | None:
+    """Where and how a run left its bounds, or its integrator failed; None where neither is so."""
+    if end is End.DIVERGED:
+        return beyond(diagram, state, step.bounds, (done + 1) * step.period)
+    if end is not End.FAILED:
+        return None
+    moment = done * step.period
+    variable, element = located(diagram, _fastest(step, state, moment, p))
+    return Divergence(variable.block, variable.name, element, moment, "moves too fast for the integrator")
