@@ -47,7 +47,7 @@ def _noted(form: str | int, *operands: str) -> tuple[str | int, tuple[str, ...]]
     return form, operands
 
 
-_RULES: Final = by_code({name: partial(_noted, form) for name, form in _FORMS.items()})
+RULES: Final = by_code({name: partial(_noted, form) for name, form in _FORMS.items()})
 
 PIECE: Final = 3000
 """Lines of one C function: a compiler's time grows faster than the function, so that a longer one is cut."""
@@ -115,7 +115,7 @@ def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
 
     names = run(
         program,
-        _RULES,
+        RULES,
         given="a{}[{}]".format,
         constant=_constant,
         refuse=lambda code: EngineError(

@@ -151,7 +151,7 @@ def _vanish(columns: Sequence[Any]) -> bool:
 _FLOORS: Final = (ca.OP_FMAX, ca.OP_FMIN)
 
 
-def _again(code: int, arity: int) -> Callable[..., Any]:
+def _rebuilt(code: int, arity: int) -> Callable[..., Any]:
     build = partial(ca.SX.unary if arity == 1 else ca.SX.binary, code)
     return lambda *operands: None if any(operand is None for operand in operands) else build(*operands)
 
@@ -160,7 +160,7 @@ def _unknown() -> None:
     """A function kept whole: what turns in it or by it is met by the points alone."""
 
 
-_AGAIN: Final = {code: _again(code, operation.arity) for code, operation in OPERATIONS.items()}
+REBUILT: Final = {code: _rebuilt(code, operation.arity) for code, operation in OPERATIONS.items()}
 _SWITCHES: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.turns)
 
 
@@ -178,7 +178,7 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
         return []
     program = read(function)
     inputs, found = symbols.nonzeros(), list[Any]()
-    rules = dict.fromkeys(program.codes, _unknown) | _AGAIN
+    rules = dict.fromkeys(program.codes, _unknown) | REBUILT
     values = run(program, rules, given=lambda _, k: inputs[k], constant=ca.SX, refuse=KeyError)
     for node in program.nodes:
         if node.code not in _SWITCHES:

@@ -26,7 +26,7 @@ from dmframe.regressor.full import parameter_names, parameter_values
 from dmframe.robot.chain import SerialChain
 from dmframe.version import version
 
-_RULES: Final = by_code(
+RULES: Final = by_code(
     {
         "add": "{} + {}".format,
         "sub": "{} - {}".format,
@@ -176,7 +176,7 @@ def _statements(function: Any) -> tuple[list[str], list[str]]:
 
     names = run(
         program,
-        _RULES,
+        RULES,
         given=lambda argument, element: f"{program.inputs[argument].name}[..., {element}]",
         constant=_number,
         refuse=lambda code: ValueFault(
