@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final, final
 
 from dmframe.errors import EngineError
-from dmframe.program import by_code, read, run
+from dmframe.program import Node, by_code, read, run
 
 _LIBRARY_ONE: Final = "exp log sqrt tan asin acos atan floor ceil fabs erf sinh cosh asinh acosh atanh log1p expm1"
 _LIBRARY_TWO: Final = "pow fmod copysign atan2 hypot remainder"
@@ -100,16 +100,17 @@ def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
     """A function's lines, and its results: where each goes, and what it is called."""
     program, lines, angles = read(f), list[Line](), dict[str, tuple[str, str]]()
 
-    def keep(place: int, value: Any) -> str:
+    def keep(node: Node, value: Any) -> str:
         if isinstance(value, str):  # an argument or a number
             return value
-        (form, operands), line = value, program.nodes[place].line
+        form, operands = value
         if isinstance(form, str):
-            lines.append(Line((f"v{line}",), form, operands))
-            return f"v{line}"
+            name = f"v{node.line}"
+            lines.append(Line((name,), form, operands))
+            return name
         (angle,) = operands
         if angle not in angles:
-            angles[angle] = (f"s{line}", f"c{line}")
+            angles[angle] = (f"s{node.line}", f"c{node.line}")
             lines.append(Line(angles[angle], "", (angle,)))
         return angles[angle][form]
 

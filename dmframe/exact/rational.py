@@ -95,8 +95,7 @@ def _enclosing(rule: Callable[..., Any]) -> Callable[..., Any]:
     """The rule for numbers, and for intervals as soon as there is one among the operands."""
 
     def mixed(*values: Any) -> Any:
-        intervals = any(isinstance(value, Interval) for value in values)
-        return rule(*map(Interval.of, values)) if intervals else rule(*values)
+        return rule(*map(Interval.of, values)) if Interval in map(type, values) else rule(*values)
 
     return mixed
 

@@ -153,14 +153,12 @@ _FLOORS: Final = (ca.OP_FMAX, ca.OP_FMIN)
 
 def _rebuilt(code: int, arity: int) -> Callable[..., Any]:
     build = partial(ca.SX.unary if arity == 1 else ca.SX.binary, code)
-    return lambda *operands: None if any(operand is None for operand in operands) else build(*operands)
-
-
-def _unknown() -> None:
-    """A function kept whole: what turns in it or by it is met by the points alone."""
+    return lambda *operands: None if type(None) in map(type, operands) else build(*operands)
 
 
 REBUILT: Final = {code: _rebuilt(code, operation.arity) for code, operation in OPERATIONS.items()}
+_RULES: Final = REBUILT | dict.fromkeys((ca.OP_CALL, ca.OP_PRINTME), lambda: None)
+"""Of a function kept whole nothing is known: what turns in it or by it is met by the points alone."""
 _SWITCHES: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.turns)
 
 
@@ -178,8 +176,7 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
         return []
     program = read(function)
     inputs, found = symbols.nonzeros(), list[Any]()
-    rules = dict.fromkeys(program.codes, _unknown) | REBUILT
-    values = run(program, rules, given=lambda _, k: inputs[k], constant=ca.SX, refuse=KeyError)
+    values = run(program, _RULES, given=lambda _, k: inputs[k], constant=ca.SX, refuse=KeyError)
     for node in program.nodes:
         if node.code not in _SWITCHES:
             continue

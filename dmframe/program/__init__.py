@@ -11,7 +11,7 @@ sums, products and roots go:
 .. code-block:: python
 
     from dmframe.errors import EngineError
-    from dmframe.program import by_code, read, run
+    from dmframe.program import CONST, INPUT, by_code, read, run
 
     RULES = by_code(
         {
@@ -27,11 +27,11 @@ sums, products and roots go:
         """The lines of a function's body."""
         program, lines = read(f), []
 
-        def keep(place, text):
-            if text.startswith(("(f64.const", "(f64.load")):
+        def keep(node, text):
+            if node.code in (CONST, INPUT):
                 return text
-            lines.append(f"(local.set $v{place} {text})")
-            return f"(local.get $v{place})"
+            lines.append(f"(local.set $v{node.line} {text})")
+            return f"(local.get $v{node.line})"
 
         values = run(
             program,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from functools import cached_property
 from operator import itemgetter
 from typing import Any, Final, NamedTuple, TypeVar, final
 
@@ -75,18 +76,36 @@ class Result:
 
 
 @final
-@dataclass(frozen=True)
 class Program:
     """The straight-line program of a function: what is computed, in order, and nothing of how registers are reused.
 
-    `codes` are those of all its nodes.
+    `codes` are those of all its nodes; `sources`, for each output, the places of the values that its stored elements
+    are.
     """
 
-    name: str
-    nodes: Sequence[Node]
-    codes: AbstractSet[int]
-    inputs: tuple[Argument, ...]
-    outputs: tuple[Result, ...]
+    def __init__(self, f: Any, nodes: Sequence[Node], sources: Sequence[Sequence[int]]) -> None:
+        self.name: str = f.name()
+        self.nodes = nodes
+        self.sources = sources
+        self.codes: AbstractSet[int] = set(map(_CODE, nodes))
+        self._f = f
+
+    @cached_property
+    def inputs(self) -> tuple[Argument, ...]:
+        """The function's arguments."""
+        f = self._f
+        return tuple(
+            Argument(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
+        )
+
+    @cached_property
+    def outputs(self) -> tuple[Result, ...]:
+        """The function's results."""
+        f = self._f
+        return tuple(
+            Result(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j)), sources)
+            for j, sources in enumerate(self.sources)
+        )
 
     def elements(self, inputs: Sequence[Sequence[V]]) -> list[list[V]]:
         """The stored elements of inputs that are dense matrices, column-major."""
@@ -95,7 +114,7 @@ class Program:
 
     def stored(self, values: Sequence[V]) -> list[list[V]]:
         """Each output's stored elements, of the values of all nodes."""
-        return [[values[source] for source in output.sources] for output in self.outputs]
+        return [[values[source] for source in sources] for sources in self.sources]
 
     def dense(self, values: Sequence[V], zero: V) -> list[list[V]]:
         """Each output as a dense matrix, column-major; `zero` stands where nothing is stored."""
@@ -129,14 +148,7 @@ def read(f: Any) -> Program:
             for target in targets:  # a call of another function has as many as that has outputs
                 register[target] = len(nodes)
                 append(new(Node, (code, 0, 0, constant, line)))
-    inputs = tuple(
-        Argument(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
-    )
-    outputs = tuple(
-        Result(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j)), sources[j])
-        for j in range(f.n_out())
-    )
-    return Program(f.name(), nodes, set(map(_CODE, nodes)), inputs, outputs)
+    return Program(f, nodes, sources)
 
 
 def codes(f: Any) -> set[int]:
@@ -162,7 +174,7 @@ def run(
     given: Callable[[int, int], V],
     constant: Callable[[float], V],
     refuse: Callable[[int], Exception],
-    keep: Callable[[int, V], V] | None = None,
+    keep: Callable[[Node, V], V] | None = None,
 ) -> list[V]:
     """The values of all nodes, in whatever the rules compute with.
 
@@ -177,23 +189,25 @@ def run(
     refuse
         The exception to raise for an operation that has no rule, or whose rule refuses its operands; takes the code.
     keep
-        What stands for a value from then on, of its place and the value: the name of a variable, once a line of text
+        What stands for a value from then on, of its node and the value: the name of a variable, once a line of text
         has been written that sets it. The value itself, if it is not given.
     """
     values = list[V]()
-    for place, node in enumerate(program.nodes):
-        code = node.code
+    for node in program.nodes:
+        code, a, b, number, _ = node
+        rule = rules.get(code)
         if code == INPUT:
-            value = given(node.a, node.b)
+            value = given(a, b)
         elif code == CONST:
-            value = constant(node.constant)
-        elif code in rules:
-            value = rules[code](*[values[operand] for operand in node.operands])
-        else:
+            value = constant(number)
+        elif rule is None:
             raise refuse(code)
+        else:
+            arity = _ARITY.get(code)
+            value = rule(values[a], values[b]) if arity == 2 else rule(values[a]) if arity else rule()
         if value is NotImplemented:
             raise refuse(code)
-        values.append(value if keep is None else keep(place, value))
+        values.append(value if keep is None else keep(node, value))
     return values
 
 

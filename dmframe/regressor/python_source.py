@@ -11,7 +11,7 @@ import numpy as np
 
 from dmframe.errors import ValueFault
 from dmframe.files import write_text
-from dmframe.program import CONST, by_code, read, run
+from dmframe.program import CONST, Node, by_code, read, run
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import (
     kinematic_function,
@@ -167,12 +167,12 @@ def _statements(function: Any) -> tuple[list[str], list[str]]:
     """A line for each instruction, and one for each entry of the result that is not zero."""
     program, lines = read(function), list[str]()
 
-    def keep(place: int, text: str) -> str:
-        node = program.nodes[place]
+    def keep(node: Node, text: str) -> str:
         if node.code == CONST:
             return text
-        lines.append(f"    w{node.line} = {text}")
-        return f"w{node.line}"
+        name = f"w{node.line}"
+        lines.append(f"    {name} = {text}")
+        return name
 
     names = run(
         program,

@@ -17,7 +17,7 @@ import dmframe.program
 import dmframe.program.program as module
 from dmframe.errors import EngineError
 from dmframe.exact.arithmetic import ARITHMETIC
-from dmframe.program import CONST, INPUT, OPERATIONS, Program, by_code, codes, instructions, read, run, sign_of
+from dmframe.program import CONST, INPUT, OPERATIONS, Node, Program, by_code, codes, instructions, read, run, sign_of
 
 
 def number(program: Program, inputs: Sequence[Sequence[float]]) -> list[list[float]]:
@@ -200,13 +200,13 @@ def test_what_is_kept_stands_for_the_value() -> None:
     program = read(ca.Function("f", [x], [2 * x + 1]))
     lines = list[str]()
 
-    def keep(place: int, text: str) -> str:
-        lines.append(f"v{place} = {text}")
-        return f"v{place}"
+    def keep(node: Node, text: str) -> str:
+        lines.append(f"v{node.line} = {text}")
+        return f"v{node.line}"
 
     rules = by_code({"add": "{} + {}".format, "twice": "2 {}".format})
     run(program, rules, given="x{}{}".format, constant=str, refuse=refused, keep=keep)
-    names = {node.code: f"v{place}" for place, node in enumerate(program.nodes)}
+    names = {node.code: f"v{node.line}" for node in program.nodes}
     assert f"{names[ca.OP_TWICE]} = 2 {names[INPUT]}" in lines
     (added,) = [line for line in lines if " + " in line]
     assert set(added.split(" = ")[1].split(" + ")) == {names[ca.OP_TWICE], names[CONST]}
@@ -223,8 +223,8 @@ def test_the_example_of_a_new_target_runs() -> None:
     area = x * y[1]
     f = ca.Function("f", [x, y], [ca.vertcat(area + 0.5, ca.sqrt(area))])
     program = read(f)
-    (product,) = [place for place, node in enumerate(program.nodes) if node.code == ca.OP_MUL]
-    (root,) = [place for place, node in enumerate(program.nodes) if node.code == ca.OP_SQRT]
+    (product,) = [node.line for node in program.nodes if node.code == ca.OP_MUL]
+    (root,) = [node.line for node in program.nodes if node.code == ca.OP_SQRT]
     lines = scope["webassembly"](f)
     assert (
         f"(local.set $v{product} (f64.mul (f64.load offset=0 (local.get $a0)) (f64.load offset=8 (local.get $a1))))"
