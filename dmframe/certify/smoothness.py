@@ -190,7 +190,7 @@ def is_smooth_over(tape: Tape, kink: int) -> bool:
             zero.append(linear and all(zero[operand] for operand in node.operands))
             flat.append(all(flat[operand] for operand in node.operands))
         zero[k] = zero[k] or k in meeting
-    return all(flat[source] for output in tape.outputs for source in output.sources)
+    return all(map(all, tape.program.stored(flat)))
 
 
 def _meeting(tape: Tape, kink: int) -> set[int]:

@@ -124,11 +124,7 @@ def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
         ),
         keep=keep,
     )
-    results = {
-        f"r{j}[{k}]": names[source]
-        for j, output in enumerate(program.outputs)
-        for k, source in enumerate(output.sources)
-    }
+    results = {f"r{j}[{k}]": name for j, output in enumerate(program.stored(names)) for k, name in enumerate(output)}
     return lines, results
 
 

@@ -135,7 +135,7 @@ class _Piece:
                         values.append(FUNCTIONS[node.code](*(values[operand] for operand in node.operands)))
             except (DecimalException, KeyError, ValueError) as error:
                 raise UndefinedHere(str(error)) from None
-        return [values[source] for output in self._tape.outputs for source in output.sources]
+        return [value for output in self._tape.program.stored(values) for value in output]
 
     def _has_edge(self, k: int) -> bool:
         """Is this a divisor that moves on the piece, or a function that ends somewhere?"""

@@ -188,7 +188,7 @@ class Tape:
         known = self.program.elements([(fixed or {}).get(i, [None] * size) for i, (_, size) in enumerate(self.inputs)])
         sizes: list[_Size] = []
         doubts = list(self._spread(known, sizes))
-        outputs = [sizes[source] for output in self.outputs for source in output.sources]
+        outputs = [size for output in self.program.stored(sizes) for size in output]
         degree = max((size.numerator for size in outputs), default=0)
         height = max((size.height for size in outputs), default=0)
         return Bound(

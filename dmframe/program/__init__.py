@@ -41,9 +41,9 @@ sums, products and roots go:
             refuse=lambda code: EngineError(f"{program.name} holds CasADi's instruction {code}"),
             keep=keep,
         )
-        for j, output in enumerate(program.outputs):
-            for element, source in enumerate(output.sources):
-                lines.append(f"(f64.store offset={8 * element} (local.get $r{j}) {values[source]})")
+        for j, output in enumerate(program.stored(values)):
+            for element, text in enumerate(output):
+                lines.append(f"(f64.store offset={8 * element} (local.get $r{j}) {text})")
         return lines
 
 Whether a number is the double that the machine holds or the decimal that somebody wrote (`dmframe.exact.literal`) is

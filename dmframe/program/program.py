@@ -54,57 +54,42 @@ class Node(NamedTuple):
 
 @final
 @dataclass(frozen=True)
-class Argument:
-    """An input: its rows, its size, and where each stored element stands in the dense, column-major matrix."""
+class Pattern:
+    """An input or an output: where each stored element stands in the dense, column-major matrix."""
 
     name: str
     rows: int
     size: int
     places: Sequence[int]
-
-
-@final
-@dataclass(frozen=True)
-class Result:
-    """An output, as an `Argument`; `sources` are the places of the values that its stored elements are."""
-
-    name: str
-    rows: int
-    size: int
-    places: Sequence[int]
-    sources: Sequence[int]
 
 
 @final
 class Program:
     """The straight-line program of a function: what is computed, in order, and nothing of how registers are reused.
 
-    `codes` are those of all its nodes; `sources`, for each output, the places of the values that its stored elements
-    are.
+    `codes` are those of all its nodes.
     """
 
     def __init__(self, f: Any, nodes: Sequence[Node], sources: Sequence[Sequence[int]]) -> None:
         self.name: str = f.name()
         self.nodes = nodes
-        self.sources = sources
         self.codes: AbstractSet[int] = set(map(_CODE, nodes))
-        self._f = f
+        self._f, self._sources = f, sources
 
     @cached_property
-    def inputs(self) -> tuple[Argument, ...]:
+    def inputs(self) -> tuple[Pattern, ...]:
         """The function's arguments."""
         f = self._f
         return tuple(
-            Argument(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
+            Pattern(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
         )
 
     @cached_property
-    def outputs(self) -> tuple[Result, ...]:
+    def outputs(self) -> tuple[Pattern, ...]:
         """The function's results."""
         f = self._f
         return tuple(
-            Result(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j)), sources)
-            for j, sources in enumerate(self.sources)
+            Pattern(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j))) for j in range(f.n_out())
         )
 
     def elements(self, inputs: Sequence[Sequence[V]]) -> list[list[V]]:
@@ -114,15 +99,15 @@ class Program:
 
     def stored(self, values: Sequence[V]) -> list[list[V]]:
         """Each output's stored elements, of the values of all nodes."""
-        return [[values[source] for source in sources] for sources in self.sources]
+        return [[values[source] for source in sources] for sources in self._sources]
 
     def dense(self, values: Sequence[V], zero: V) -> list[list[V]]:
         """Each output as a dense matrix, column-major; `zero` stands where nothing is stored."""
         results = []
-        for output in self.outputs:
+        for output, elements in zip(self.outputs, self.stored(values), strict=True):
             matrix = [zero] * output.size
-            for place, source in zip(output.places, output.sources, strict=True):
-                matrix[place] = values[source]
+            for place, element in zip(output.places, elements, strict=True):
+                matrix[place] = element
             results.append(matrix)
         return results
 

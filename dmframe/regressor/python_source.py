@@ -184,11 +184,9 @@ def _statements(function: Any) -> tuple[list[str], list[str]]:
         ),
         keep=keep,
     )
-    (output,) = program.outputs
-    entries = [
-        (*divmod(place, output.rows)[::-1], names[k]) for place, k in zip(output.places, output.sources, strict=True)
-    ]
-    return lines, [f"    {output.name}[..., {i}, {j}] = {name}" for i, j, name in entries if name != "0.0"]
+    (output,), (elements,) = program.outputs, program.stored(names)
+    entries = [(*divmod(place, output.rows), name) for place, name in zip(output.places, elements, strict=True)]
+    return lines, [f"    {output.name}[..., {i}, {j}] = {name}" for j, i, name in entries if name != "0.0"]
 
 
 def _number(value: float) -> str:
