@@ -92,7 +92,7 @@ class Enclosure:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = Enclosure(down(1 / other.upper), up(1 / other.lower))
             found = self * inverse
-        vague = through | ~np.isfinite(found.lower + found.upper)
+            vague = through | ~np.isfinite(found.lower + found.upper)
         return Enclosure(np.where(vague, -np.inf, found.lower), np.where(vague, np.inf, found.upper))
 
     def __rtruediv__(self, other: Any) -> Enclosure:
