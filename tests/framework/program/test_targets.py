@@ -326,3 +326,24 @@ def test_a_number_is_a_double_or_what_was_written_as_the_target_likes() -> None:
     assert list(found.terms.values()) == [Fraction(0.1)]
     ((near,),) = enclosure.Enclosing(f)([[1.0], [1.0]])
     assert near.lower <= Fraction(0.1) <= near.upper
+
+
+def test_a_whole_power_is_a_product_wherever_it_is_exact() -> None:
+    """CasADi writes products up to an exponent of 100, and a power beyond."""
+    x = ca.SX.sym("x")
+    f = ca.Function("f", [x], [ca.vertcat(x**150, x**-101, x**2.5)])
+    tape, trial = Tape.from_function(f), Trial(MERSENNE_127, random.Random(0))
+    powers = [k for k, node in enumerate(tape.nodes) if node.code == ca.OP_CONSTPOW]
+    assert [tape.exponent(k) for k in powers] == [150, -101, None]
+    [[first, second, _]] = tape.evaluate([[3]], trial)
+    assert [first, second] == [trial.residue(Fraction(3) ** exponent) for exponent in (150, -101)]
+    assert list(trial.functions) == [f"constpow of 3, {trial.residue(Fraction(5, 2))}"]
+    [[high, low, _]] = digits.at_point(tape, [[Decimal(3)]])
+    assert math.isclose(high, 3.0**150, rel_tol=1e-14)
+    assert math.isclose(low, 3.0**-101, rel_tol=1e-14)
+    moving = [code for k, code in pieces.moving_operations(tape, [[True]]) if k in powers]
+    assert moving == [ca.OP_POW, ca.OP_POW, ca.OP_CONSTPOW]
+    whole_ones = Tape.from_function(ca.Function("f", [x], [ca.vertcat(x**150, x**-101)]))
+    bound = whole_ones.degrees()
+    assert bound.degree == 150
+    assert bound.degree_total == 150 + 1  # the divisor x must not vanish
