@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator, Sequence
 from enum import Enum
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 
@@ -13,10 +13,10 @@ from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.identity import ATTEMPTS
-from dmframe.certify.risky import DEFINED, DIVISIONS
 from dmframe.certify.symbols import Group, symbols_of
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
+from dmframe.program import DIVISIONS, INPUT, OPERATIONS, Node
 
 AWAY: Final = "{} stays away from zero"
 SHOWN = 60
@@ -76,17 +76,16 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
 
 
 def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed: set[int]) -> Iterator[str]:
-    asked = [(k, text) for node in tape.nodes for k, text in _asked(node) if values[k] not in listed]
+    asked = [(k, text) for place in range(len(tape)) for k, text in _asked(tape, place) if values[k] not in listed]
     if not asked:
         return
-    owners = [group.label for group in groups for _ in range(group.symbol.numel())]
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
     made, signs = dict[int, frozenset[str]](), dict[int, _Sign]()
     for place in _below(tape, [k for k, _ in asked]):
         node = tape.nodes[place]
         of = [made[k] for k in node.operands]
-        made[place] = frozenset().union(*of) if node.code != ca.OP_INPUT else frozenset({owners[node.a]})
-        signs[place] = _sign(node, [signs[k] for k in node.operands])
+        made[place] = frozenset().union(*of) if node.code != INPUT else frozenset({groups[node.a].label})
+        signs[place] = _sign(tape, node, [signs[k] for k in node.operands])
     for k, text in asked:
         moving = sorted(made[k] - fixed)
         if moving and signs[k] is not _Sign.ABOVE:
@@ -104,16 +103,17 @@ def _below(tape: Tape, places: Sequence[int]) -> list[int]:
     return sorted(found)
 
 
-def _asked(node: Any) -> Iterator[tuple[int, str]]:
+def _asked(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
     """What an instruction asks of its operands."""
-    operation, operands = node.operation, node.operands
-    if operation in DIVISIONS:
-        yield operands[DIVISIONS[operation]], AWAY
-    elif node.code == ca.OP_POW and node.b < 0:
-        yield operands[0], AWAY
-    elif node.arguments and operation in DEFINED:
-        place = 1 if operation in (ca.OP_FMOD, ca.OP_REMAINDER) else 0
-        yield operands[place], f"{DEFINED[operation]} of {{}} stays where it is defined and finite"
+    node, exponent = tape.nodes[place], tape.exponent(place)
+    operation = OPERATIONS.get(node.code)
+    if exponent is not None:
+        if exponent < 0:
+            yield node.a, AWAY
+    elif node.code in DIVISIONS:
+        yield node.b, AWAY
+    elif operation is not None and operation.domain is not None:
+        yield node.operands[operation.domain], f"{operation.name} of {{}} stays where it is defined and finite"
 
 
 class _Sign(Enum):
@@ -124,13 +124,13 @@ class _Sign(Enum):
     ABOVE = 2
 
 
-def _sign(node: Any, operands: Sequence[_Sign]) -> _Sign:
+def _sign(tape: Tape, node: Node, operands: Sequence[_Sign]) -> _Sign:
     """The sign of an instruction's value, from those of its operands."""
     above = [sign is _Sign.ABOVE for sign in operands]
     least = min((sign.value for sign in operands), default=0)
-    match node.operation:
+    match node.code:
         case ca.OP_CONST:
-            return _Sign.ABOVE if node.constant > 0 else _Sign.ANY
+            return _Sign.ABOVE if tape.numbers[node.constant] > 0 else _Sign.ANY
         case ca.OP_EXP | ca.OP_COSH:
             return _Sign.ABOVE
         case ca.OP_FMAX:

@@ -14,13 +14,13 @@ from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.definite import is_mass_matrix
 from dmframe.certify.divisors import brought_in, written
-from dmframe.certify.risky import DEFINED, DIVISIONS
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.wiring import Wire
 from dmframe.errors import ValueFault, listed
 from dmframe.linalg import Inverted
 from dmframe.port import Access, Side
+from dmframe.program import DIVISIONS, OPERATIONS
 
 ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "first five ")
 
@@ -79,7 +79,7 @@ def _divisors(claim: Claim, name: str) -> Iterator[Assumption]:
         if code in DIVISIONS:
             seen[f"{written(divisor)} stays away from zero"] = None
         else:
-            seen[f"{DEFINED[code]} of {written(divisor)} stays where it is defined and finite"] = None
+            seen[f"{OPERATIONS[code].name} of {written(divisor)} stays where it is defined and finite"] = None
     yield from (Assumption(f"{name}: {text}", "its equations need it") for text in seen)
 
 
@@ -92,7 +92,7 @@ def undefined(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if not _defined(code, part, numbers):
                 text = f"{name}: {written(part)} is not zero"
                 if code not in DIVISIONS:
-                    text = f"{name}: {DEFINED[code]} of {written(part)} is defined"
+                    text = f"{name}: {OPERATIONS[code].name} of {written(part)} is defined"
                 yield Checked(text, "defined and finite", None, False, "its equations need it", "undecided")
 
 

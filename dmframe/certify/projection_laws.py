@@ -28,6 +28,7 @@ from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Box, Projection
+from dmframe.program import COMPARISONS
 
 POINTS = 48
 """Random points beside those whose elements all stand alike."""
@@ -88,7 +89,7 @@ def _branches(expressions: Sequence[SX]) -> Iterator[SX]:
         seen.add(element.element_hash())
         parts = [element.dep(i) for i in range(element.n_dep())]
         waiting += parts
-        if element.op() in (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE):
+        if element.op() in COMPARISONS:
             yield element
         elif element.op() in (ca.OP_FMIN, ca.OP_FMAX):
             yield parts[0] - parts[1]

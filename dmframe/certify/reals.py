@@ -78,7 +78,7 @@ class _Look:
     def __init__(self, stated: Sequence[Equality], symbols: Symbols, rng: random.Random) -> None:
         expressions = [equality.expression for equality in stated] + [equality.scale for equality in stated]
         self._tape = Tape.from_function(symbols.function("residual", expressions))
-        self._has_computed = any(computed(node.constant) for node in self._tape.nodes)
+        self._has_computed = any(map(computed, self._tape.numbers.values()))
         self._groups, self._rng = symbols.groups, rng
 
     def defined(self, draw: Callable[[Group], list[Decimal]], wanted: int) -> Iterator[Point]:

@@ -3,19 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Final
 
 import casadi as ca
 
 from dmframe.certificate import SX
-
-DEFINED: Final = {
-    getattr(ca, f"OP_{name}"): name.lower()
-    for name in "LOG LOG1P ASIN ACOS ACOSH ATANH TAN POW CONSTPOW ERFINV SQRT FMOD REMAINDER".split()
-}
-"""Functions that are not defined, or not bounded, everywhere."""
-DIVISIONS: Final = {ca.OP_DIV: 1, ca.OP_INV: 0}
-"""Instructions that divide, with the place of the divisor."""
+from dmframe.program import OPERATIONS, POWERS
 
 
 def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
@@ -28,10 +20,9 @@ def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
             continue
         seen.add(x.element_hash())
         code, parts = x.op(), [x.dep(k) for k in range(x.n_dep())]
-        if code in DIVISIONS:
-            yield code, parts[DIVISIONS[code]]
-        elif code in DEFINED and not _is_safe(code, parts):
-            yield code, parts[1] if code in (ca.OP_FMOD, ca.OP_REMAINDER) else parts[0]
+        domain = OPERATIONS[code].domain if code in OPERATIONS else None
+        if domain is not None and not _is_safe(code, parts):
+            yield code, parts[domain]
         todo += parts
 
 
@@ -40,6 +31,6 @@ def _is_safe(code: int, parts: Sequence[SX]) -> bool:
     if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
         floors = [parts[0].dep(k) for k in range(2)]
         return any(floor.is_constant() and float(floor) > 0 for floor in floors)
-    if code in (ca.OP_POW, ca.OP_CONSTPOW) and parts[1].is_constant():
+    if code in POWERS and parts[1].is_constant():
         return float(parts[1]) >= 0 and float(parts[1]).is_integer()
     return False

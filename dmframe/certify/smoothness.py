@@ -24,17 +24,8 @@ from dmframe.diagram.resolve import Leaf
 from dmframe.diagram.wiring import Derived
 from dmframe.exact import Tape
 from dmframe.exact.digits import UndefinedHere
-from dmframe.exact.pieces import (
-    EDGES,
-    JUMPS,
-    KINKS,
-    NAMES,
-    Course,
-    NotFollowed,
-    arguments_of,
-    follow,
-    moving_operations,
-)
+from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
+from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, codes, sign_of
 
 HORIZON: Final = 100.0
 """Time over which a function that cannot be followed exactly is looked at [s]."""
@@ -46,9 +37,6 @@ SUSPECTS: Final = 200
 """Steps between two of them, those that stand out most, that are narrowed down."""
 
 HALVINGS: Final = 60
-
-DIVISIONS: Final = frozenset((ca.OP_DIV, ca.OP_INV, ca.OP_POW))
-"""A whole power is none, unless it is negative: followed, it shows."""
 
 SOURCE = "dV/dt by the chain rule"
 NEEDED = "V or a derivative that the loop takes needs it continuous"
@@ -125,13 +113,13 @@ def _operations(claim: Claim, part: Part) -> Told:
         (value,) = ca.cse([expression])
         tape = Tape.from_function(ca.Function("storage", [stack(symbols)], [value]))
         where = f"{part.block}: {what}"
-        for k, code in moving_operations(tape, [symbol.element_hash() in moving for symbol in symbols]):
+        for k, code in moving_operations(tape, [[symbol.element_hash() in moving for symbol in symbols]]):
             if code in JUMPS:
-                yield "fault", f"{where} holds {NAMES[code]}, which jumps; the derivative of a jump is not zero"
+                yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
             elif code in KINKS and not is_smooth_over(tape, k):
-                yield "fault", f"{where} holds {NAMES[code]}, which has no derivative where it switches"
+                yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
             elif code in EDGES:
-                text = f"{where}: the argument of {NAMES[code]} stays inside the region where it has a derivative"
+                text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
                 yield "assumed", text
 
 
@@ -150,10 +138,10 @@ def jumps(expression: SX, still: set[int]) -> bool:
     """Does an expression hold an operation that jumps, of anything but the symbols that stand still?"""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
-    if not JUMPS & {function.instruction_id(k) for k in range(function.n_instructions())}:
+    if not JUMPS & codes(function):
         return False
     moving = [symbol.element_hash() not in still for symbol in symbols]
-    return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), moving))
+    return any(code in JUMPS for _, code in moving_operations(Tape.from_function(function), [moving]))
 
 
 def _field(claim: Claim) -> Told:
@@ -163,13 +151,13 @@ def _field(claim: Claim) -> Told:
         (rate,) = loop.joined([variable.rate])
         symbols = ca.symvar(rate)
         function = ca.Function("rate", [stack(symbols)], [rate])
-        if not JUMPS & {function.instruction_id(k) for k in range(function.n_instructions())}:
+        if not JUMPS & codes(function):
             continue
         still = symbols_in(parameter.symbol for parameter in loop.parameters)
         moving = [symbol.element_hash() not in still for symbol in symbols]
-        jumps = {code for _, code in moving_operations(Tape.from_function(function), moving)} & JUMPS
+        jumps = {code for _, code in moving_operations(Tape.from_function(function), [moving])} & JUMPS
         if jumps:
-            names = ", ".join(sorted(NAMES[code] for code in jumps))
+            names = ", ".join(sorted(sign_of(code) for code in jumps))
             yield "assumed", f"d {variable.label}/dt holds {names}: where it jumps, the motion is Filippov's solution"
 
 
@@ -183,35 +171,34 @@ def is_smooth_over(tape: Tape, kink: int) -> bool:
     """
     zero, flat = list[bool](), list[bool]()
     meeting = _meeting(tape, kink)
-    for k, (code, a, b, _, _) in enumerate(tape.nodes):
-        places = arguments_of(tape, k)
+    for k, node in enumerate(tape.nodes):
+        code, a, b, _, _ = node
         if k == kink:
             zero.append(bool(meeting))
             flat.append(False)
         elif code in (ca.OP_MUL, ca.OP_SQ):
-            one, other = places[0], places[-1]
-            zero.append(zero[one] or zero[other])
-            flat.append((flat[one] or zero[other]) and (flat[other] or zero[one]))
+            zero.append(zero[a] or zero[b])
+            flat.append((flat[a] or zero[b]) and (flat[b] or zero[a]))
         elif code == ca.OP_DIV:
             zero.append(zero[a] and not zero[b])  # 0/0 is anything
             flat.append(flat[a] and (flat[b] or zero[a]) and not zero[b])
-        elif code in (ca.OP_INV, ca.OP_POW):
+        elif code == ca.OP_INV or tape.exponent(k) is not None:
             zero.append(False)
             flat.append(flat[a] and not zero[a])
         else:
             linear = code in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE)
-            zero.append(linear and all(zero[place] for place in places))
-            flat.append(all(flat[place] for place in places))
+            zero.append(linear and all(zero[operand] for operand in node.operands))
+            flat.append(all(flat[operand] for operand in node.operands))
         zero[k] = zero[k] or k in meeting
-    return all(flat[source] for output in tape.outputs for source in output.sources)
+    return all(map(all, tape.program.stored(flat)))
 
 
 def _meeting(tape: Tape, kink: int) -> set[int]:
     """Nodes that vanish where a kink switches: x of |x|; x of max(x, 0); the zero itself."""
-    places = arguments_of(tape, kink)
+    places = tape.nodes[kink].operands
     if len(places) == 1:
         return set(places)
-    zeros = {k for k in places if tape.nodes[k].code == ca.OP_CONST and not tape.nodes[k].constant}
+    zeros = {k for k in places if tape.nodes[k].code == CONST and not tape.nodes[k].constant}
     return set(places) if zeros else set()
 
 
@@ -238,7 +225,7 @@ def _followed(diagram: Diagram, leaf: Leaf) -> Told:
         yield "fault", f"{leaf.name} moves with {free}; a desired trajectory is a function of time and parameters alone"
         return
     tape = Tape.from_function(function)
-    found = {code for _, code in moving_operations(tape, [True, *([False] * tape.inputs[1][1])])}
+    found = {code for _, code in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
     if not found & (JUMPS | KINKS | EDGES | DIVISIONS):
         return
     exact = exact_values(diagram)

@@ -5,51 +5,49 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, final
 
-import casadi as ca
-
 from dmframe.errors import EngineError
+from dmframe.program import Node, by_code, read, run
 
-_BINARY: Final = {
-    "ADD": "{} + {}",
-    "SUB": "{} - {}",
-    "MUL": "{} * {}",
-    "DIV": "{} / {}",
-    "LT": "{} < {}",
-    "LE": "{} <= {}",
-    "EQ": "{} == {}",
-    "NE": "{} != {}",
-    "AND": "{} && {}",
-    "OR": "{} || {}",
-    "IF_ELSE_ZERO": "{} ? {} : 0",
-    "FMIN": "dm_fmin({}, {})",
-    "FMAX": "dm_fmax({}, {})",
-    "CONSTPOW": "pow({}, {})",
+_LIBRARY_ONE: Final = "exp log sqrt tan asin acos atan floor ceil fabs erf sinh cosh asinh acosh atanh log1p expm1"
+_LIBRARY_TWO: Final = "pow fmod copysign atan2 hypot remainder"
+_FORMS: Final[dict[str, str | int]] = {
+    **{name: f"{name}({{}})" for name in _LIBRARY_ONE.split()},
+    **{name: f"{name}({{}}, {{}})" for name in _LIBRARY_TWO.split()},
+    "add": "{} + {}",
+    "sub": "{} - {}",
+    "mul": "{} * {}",
+    "div": "{} / {}",
+    "neg": "-{}",
+    "sq": "{0} * {0}",
+    "twice": "{0} + {0}",
+    "inv": "1 / {}",
+    "lt": "{} < {}",
+    "le": "{} <= {}",
+    "eq": "{} == {}",
+    "ne": "{} != {}",
+    "and": "{} && {}",
+    "or": "{} || {}",
+    "not": "!{}",
+    "if_else_zero": "{} ? {} : 0",
+    "fmin": "dm_fmin({}, {})",
+    "fmax": "dm_fmax({}, {})",
+    "sign": "dm_sign({})",
+    "tanh": "dm_tanh({})",
+    "constpow": "pow({}, {})",
+    "sin": 0,
+    "cos": 1,
 }
-_UNARY: Final = {
-    "ASSIGN": "{}",
-    "LIFT": "{}",
-    "NEG": "-{}",
-    "NOT": "!{}",
-    "SQ": "{0} * {0}",
-    "TWICE": "{0} + {0}",
-    "INV": "1 / {}",
-    "SIGN": "dm_sign({})",
-    "TANH": "dm_tanh({})",
-}
-_LIBRARY_ONE: Final = "EXP LOG SQRT TAN ASIN ACOS ATAN FLOOR CEIL FABS ERF SINH COSH ASINH ACOSH ATANH LOG1P EXPM1"
-_LIBRARY_TWO: Final = "POW FMOD COPYSIGN ATAN2 HYPOT REMAINDER"
-_FORMS: Final = {
-    getattr(ca, f"OP_{name}"): form
-    for name, form in (
-        *_BINARY.items(),
-        *_UNARY.items(),
-        *((name, name.lower() + "({})") for name in _LIBRARY_ONE.split()),
-        *((name, name.lower() + "({}, {})") for name in _LIBRARY_TWO.split()),
-    )
-}
-_ANGLES: Final = {ca.OP_SIN: 0, ca.OP_COS: 1}
+"""Of sine and cosine, which of the two results of one call."""
+
+
+def _noted(form: str | int, *operands: str) -> tuple[str | int, tuple[str, ...]]:
+    return form, operands
+
+
+RULES: Final = by_code({name: partial(_noted, form) for name, form in _FORMS.items()})
 
 PIECE: Final = 3000
 """Lines of one C function: a compiler's time grows faster than the function, so that a longer one is cut."""
@@ -100,27 +98,33 @@ def written(f: Any) -> str:
 
 def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
     """A function's lines, and its results: where each goes, and what it is called."""
-    lines, results, register = list[Line](), dict[str, str](), dict[int, str]()
-    angles = dict[str, tuple[str, str]]()
-    for k in range(f.n_instructions()):
-        code, inputs, targets = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            results[f"r{targets[0]}[{targets[1]}]"] = register[inputs[0]]
-        elif code == ca.OP_INPUT:
-            register[targets[0]] = f"a{inputs[0]}[{inputs[1]}]"
-        elif code == ca.OP_CONST:
-            register[targets[0]] = _constant(f.instruction_constant(k))
-        elif code in _ANGLES:
-            angle = register[inputs[0]]
-            if angle not in angles:
-                angles[angle] = (f"s{k}", f"c{k}")
-                lines.append(Line(angles[angle], "", (angle,)))
-            register[targets[0]] = angles[angle][_ANGLES[code]]
-        elif code in _FORMS:
-            lines.append(Line((f"v{k}",), _FORMS[code], tuple(register[i] for i in inputs)))
-            register[targets[0]] = f"v{k}"
-        else:
-            raise EngineError(f"engine: {f.name()} holds CasADi's instruction {code}, which cannot be written as C")
+    program, lines, angles = read(f), list[Line](), dict[str, tuple[str, str]]()
+
+    def keep(node: Node, value: Any) -> str:
+        if isinstance(value, str):  # an argument or a number
+            return value
+        form, operands = value
+        if isinstance(form, str):
+            name = f"v{node.line}"
+            lines.append(Line((name,), form, operands))
+            return name
+        (angle,) = operands
+        if angle not in angles:
+            angles[angle] = (f"s{node.line}", f"c{node.line}")
+            lines.append(Line(angles[angle], "", (angle,)))
+        return angles[angle][form]
+
+    names = run(
+        program,
+        RULES,
+        given="a{}[{}]".format,
+        constant=_constant,
+        refuse=lambda code: EngineError(
+            f"engine: {program.name} holds CasADi's instruction {code}, which cannot be written as C"
+        ),
+        keep=keep,
+    )
+    results = {f"r{j}[{k}]": name for j, output in enumerate(program.stored(names)) for k, name in enumerate(output)}
     return lines, results
 
 

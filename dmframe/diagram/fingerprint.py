@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 
 from dmframe.diagram.closed_loop import ClosedLoop, stack
+from dmframe.program import CONST, instructions
 
 
 def fingerprint(loop: ClosedLoop) -> str:
@@ -45,10 +46,7 @@ def _field(loop: ClosedLoop) -> Any:
 
 
 def _instructions(function: Any) -> list[str]:
-    lines = []
-    for k in range(function.n_instructions()):
-        code = function.instruction_id(k)
-        read, written = function.instruction_input(k), function.instruction_output(k)
-        constant = function.instruction_constant(k).hex() if code == ca.OP_CONST else ""
-        lines.append(f"{code} {read} {written} {constant}")
-    return lines
+    return [
+        f"{code} {read} {written} {constant.hex() if code == CONST else ''}"
+        for code, read, written, constant in instructions(function)
+    ]

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
-import casadi as ca
+from dmframe.program import by_code
 
-ARITHMETIC: Final[Mapping[int, Callable[..., Any]]] = {
-    ca.OP_ASSIGN: lambda x: x,
-    ca.OP_LIFT: lambda x, y: x,
-    ca.OP_ADD: operator.add,
-    ca.OP_SUB: operator.sub,
-    ca.OP_MUL: operator.mul,
-    ca.OP_DIV: operator.truediv,
-    ca.OP_NEG: operator.neg,
-    ca.OP_SQ: lambda x: x * x,
-    ca.OP_TWICE: lambda x: x + x,
-    ca.OP_INV: lambda x: 1 / x,
-}
-"""By CasADi's code; each takes as many numbers as the instruction has arguments."""
+ARITHMETIC: Final[dict[int, Callable[..., Any]]] = by_code(
+    {
+        "add": operator.add,
+        "sub": operator.sub,
+        "mul": operator.mul,
+        "div": operator.truediv,
+        "neg": operator.neg,
+        "sq": lambda x: x * x,
+        "twice": lambda x: x + x,
+        "inv": lambda x: 1 / x,
+    }
+)
+"""A table of rules, to which a kind of number adds what else it knows."""

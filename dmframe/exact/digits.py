@@ -17,10 +17,9 @@ from fractions import Fraction
 from functools import cache
 from typing import Final
 
-import casadi as ca
-
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.tape import Tape
+from dmframe.program import by_code, run
 
 DIGITS: Final = 60
 """Of each operation. The elementary functions below lose a few."""
@@ -43,37 +42,19 @@ def at_point(
 
     `literal` says what a constant is worth; its decimal value, if it is not given. Raises `UndefinedHere`.
     """
-    constants = literal or decimal_of
+    worth, given = literal or decimal_of, tape.program.elements(inputs)
     with localcontext(CONTEXT):
-        flat = [value for vector in inputs for value in vector]
-        values: list[Decimal] = []
         try:
-            for code, a, b, arguments, constant in tape.nodes:
-                if code == ca.OP_INPUT:
-                    values.append(flat[a])
-                elif code == ca.OP_CONST:
-                    values.append(constants(constant))
-                elif code == ca.OP_POW:
-                    values.append(values[a] ** b)
-                elif code == CALL:
-                    values.append(FUNCTIONS[a](*(values[argument] for argument in arguments)))
-                else:
-                    values.append(FUNCTIONS[code](*((values[a], values[b])[: _ARITY.get(code, 1)])))
+            values = run(
+                tape.program,
+                FUNCTIONS,
+                given=lambda i, element: given[i][element],
+                constant=lambda number: worth(tape.numbers[number]),
+                refuse=KeyError,
+            )
         except (DecimalException, KeyError, ValueError) as error:
             raise UndefinedHere(str(error)) from None
-        results = []
-        for output in tape.outputs:
-            dense = [Decimal(0)] * output.size
-            for place, source in zip(output.places, output.sources, strict=True):
-                dense[place] = values[source]
-            results.append(dense)
-        return results
-
-
-CALL: Final = -1
-"""The code of a tape's node for any function beyond the field; its `a` says which."""
-
-_ARITY: Final = {ca.OP_ADD: 2, ca.OP_SUB: 2, ca.OP_MUL: 2, ca.OP_DIV: 2}
+        return tape.program.dense(values, Decimal(0))
 
 
 def decimal_of(value: Fraction) -> Decimal:
@@ -179,46 +160,47 @@ def _truth(value: object) -> Decimal:
     return ONE if value else Decimal(0)
 
 
-FUNCTIONS: Final[dict[int, Callable[..., Decimal]]] = {
-    **ARITHMETIC,
-    ca.OP_SIN: _sin,
-    ca.OP_COS: _cos,
-    ca.OP_SIGN: _sign,
-    ca.OP_FABS: abs,
-    ca.OP_EXP: lambda x: x.exp(),
-    ca.OP_LOG: lambda x: x.ln(),
-    ca.OP_POW: _power,
-    ca.OP_CONSTPOW: _power,
-    ca.OP_SQRT: lambda x: x.sqrt(),
-    ca.OP_TAN: lambda x: _sin(x) / _cos(x),
-    ca.OP_ASIN: _asin,
-    ca.OP_ACOS: lambda x: _pi() / 2 - _asin(x),
-    ca.OP_ATAN: _atan,
-    ca.OP_LT: lambda x, y: _truth(x < y),
-    ca.OP_LE: lambda x, y: _truth(x <= y),
-    ca.OP_EQ: lambda x, y: _truth(x == y),
-    ca.OP_NE: lambda x, y: _truth(x != y),
-    ca.OP_NOT: lambda x: _truth(not x),
-    ca.OP_AND: lambda x, y: _truth(x and y),
-    ca.OP_OR: lambda x, y: _truth(x or y),
-    ca.OP_FLOOR: lambda x: x.to_integral_value(ROUND_FLOOR),
-    ca.OP_CEIL: lambda x: x.to_integral_value(ROUND_CEILING),
-    ca.OP_FMOD: lambda x, y: x % y,
-    ca.OP_REMAINDER: lambda x, y: x - y * (x / y).to_integral_value(ROUND_HALF_EVEN),
-    ca.OP_COPYSIGN: _copysign,
-    ca.OP_IF_ELSE_ZERO: lambda x, y: y if x else Decimal(0),
-    ca.OP_FMIN: min,
-    ca.OP_FMAX: max,
-    ca.OP_SINH: _sinh,
-    ca.OP_COSH: _cosh,
-    ca.OP_TANH: lambda x: _sinh(x) / _cosh(x),
-    ca.OP_ASINH: _asinh,
-    ca.OP_ACOSH: lambda x: (x + (x * x - 1).sqrt()).ln(),
-    ca.OP_ATANH: lambda x: ((1 + x) / (1 - x)).ln() / 2,
-    ca.OP_ATAN2: _atan2,
-    ca.OP_LOG1P: lambda x: (1 + x).ln(),
-    ca.OP_EXPM1: lambda x: x.exp() - 1,
-    ca.OP_HYPOT: lambda x, y: (x * x + y * y).sqrt(),
-    ca.OP_ERF: _erf,
-}
+FUNCTIONS: Final[dict[int, Callable[..., Decimal]]] = ARITHMETIC | by_code(
+    {
+        "sin": _sin,
+        "cos": _cos,
+        "sign": _sign,
+        "fabs": abs,
+        "exp": lambda x: x.exp(),
+        "log": lambda x: x.ln(),
+        "pow": _power,
+        "constpow": _power,
+        "sqrt": lambda x: x.sqrt(),
+        "tan": lambda x: _sin(x) / _cos(x),
+        "asin": _asin,
+        "acos": lambda x: _pi() / 2 - _asin(x),
+        "atan": _atan,
+        "lt": lambda x, y: _truth(x < y),
+        "le": lambda x, y: _truth(x <= y),
+        "eq": lambda x, y: _truth(x == y),
+        "ne": lambda x, y: _truth(x != y),
+        "not": lambda x: _truth(not x),
+        "and": lambda x, y: _truth(x and y),
+        "or": lambda x, y: _truth(x or y),
+        "floor": lambda x: x.to_integral_value(ROUND_FLOOR),
+        "ceil": lambda x: x.to_integral_value(ROUND_CEILING),
+        "fmod": lambda x, y: x % y,
+        "remainder": lambda x, y: x - y * (x / y).to_integral_value(ROUND_HALF_EVEN),
+        "copysign": _copysign,
+        "if_else_zero": lambda x, y: y if x else Decimal(0),
+        "fmin": min,
+        "fmax": max,
+        "sinh": _sinh,
+        "cosh": _cosh,
+        "tanh": lambda x: _sinh(x) / _cosh(x),
+        "asinh": _asinh,
+        "acosh": lambda x: (x + (x * x - 1).sqrt()).ln(),
+        "atanh": lambda x: ((1 + x) / (1 - x)).ln() / 2,
+        "atan2": _atan2,
+        "log1p": lambda x: (1 + x).ln(),
+        "expm1": lambda x: x.exp() - 1,
+        "hypot": lambda x, y: (x * x + y * y).sqrt(),
+        "erf": _erf,
+    }
+)
 """What CasADi's operations give; erfinv is left out."""

@@ -12,14 +12,15 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from typing import Any, Final, final
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
+from dmframe.program import CONST, INPUT, by_code, read, run
 
 Numbers = NDArray[np.float64]
 
@@ -91,7 +92,7 @@ class Enclosure:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = Enclosure(down(1 / other.upper), up(1 / other.lower))
             found = self * inverse
-        vague = through | ~np.isfinite(found.lower + found.upper)
+            vague = through | ~np.isfinite(found.lower + found.upper)
         return Enclosure(np.where(vague, -np.inf, found.lower), np.where(vague, np.inf, found.upper))
 
     def __rtruediv__(self, other: Any) -> Enclosure:
@@ -108,6 +109,11 @@ class Enclosure:
     def magnitude(self) -> Numbers:
         """The largest absolute values."""
         return np.asarray(np.maximum(np.abs(self.lower), np.abs(self.upper)))
+
+    @cached_property
+    def on_circle(self) -> tuple[Enclosure, Enclosure]:
+        """Sine and cosine, computed once: where a program takes one, it takes the other."""
+        return self.sin_cos()
 
     def sin_cos(self) -> tuple[Enclosure, Enclosure]:
         """Sine and cosine [rad]: the values at both ends, and 1 or -1 where a top or a bottom lies between them."""
@@ -172,6 +178,12 @@ def _series(coefficients: Sequence[Enclosure], square: Enclosure) -> Enclosure:
     return total
 
 
+RULES: Final = ARITHMETIC | by_code(
+    {"sq": Enclosure.square, "sin": lambda x: x.on_circle[0], "cos": lambda x: x.on_circle[1]}
+)
+_KNOWN: Final = frozenset((INPUT, CONST, *RULES))
+
+
 @final
 class Enclosing:
     """An SX function of field operations, sine and cosine, evaluated in enclosures.
@@ -181,40 +193,25 @@ class Enclosing:
 
     def __init__(self, f: Any) -> None:
         self.sparsity = [f.sparsity_out(j) for j in range(f.n_out())]
-        self._steps = [_step(f, k) for k in range(f.n_instructions())]
+        self._program = read(f)
+        for code, _, _, constant, _ in self._program.nodes:
+            if code not in _KNOWN:
+                raise self._refuse(code)
+            if not math.isfinite(constant):
+                raise ValueFault(f"{f.name()}: expected finite constants, found {constant}")
 
     def __call__(self, inputs: Sequence[Sequence[Any]]) -> list[list[Enclosure]]:
         """The stored elements of each output; an input is a list of its elements, numbers or enclosures."""
-        register: dict[int, Enclosure] = {}
-        angles: dict[int, tuple[Enclosure, Enclosure, Enclosure]] = {}  # with the angle, so that its id stays its own
-        outputs = [[Enclosure.of(0.0)] * pattern.nnz() for pattern in self.sparsity]
         with np.errstate(invalid="ignore", over="ignore"):
-            for code, arguments, targets, constant in self._steps:
-                if code == ca.OP_OUTPUT:
-                    outputs[targets[0]][targets[1]] = register[arguments[0]]
-                elif code == ca.OP_INPUT:
-                    register[targets[0]] = Enclosure.of(inputs[arguments[0]][arguments[1]])
-                elif code == ca.OP_CONST:
-                    register[targets[0]] = Enclosure.of(constant)
-                elif code in (ca.OP_SIN, ca.OP_COS):
-                    angle = register[arguments[0]]
-                    if id(angle) not in angles:
-                        angles[id(angle)] = (angle, *angle.sin_cos())
-                    register[targets[0]] = angles[id(angle)][1 if code == ca.OP_SIN else 2]
-                else:
-                    register[targets[0]] = _OPERATIONS[code](*(register[a] for a in arguments))
-        return outputs
+            values = run(
+                self._program,
+                RULES,
+                given=lambda argument, element: Enclosure.of(inputs[argument][element]),
+                constant=Enclosure.of,
+                refuse=self._refuse,
+            )
+        return self._program.stored(values)
 
-
-_OPERATIONS: Final = {**ARITHMETIC, ca.OP_SQ: Enclosure.square}
-_KNOWN: Final = frozenset((ca.OP_OUTPUT, ca.OP_INPUT, ca.OP_CONST, ca.OP_SIN, ca.OP_COS, *_OPERATIONS))
-
-
-def _step(f: Any, k: int) -> tuple[int, tuple[int, ...], tuple[int, ...], float]:
-    code = f.instruction_id(k)
-    if code not in _KNOWN:
-        raise ValueFault(f"{f.name()}: expected + - * /, sin and cos only, found CasADi's instruction {code}")
-    constant = f.instruction_constant(k) if code == ca.OP_CONST else 0.0
-    if not math.isfinite(constant):
-        raise ValueFault(f"{f.name()}: expected finite constants, found {constant}")
-    return code, tuple(f.instruction_input(k)), tuple(f.instruction_output(k)), constant
+    def _refuse(self, code: int) -> ValueFault:
+        name = self._program.name
+        return ValueFault(f"{name}: expected + - * /, sin and cos only, found CasADi's instruction {code}")

@@ -11,12 +11,16 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, DecimalException, localcontext
 from fractions import Fraction
-from typing import Final, final
+from functools import reduce
+from typing import Final, TypeVar, final
 
 import casadi as ca
 
-from dmframe.exact.digits import CALL, CONTEXT, FUNCTIONS, UndefinedHere, decimal_of
+from dmframe.exact.digits import CONTEXT, FUNCTIONS, UndefinedHere, decimal_of
 from dmframe.exact.tape import Tape
+from dmframe.program import CONST, DIVISIONS, EDGES, INPUT, by_code, sign_of
+
+V = TypeVar("V")
 
 INSTANTS: Final = 200
 """Switching instants that are followed; a function that switches for ever is left there."""
@@ -24,51 +28,8 @@ INSTANTS: Final = 200
 CONTINUOUS: Final = Decimal("1e-13")
 """What rounded literals, such as sin(1) in the code, may leave of a step that is none, relative to the function."""
 
-COMPARISONS: Final = frozenset((ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE))
-JUMPS: Final = COMPARISONS | {
-    ca.OP_SIGN,
-    ca.OP_FLOOR,
-    ca.OP_CEIL,
-    ca.OP_FMOD,
-    ca.OP_REMAINDER,
-    ca.OP_COPYSIGN,
-    ca.OP_IF_ELSE_ZERO,
-    ca.OP_NOT,
-    ca.OP_AND,
-    ca.OP_OR,
-    ca.OP_ATAN2,
-}
-"""Operations whose value can jump."""
-
-KINKS: Final = frozenset((ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX))
-"""Operations whose slope can jump."""
-
-EDGES: Final = frozenset(
-    (
-        ca.OP_SQRT,
-        ca.OP_POW,
-        ca.OP_CONSTPOW,
-        ca.OP_LOG,
-        ca.OP_LOG1P,
-        ca.OP_ASIN,
-        ca.OP_ACOS,
-        ca.OP_ACOSH,
-        ca.OP_ATANH,
-        ca.OP_ERFINV,
-        ca.OP_HYPOT,
-        ca.OP_TAN,
-    )
-)
-"""Functions that end, or have no slope, somewhere."""
-
-NAMES: Final = {getattr(ca, name): name[3:].lower() for name in dir(ca) if name.startswith("OP_")} | {
-    ca.OP_IF_ELSE_ZERO: "if_else",
-    ca.OP_LT: "<",
-    ca.OP_LE: "<=",
-    ca.OP_EQ: "==",
-    ca.OP_NE: "!=",
-}
-"""Of operations, as a block's author writes them."""
+LARGEST_POWER: Final = 16
+"""Of a polynomial, that is written out."""
 
 Polynomial = tuple[Fraction, ...]
 """Coefficients, the constant first."""
@@ -104,34 +65,20 @@ class Course:
     edged: bool = False
 
 
-def operation(code: int, called: int) -> int:
-    """CasADi's code of a tape's node."""
-    return called if code == CALL else code
+def moving_operations(tape: Tape, moving: Sequence[Sequence[bool]]) -> Iterator[tuple[int, int]]:
+    """(place, code) of what depends on a moving input; `moving` says it of each element of each input.
 
-
-def moving_operations(tape: Tape, moving: Sequence[bool]) -> Iterator[tuple[int, int]]:
-    """(position, operation) of each node that depends on a moving input; `moving` says it of each input's element."""
+    The code of a whole power is that of `pow`.
+    """
+    given = tape.program.elements(moving)
     moves = list[bool]()
-    for k, (code, a, _b, _, _) in enumerate(tape.nodes):
-        if code == ca.OP_INPUT:
-            moves.append(moving[a])
+    for k, node in enumerate(tape.nodes):
+        if node.code == INPUT:
+            moves.append(given[node.a][node.b])
         else:
-            moves.append(any(moves[argument] for argument in arguments_of(tape, k)))
+            moves.append(any(moves[operand] for operand in node.operands))
         if moves[-1]:
-            yield k, operation(code, a)
-
-
-TWO_ARGUMENTS: Final = frozenset((ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV))
-
-
-def arguments_of(tape: Tape, k: int) -> tuple[int, ...]:
-    """The positions that a node reads."""
-    code, a, b, arguments, _ = tape.nodes[k]
-    if code in (ca.OP_CONST, ca.OP_INPUT):
-        return ()
-    if code == CALL:
-        return arguments
-    return (a, b) if code in TWO_ARGUMENTS else (a,)
+            yield k, node.code if tape.exponent(k) is None else ca.OP_POW
 
 
 def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
@@ -141,7 +88,7 @@ def follow(tape: Tape, parameters: Sequence[Fraction]) -> Course:
     """
     instants, edged = list[Fraction](), False
     begin, before = Fraction(0), None
-    moving = {k for k, _ in moving_operations(tape, [True, *(False for _ in parameters)])}
+    moving = {k for k, _ in moving_operations(tape, [[True], *([False] * size for _, size in tape.inputs[1:])])}
     while True:
         piece = _Piece(tape, parameters, begin, moving)
         edged = edged or piece.edged
@@ -164,6 +111,7 @@ class _Piece:
         self.end: Fraction | None = None
         self.edged = False
         self._held = dict[int, tuple[Fraction, int, Fraction]]()
+        self._inputs = self._given((_ZERO, _ONE), [(value,) for value in parameters])
         self._values = list[Polynomial | None]()
         for k in range(len(tape)):
             self._values.append(self._value(k))
@@ -173,54 +121,56 @@ class _Piece:
         """The outputs' stored elements with all switches as on this piece: at its end, the limit from the left."""
         values = list[Decimal]()
         with localcontext(CONTEXT):
-            flat = [decimal_of(time), *map(decimal_of, self._parameters)]
+            given = self._given(decimal_of(time), [decimal_of(value) for value in self._parameters])
             try:
-                for k, (code, a, b, _, constant) in enumerate(self._tape.nodes):
+                for k, node in enumerate(self._tape.nodes):
                     if k in self._held:
-                        scale, node, offset = self._held[k]
-                        values.append(decimal_of(scale) * values[node] + decimal_of(offset))
-                    elif code == ca.OP_INPUT:
-                        values.append(flat[a])
-                    elif code == ca.OP_CONST:
-                        values.append(decimal_of(constant))
-                    elif code == ca.OP_POW:
-                        values.append(values[a] ** b)
+                        scale, place, offset = self._held[k]
+                        values.append(decimal_of(scale) * values[place] + decimal_of(offset))
+                    elif node.code == INPUT:
+                        values.append(given[node.a][node.b])
+                    elif node.code == CONST:
+                        values.append(decimal_of(self._tape.numbers[node.constant]))
                     else:
-                        arguments = [values[argument] for argument in arguments_of(self._tape, k)]
-                        values.append(FUNCTIONS[operation(code, a)](*arguments))
+                        values.append(FUNCTIONS[node.code](*(values[operand] for operand in node.operands)))
             except (DecimalException, KeyError, ValueError) as error:
                 raise UndefinedHere(str(error)) from None
-        return [values[source] for output in self._tape.outputs for source in output.sources]
+        return [value for output in self._tape.program.stored(values) for value in output]
 
     def _has_edge(self, k: int) -> bool:
         """Is this a divisor that moves on the piece, or a function that ends somewhere?"""
-        code, a, b, _, _ = self._tape.nodes[k]
-        if code in (ca.OP_DIV, ca.OP_INV) or (code == ca.OP_POW and b < 0):
-            divisor = self._values[arguments_of(self._tape, k)[-1]]
-            return divisor is None or len(_trimmed(divisor)) != 1
-        return operation(code, a) in EDGES | {ca.OP_ATAN2} and code == CALL
+        node, exponent = self._tape.nodes[k], self._tape.exponent(k)
+        if exponent is None and node.code not in DIVISIONS:
+            return node.code in EDGES or node.code == ca.OP_ATAN2
+        divisor = self._values[node.b if exponent is None else node.a]
+        return (exponent is None or exponent < 0) and (divisor is None or len(_trimmed(divisor)) != 1)
 
     def _value(self, k: int) -> Polynomial | None:
         """The polynomial in time that a node is on this piece, if it is one."""
-        code, a, b, _, constant = self._tape.nodes[k]
-        if code == ca.OP_INPUT:
-            return (Fraction(0), Fraction(1)) if a == 0 else (self._parameters[a - 1],)
-        if code == ca.OP_CONST:
-            return (constant,)
-        places = arguments_of(self._tape, k)
-        values = [self._values[place] for place in places]
-        called = operation(code, a)
-        if called in SWITCHES:
-            deciding = values[:1] if called == ca.OP_IF_ELSE_ZERO else values
+        node = self._tape.nodes[k]
+        if node.code == INPUT:
+            return self._inputs[node.a][node.b]
+        if node.code == CONST:
+            return (self._tape.numbers[node.constant],)
+        values = [self._values[operand] for operand in node.operands]
+        if node.code in SWITCHES:
+            deciding = values[:1] if node.code == ca.OP_IF_ELSE_ZERO else values
             if any(value is None for value in deciding):
-                raise NotFollowed(f"{NAMES[called]} of a function that is no polynomial in time")
-            scale, place, offset = SWITCHES[called](self, [value for value in deciding if value is not None])
-            self._held[k] = scale, places[place], offset
-            chosen = values[place] if scale else ()
-            return None if chosen is None else _plus(_times(chosen, (scale,)), (offset,))
-        if code == CALL or any(value is None for value in values):
+                raise NotFollowed(f"{sign_of(node.code)} of a function that is no polynomial in time")
+            scale, chosen, offset = SWITCHES[node.code](self, [value for value in deciding if value is not None])
+            self._held[k] = scale, node.operands[chosen], offset
+            held = values[chosen] if scale else ()
+            return None if held is None else _plus(_times(held, (scale,)), (offset,))
+        if any(value is None for value in values):
             return None
-        return _field(code, b, [value for value in values if value is not None])
+        known = [value for value in values if value is not None]
+        exponent = self._tape.exponent(k)
+        if exponent is not None:
+            return _power(known[0], exponent)
+        return FIELD[node.code](*known) if node.code in FIELD else None
+
+    def _given(self, time: V, parameters: Sequence[V]) -> list[list[V]]:
+        return self._tape.program.elements([[time], parameters][: len(self._tape.inputs)])
 
     def sign(self, x: Polynomial) -> int:
         """The sign of a polynomial right after the piece begins; the piece ends where it changes."""
@@ -297,54 +247,28 @@ def _copied(piece: _Piece, values: list[Polynomial]) -> Held:
     return Fraction((piece.sign(values[0]) or 1) * (piece.sign(values[1]) or 1)), 0, _ZERO
 
 
-SWITCHES: Final[Mapping[int, Callable[[_Piece, list[Polynomial]], Held]]] = {
-    ca.OP_SIGN: lambda piece, values: (_ZERO, 0, Fraction(piece.sign(values[0]))),
-    ca.OP_FABS: lambda piece, values: (Fraction(piece.sign(values[0])), 0, _ZERO),
-    ca.OP_FMIN: _chosen(lower=True),
-    ca.OP_FMAX: _chosen(lower=False),
-    ca.OP_LT: _compared(lambda sign: sign < 0),
-    ca.OP_LE: _compared(lambda sign: sign <= 0),
-    ca.OP_EQ: _compared(lambda sign: sign == 0),
-    ca.OP_NE: _compared(lambda sign: sign != 0),
-    ca.OP_NOT: lambda piece, values: _number(not _constant(values[0])),
-    ca.OP_AND: lambda piece, values: _number(bool(_constant(values[0]) and _constant(values[1]))),
-    ca.OP_OR: lambda piece, values: _number(bool(_constant(values[0]) or _constant(values[1]))),
-    ca.OP_IF_ELSE_ZERO: lambda piece, values: (Fraction(int(bool(_constant(values[0])))), 1, _ZERO),
-    ca.OP_FLOOR: lambda piece, values: (_ZERO, 0, piece.whole(values[0])),
-    ca.OP_CEIL: lambda piece, values: (_ZERO, 0, -piece.whole(_times(values[0], (-_ONE,)))),
-    ca.OP_FMOD: _modulo(_truncated),
-    ca.OP_REMAINDER: _modulo(lambda piece, x, y: piece.whole(_plus(_times(x, (1 / y,)), (Fraction(1, 2),)))),
-    ca.OP_COPYSIGN: _copied,
-}
+SWITCHES: Final[Mapping[int, Callable[[_Piece, list[Polynomial]], Held]]] = by_code(
+    {
+        "sign": lambda piece, values: (_ZERO, 0, Fraction(piece.sign(values[0]))),
+        "fabs": lambda piece, values: (Fraction(piece.sign(values[0])), 0, _ZERO),
+        "fmin": _chosen(lower=True),
+        "fmax": _chosen(lower=False),
+        "lt": _compared(lambda sign: sign < 0),
+        "le": _compared(lambda sign: sign <= 0),
+        "eq": _compared(lambda sign: sign == 0),
+        "ne": _compared(lambda sign: sign != 0),
+        "not": lambda piece, values: _number(not _constant(values[0])),
+        "and": lambda piece, values: _number(bool(_constant(values[0]) and _constant(values[1]))),
+        "or": lambda piece, values: _number(bool(_constant(values[0]) or _constant(values[1]))),
+        "if_else_zero": lambda piece, values: (Fraction(int(bool(_constant(values[0])))), 1, _ZERO),
+        "floor": lambda piece, values: (_ZERO, 0, piece.whole(values[0])),
+        "ceil": lambda piece, values: (_ZERO, 0, -piece.whole(_times(values[0], (-_ONE,)))),
+        "fmod": _modulo(_truncated),
+        "remainder": _modulo(lambda piece, x, y: piece.whole(_plus(_times(x, (1 / y,)), (Fraction(1, 2),)))),
+        "copysign": _copied,
+    }
+)
 """How each switch is held on a piece. atan2, which jumps too, is not followed."""
-
-
-def _field(code: int, exponent: int, values: list[Polynomial]) -> Polynomial | None:
-    first, last = values[0], values[-1]
-    match code:
-        case ca.OP_ADD:
-            return _plus(first, last)
-        case ca.OP_SUB:
-            return _minus(first, last)
-        case ca.OP_MUL:
-            return _times(first, last)
-        case ca.OP_SQ:
-            return _times(first, first)
-        case ca.OP_NEG:
-            return _times(first, (-_ONE,))
-        case ca.OP_TWICE:
-            return _times(first, (Fraction(2),))
-        case ca.OP_DIV | ca.OP_INV:
-            divisor = _trimmed(last)
-            if len(divisor) != 1:
-                return None
-            return _times(first if code == ca.OP_DIV else (_ONE,), (1 / divisor[0],))
-        case ca.OP_POW if 0 <= exponent <= 16:
-            power: Polynomial = (_ONE,)
-            for _ in range(exponent):
-                power = _times(power, first)
-            return power
-    return None
 
 
 def _plus(x: Polynomial, y: Polynomial) -> Polynomial:
@@ -364,6 +288,16 @@ def _times(x: Polynomial, y: Polynomial) -> Polynomial:
     return tuple(product)
 
 
+def _quotient(x: Polynomial, y: Polynomial) -> Polynomial | None:
+    divisor = _trimmed(y)
+    return _times(x, (1 / divisor[0],)) if len(divisor) == 1 else None
+
+
+def _power(x: Polynomial, exponent: int) -> Polynomial | None:
+    one: Polynomial = (_ONE,)
+    return reduce(_times, [x] * exponent, one) if 0 <= exponent <= LARGEST_POWER else None
+
+
 def _trimmed(x: Polynomial) -> Polynomial:
     size = len(x)
     while size and not x[size - 1]:
@@ -373,3 +307,18 @@ def _trimmed(x: Polynomial) -> Polynomial:
 
 def _sign(x: Fraction) -> int:
     return (x > 0) - (x < 0)
+
+
+FIELD: Final[Mapping[int, Callable[..., Polynomial | None]]] = by_code(
+    {
+        "add": _plus,
+        "sub": _minus,
+        "mul": _times,
+        "sq": lambda x: _times(x, x),
+        "neg": lambda x: _times(x, (-_ONE,)),
+        "twice": lambda x: _times(x, (Fraction(2),)),
+        "div": _quotient,
+        "inv": lambda x: _quotient((_ONE,), x),
+    }
+)
+"""What gives a polynomial of polynomials, but for a divisor that moves."""

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, final
-
-import casadi as ca
+from typing import Any, Final, final
 
 from dmframe.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
 from dmframe.exact.literal import literal
+from dmframe.program import by_code, read, run
 
 
 @final
@@ -63,19 +62,17 @@ def evaluate(f: Any, inputs: Sequence[Sequence[Fraction | Interval]]) -> list[li
 
     Raises `ValueFault` for any other function (sin, tanh, ...), ZeroDivisionError where a divisor is, or holds, zero.
     """
-    register: dict[int, Any] = {}
-    outputs: list[list[Fraction | Interval]] = [[Fraction(0)] * f.nnz_out(j) for j in range(f.n_out())]
-    for k in range(f.n_instructions()):
-        code, arguments, targets = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
-        if code == ca.OP_OUTPUT:
-            outputs[targets[0]][targets[1]] = register[arguments[0]]
-        elif code == ca.OP_INPUT:
-            register[targets[0]] = inputs[arguments[0]][arguments[1]]
-        elif code == ca.OP_CONST:
-            register[targets[0]] = _exact(f.instruction_constant(k), f.name())
-        else:
-            register[targets[0]] = _operate(code, [register[a] for a in arguments], f.name())
-    return outputs
+    program = read(f)
+    values = run(
+        program,
+        RULES,
+        given=lambda argument, element: inputs[argument][element],
+        constant=lambda number: _exact(number, program.name),
+        refuse=lambda code: ValueFault(
+            f"{program.name}: expected + - * / only, found CasADi's instruction {code}; its sign cannot be decided"
+        ),
+    )
+    return program.stored(values)
 
 
 def as_float(value: Fraction | Interval) -> float:
@@ -94,13 +91,17 @@ def _exact(constant: float, name: str) -> Fraction:
         raise ValueFault(f"{name}: {error.text}") from None
 
 
-def _operate(code: int, values: list[Any], name: str) -> Any:
-    if code not in ARITHMETIC:
-        raise ValueFault(
-            f"{name}: expected + - * / only, found CasADi's instruction {code}; its sign cannot be decided"
-        )
-    if any(isinstance(value, Interval) for value in values):
-        values = [Interval.of(value) for value in values]
-        if code == ca.OP_SQ:
-            return values[0].square()
-    return ARITHMETIC[code](*values)
+def _enclosing(rule: Callable[..., Any]) -> Callable[..., Any]:
+    """The rule for numbers, and for intervals as soon as there is one among the operands."""
+
+    def mixed(*values: Any) -> Any:
+        return rule(*map(Interval.of, values)) if Interval in map(type, values) else rule(*values)
+
+    return mixed
+
+
+def _square(x: Any) -> Any:
+    return x.square() if isinstance(x, Interval) else x * x
+
+
+RULES: Final = {code: _enclosing(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}

@@ -14,9 +14,10 @@ from typing import final
 
 from dmframe.exact.tape import Tape
 from dmframe.exact.trial import Trial, ZeroDivision
+from dmframe.program import OPERATIONS
 
-BOUNDED = ("tanh", "atan", "atan2", "erf", "lt", "le", "eq", "ne", "not", "and", "or")
-"""Functions beside sin, cos and sign that no argument makes large."""
+BOUNDED = frozenset(operation.name for operation in OPERATIONS.values() if operation.bounded)
+"""Functions that no argument makes large; sin, cos and sign are never asked for by name."""
 
 
 @final

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from fractions import Fraction
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Final, final
 
 import casadi as ca
@@ -14,6 +14,7 @@ from dmframe.certificate import SX
 from dmframe.formula import tree
 from dmframe.formula.read import FUNCTIONS, MOST, MULTIPLE, RELATIONS, UnreadableError, constant, relation
 from dmframe.formula.tree import SCALAR, Applied, Name, Node, Number, Piece, Power, Relation, Stack, Unprinted
+from dmframe.program import by_code
 
 FEW: Final = 16
 """Elements of a matrix up to which it is written out."""
@@ -76,35 +77,36 @@ class Elements:
                 raise UnreadableError("it holds a symbol that has no name")
             return self._known[x.element_hash()]
         parts = [self._scalar(x.dep(k)) for k in range(x.n_dep())]
-        return _joined(x.op(), parts)
-
-
-def _joined(kind: int, parts: list[Node]) -> Node:
-    if kind in MULTIPLE:
-        return tree.scale(MULTIPLE[kind], parts[0])
-    if kind in FUNCTIONS:
-        return Applied(FUNCTIONS[kind], tuple(parts), SCALAR)
-    if kind in RELATIONS:
-        return relation(RELATIONS[kind], parts[0], parts[1], SCALAR)
-    match kind:
-        case ca.OP_ADD:
-            return tree.add(parts[0], parts[1], SCALAR)
-        case ca.OP_SUB:
-            return tree.subtract(parts[0], parts[1], SCALAR)
-        case ca.OP_MUL:
-            return tree.multiply(parts[0], parts[1], SCALAR)
-        case ca.OP_DIV:
-            return tree.divide(parts[0], parts[1], SCALAR)
-        case ca.OP_INV:
-            return tree.divide(Number(Fraction(1)), parts[0], SCALAR)
-        case ca.OP_SQ:
-            return Power(parts[0], Fraction(2), SCALAR)
-        case ca.OP_FABS:
-            return Applied("abs", (parts[0],), SCALAR)
-        case ca.OP_NOT:
-            return Relation("not", parts[0], None, SCALAR)
-        case _:
+        if x.op() not in RULES:
             raise UnreadableError("it holds an operation that has no sign here")
+        return RULES[x.op()](*parts)
+
+
+def _applied(sign: str, *parts: Node) -> Node:
+    return Applied(sign, parts, SCALAR)
+
+
+def _related(sign: str, left: Node, right: Node) -> Node:
+    return relation(sign, left, right, SCALAR)
+
+
+RULES: Final[dict[int, Callable[..., Node]]] = {
+    **{code: partial(tree.scale, factor) for code, factor in MULTIPLE.items()},
+    **{code: partial(_applied, sign) for code, sign in FUNCTIONS.items()},
+    **{code: partial(_related, sign) for code, sign in RELATIONS.items()},
+    **by_code(
+        {
+            "add": lambda left, right: tree.add(left, right, SCALAR),
+            "sub": lambda left, right: tree.subtract(left, right, SCALAR),
+            "mul": lambda left, right: tree.multiply(left, right, SCALAR),
+            "div": lambda left, right: tree.divide(left, right, SCALAR),
+            "inv": lambda x: tree.divide(Number(Fraction(1)), x, SCALAR),
+            "sq": lambda x: Power(x, Fraction(2), SCALAR),
+            "fabs": partial(_applied, "abs"),
+            "not": lambda x: Relation("not", x, None, SCALAR),
+        }
+    ),
+}
 
 
 def lifted(rows: tuple[tuple[Node, ...], ...], shape: tree.Shape) -> Node | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any, Final, final
 
 import casadi as ca
@@ -10,6 +11,7 @@ import numpy as np
 
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test
+from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
 """Points at which all is compared that is not shown to be equal exactly."""
@@ -37,11 +39,6 @@ _SPREADS: Final = 10
 _TINY: Final = 1e-300
 
 _EQUALITY: Final = frozenset((ca.OP_EQ, ca.OP_NE))
-_DIFFERENCE: Final = frozenset((ca.OP_FMIN, ca.OP_FMAX, ca.OP_LT, ca.OP_LE)) | _EQUALITY
-_ARGUMENT: Final = frozenset((ca.OP_SIGN, ca.OP_FABS, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER))
-_LAST: Final = frozenset((ca.OP_COPYSIGN,))
-_SWITCHES: Final = _DIFFERENCE | _ARGUMENT | _LAST
-_UNARY: Final = 1
 
 
 @final
@@ -154,6 +151,17 @@ def _vanish(columns: Sequence[Any]) -> bool:
 _FLOORS: Final = (ca.OP_FMAX, ca.OP_FMIN)
 
 
+def _rebuilt(code: int, arity: int) -> Callable[..., Any]:
+    build = partial(ca.SX.unary if arity == 1 else ca.SX.binary, code)
+    return lambda *operands: None if type(None) in map(type, operands) else build(*operands)
+
+
+REBUILT: Final = {code: _rebuilt(code, operation.arity) for code, operation in OPERATIONS.items()}
+_RULES: Final = REBUILT | dict.fromkeys((ca.OP_CALL, ca.OP_PRINTME), lambda: None)
+"""Of a function kept whole nothing is known: what turns in it or by it is met by the points alone."""
+_SWITCHES: Final = frozenset(code for code, operation in OPERATIONS.items() if operation.turns)
+
+
 def _is_tiny(value: Any) -> bool:
     """Is it the floor under a root of squares, which no point can be on both sides of?"""
     return bool(value.is_constant()) and 0 < abs(float(value)) < 1e-20
@@ -164,28 +172,22 @@ def switching(expressions: Sequence[Any]) -> list[Any]:
     whole = ca.veccat(ca.SX(0, 1), *expressions)
     symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(whole))
     function = ca.Function("switching", [symbols], [whole])
-    codes = [function.instruction_id(k) for k in range(function.n_instructions())]
-    if _SWITCHES.isdisjoint(codes):
+    if _SWITCHES.isdisjoint(codes(function)):
         return []
-    found, register = list[Any](), dict[int, Any]()
-    inputs = symbols.nonzeros()
-    for k, code in enumerate(codes):
-        targets, arguments = function.instruction_output(k), function.instruction_input(k)
-        if code == ca.OP_INPUT:
-            register[targets[0]] = inputs[arguments[1]]
-        elif code == ca.OP_CONST:
-            register[targets[0]] = ca.SX(function.instruction_constant(k))
-        elif code == ca.OP_CALL:  # a function kept whole: what turns in it or by it is met by the points alone
-            register |= dict.fromkeys(targets)
-        elif code != ca.OP_OUTPUT:
-            values = [register[argument] for argument in arguments]
-            if any(value is None for value in values):
-                register[targets[0]] = None
-                continue
-            if code in _SWITCHES and not (code in _FLOORS and any(map(_is_tiny, values))):
-                turns = values[0] - values[1] if code in _DIFFERENCE else values[-1 if code in _LAST else 0]
-                found.append(ca.fabs(turns) - _TINY if code in _EQUALITY else turns)
-            register[targets[0]] = ca.SX.unary(code, *values) if len(values) == _UNARY else ca.SX.binary(code, *values)
+    program = read(function)
+    inputs, found = symbols.nonzeros(), list[Any]()
+    values = run(program, _RULES, given=lambda _, k: inputs[k], constant=ca.SX, refuse=KeyError)
+    for node in program.nodes:
+        if node.code not in _SWITCHES:
+            continue
+        operands = [values[operand] for operand in node.operands]
+        if any(operand is None for operand in operands):
+            continue
+        if node.code in _FLOORS and any(map(_is_tiny, operands)):
+            continue
+        turns = OPERATIONS[node.code].turns
+        at = operands[0] - operands[1] if turns == "difference" else operands[-1 if turns == "last" else 0]
+        found.append(ca.fabs(at) - _TINY if node.code in _EQUALITY else at)
     return [item for item in found if not item.is_constant()]
 
 

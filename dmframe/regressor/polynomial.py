@@ -7,15 +7,14 @@ cosines of sums, within a group of parallel joints, where the sums mean somethin
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Final, NamedTuple, final
 
-import casadi as ca
-
 from dmframe.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
+from dmframe.program import DIVISIONS, by_code, read, run
 
 _HALF: Final = Fraction(1, 2)
 
@@ -133,38 +132,28 @@ def expand(function: Any, inputs: Sequence[Sequence[Polynomial | Angle]]) -> lis
 
     Raises `ValueFault` where it is no polynomial of symbols, and of sines and cosines of single angles.
     """
-    register: dict[int, Any] = {}
-    outputs = [[Polynomial({})] * function.numel_out(j) for j in range(function.n_out())]
-    places = [_dense(function.sparsity_out(j)) for j in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        code, arguments, targets = (
-            function.instruction_id(k),
-            function.instruction_input(k),
-            function.instruction_output(k),
-        )
-        if code == ca.OP_OUTPUT:
-            outputs[targets[0]][places[targets[0]][targets[1]]] = register[arguments[0]]
-        elif code == ca.OP_INPUT:
-            register[targets[0]] = inputs[arguments[0]][arguments[1]]
-        elif code == ca.OP_CONST:
-            register[targets[0]] = Polynomial.number(Fraction(function.instruction_constant(k)))
-        else:
-            register[targets[0]] = _operate(code, [register[a] for a in arguments], function.name())
-    return outputs
-
-
-def _dense(sparsity: Any) -> list[int]:
-    return [row + column * sparsity.size1() for row, column in zip(sparsity.row(), sparsity.get_col(), strict=True)]
-
-
-def _operate(code: int, values: list[Any], name: str) -> Any:
-    first = values[0]
-    if code == ca.OP_ASSIGN:
-        return first
-    if code in (ca.OP_SIN, ca.OP_COS) and isinstance(first, tuple):
-        return wave(first[0], code == ca.OP_SIN, first[1])
-    if code in ARITHMETIC and code not in (ca.OP_DIV, ca.OP_INV) and all(isinstance(v, Polynomial) for v in values):
-        return ARITHMETIC[code](*values)
-    raise ValueFault(
-        f"{name}: expected sums and products of symbols, sines and cosines, found CasADi's instruction {code}"
+    program = read(function)
+    values = run(
+        program,
+        RULES,
+        given=lambda argument, element: inputs[argument][element],
+        constant=lambda number: Polynomial.number(Fraction(number)),
+        refuse=lambda code: ValueFault(
+            f"{program.name}: expected sums and products of symbols, sines and cosines, found CasADi's instruction "
+            f"{code}"
+        ),
     )
+    return program.dense(values, Polynomial({}))
+
+
+def _of_polynomials(rule: Callable[..., Polynomial]) -> Callable[..., Any]:
+    return lambda *values: rule(*values) if all(isinstance(value, Polynomial) for value in values) else NotImplemented
+
+
+def _of_an_angle(sine: bool) -> Callable[..., Any]:
+    return lambda value: wave(value[0], sine, value[1]) if isinstance(value, tuple) else NotImplemented
+
+
+RULES: Final = {code: _of_polynomials(rule) for code, rule in ARITHMETIC.items() if code not in DIVISIONS} | by_code(
+    {"sin": _of_an_angle(sine=True), "cos": _of_an_angle(sine=False)}
+)

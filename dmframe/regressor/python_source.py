@@ -7,11 +7,11 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import casadi as ca
 import numpy as np
 
 from dmframe.errors import ValueFault
 from dmframe.files import write_text
+from dmframe.program import CONST, Node, by_code, read, run
 from dmframe.regressor.base_parameters import base_parameters
 from dmframe.regressor.export import (
     kinematic_function,
@@ -26,20 +26,21 @@ from dmframe.regressor.full import parameter_names, parameter_values
 from dmframe.robot.chain import SerialChain
 from dmframe.version import version
 
-_OPERATIONS: Final = {
-    ca.OP_ADD: "{0} + {1}",
-    ca.OP_SUB: "{0} - {1}",
-    ca.OP_MUL: "{0} * {1}",
-    ca.OP_DIV: "{0} / {1}",
-    ca.OP_NEG: "-{0}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "{0} + {0}",
-    ca.OP_INV: "1.0 / {0}",
-    ca.OP_SIN: "np.sin({0})",
-    ca.OP_COS: "np.cos({0})",
-    ca.OP_TANH: "np.tanh({0})",
-    ca.OP_ASSIGN: "{0}",
-}
+RULES: Final = by_code(
+    {
+        "add": "{} + {}".format,
+        "sub": "{} - {}".format,
+        "mul": "{} * {}".format,
+        "div": "{} / {}".format,
+        "neg": "-{}".format,
+        "sq": "{0} * {0}".format,
+        "twice": "{0} + {0}".format,
+        "inv": "1.0 / {}".format,
+        "sin": "np.sin({})".format,
+        "cos": "np.cos({})".format,
+        "tanh": "np.tanh({})".format,
+    }
+)
 
 _TEMPLATE: Final = '''"""{title}
 
@@ -164,32 +165,28 @@ def _dynamic(chain: SerialChain, friction: Collection[str], base: bool) -> tuple
 
 def _statements(function: Any) -> tuple[list[str], list[str]]:
     """A line for each instruction, and one for each entry of the result that is not zero."""
-    names: dict[int, str] = {}
-    lines, results = list[str](), list[str]()
-    out, rows, columns = function.name_out(0), function.sparsity_out(0).row(), function.sparsity_out(0).get_col()
-    for k in range(function.n_instructions()):
-        code, arguments, targets = (
-            function.instruction_id(k),
-            function.instruction_input(k),
-            function.instruction_output(k),
-        )
-        if code == ca.OP_OUTPUT:
-            if names[arguments[0]] != "0.0":
-                place = targets[1]
-                results.append(f"    {out}[..., {rows[place]}, {columns[place]}] = {names[arguments[0]]}")
-            continue
-        if code == ca.OP_CONST:
-            names[targets[0]] = _number(function.instruction_constant(k))
-            continue
-        if code == ca.OP_INPUT:
-            text = f"{function.name_in(arguments[0])}[..., {arguments[1]}]"
-        elif code in _OPERATIONS:
-            text = _OPERATIONS[code].format(*(names[a] for a in arguments))
-        else:
-            raise ValueFault(f"Python source of {function.name()}: expected plain operations, found CasADi's {code}")
-        names[targets[0]] = f"w{k}"
-        lines.append(f"    w{k} = {text}")
-    return lines, results
+    program, lines = read(function), list[str]()
+
+    def keep(node: Node, text: str) -> str:
+        if node.code == CONST:
+            return text
+        name = f"w{node.line}"
+        lines.append(f"    {name} = {text}")
+        return name
+
+    names = run(
+        program,
+        RULES,
+        given=lambda argument, element: f"{program.inputs[argument].name}[..., {element}]",
+        constant=_number,
+        refuse=lambda code: ValueFault(
+            f"Python source of {program.name}: expected plain operations, found CasADi's {code}"
+        ),
+        keep=keep,
+    )
+    (output,), (elements,) = program.outputs, program.stored(names)
+    entries = [(*divmod(place, output.rows), name) for place, name in zip(output.places, elements, strict=True)]
+    return lines, [f"    {output.name}[..., {i}, {j}] = {name}" for j, i, name in entries if name != "0.0"]
 
 
 def _number(value: float) -> str:

@@ -11,7 +11,7 @@ import casadi as ca
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dmframe.errors import ValueFault
@@ -48,6 +48,7 @@ def test_the_ends_reach_the_next_numbers(x: float) -> None:
 
 @pytest.mark.parametrize("operation", BINARY)
 @given(finite, st.floats(0, 10), finite, st.floats(0, 10), shares, shares)
+@example(-0.5, 1.0, 0.0, 1.0, 0.0, 0.0)
 def test_an_operation_encloses_the_exact_result(
     operation: Callable[..., object], a: float, wide: float, b: float, high: float, s: float, t: float
 ) -> None:

@@ -1,0 +1,204 @@
+"""A CasADi function read once: a list of values, each with a place of its own, and one way to compute them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from functools import cached_property
+from operator import itemgetter
+from typing import Any, Final, NamedTuple, TypeVar, final
+
+import casadi as ca
+
+from dmframe.program.operations import OPERATIONS
+
+V = TypeVar("V")
+
+INPUT: Final = ca.OP_INPUT
+CONST: Final = ca.OP_CONST
+_OUTPUT: Final = ca.OP_OUTPUT
+_COPIES: Final = frozenset((ca.OP_ASSIGN, ca.OP_LIFT))
+_CODE: Final = itemgetter(0)
+_ARITY: Final = {code: operation.arity for code, operation in OPERATIONS.items()}
+
+
+class Node(NamedTuple):
+    """One value.
+
+    Parameters
+    ----------
+    code
+        CasADi's code of the operation; `INPUT` for an element of an argument, `CONST` for a number.
+    a, b
+        The places of the first and the last operand, which are earlier values. Of an `INPUT`: which argument, and which
+        of its stored elements. Zero for a number, and for what is no operation of `OPERATIONS`.
+    constant
+        The number, as the function holds it.
+    line
+        Which of CasADi's instructions made it: no two values of one operation share a line.
+    """
+
+    code: int
+    a: int
+    b: int
+    constant: float
+    line: int
+
+    @property
+    def operands(self) -> tuple[int, ...]:
+        """The places of the earlier values that it takes."""
+        arity = _ARITY.get(self.code, 0)
+        return (self.a, self.b) if arity == 2 else (self.a,) if arity else ()
+
+
+@final
+@dataclass(frozen=True)
+class Pattern:
+    """An input or an output: where each stored element stands in the dense, column-major matrix."""
+
+    name: str
+    rows: int
+    size: int
+    places: Sequence[int]
+
+
+@final
+class Program:
+    """The straight-line program of a function: what is computed, in order, and nothing of how registers are reused.
+
+    `codes` are those of all its nodes.
+    """
+
+    def __init__(self, f: Any, nodes: Sequence[Node], sources: Sequence[Sequence[int]]) -> None:
+        self.name: str = f.name()
+        self.nodes = nodes
+        self.codes: AbstractSet[int] = set(map(_CODE, nodes))
+        self._f, self._sources = f, sources
+
+    @cached_property
+    def inputs(self) -> tuple[Pattern, ...]:
+        """The function's arguments."""
+        f = self._f
+        return tuple(
+            Pattern(f.name_in(i), f.size1_in(i), f.numel_in(i), _places(f.sparsity_in(i))) for i in range(f.n_in())
+        )
+
+    @cached_property
+    def outputs(self) -> tuple[Pattern, ...]:
+        """The function's results."""
+        f = self._f
+        return tuple(
+            Pattern(f.name_out(j), f.size1_out(j), f.numel_out(j), _places(f.sparsity_out(j))) for j in range(f.n_out())
+        )
+
+    def elements(self, inputs: Sequence[Sequence[V]]) -> list[list[V]]:
+        """The stored elements of inputs that are dense matrices, column-major."""
+        pairs = zip(self.inputs, inputs, strict=True)
+        return [[matrix[place] for place in argument.places] for argument, matrix in pairs]
+
+    def stored(self, values: Sequence[V]) -> list[list[V]]:
+        """Each output's stored elements, of the values of all nodes."""
+        return [[values[source] for source in sources] for sources in self._sources]
+
+    def dense(self, values: Sequence[V], zero: V) -> list[list[V]]:
+        """Each output as a dense matrix, column-major; `zero` stands where nothing is stored."""
+        results = []
+        for output, elements in zip(self.outputs, self.stored(values), strict=True):
+            matrix = [zero] * output.size
+            for place, element in zip(output.places, elements, strict=True):
+                matrix[place] = element
+            results.append(matrix)
+        return results
+
+
+def read(f: Any) -> Program:
+    """The program of a function; operations that are not in `OPERATIONS` become nodes without operands."""
+    sources = [[0] * f.nnz_out(j) for j in range(f.n_out())]
+    nodes: list[Node] = []
+    append, register = nodes.append, dict[int, int]()
+    new = tuple.__new__  # a proof reads 10^5 instructions: Node(...) itself would take twice the time
+    for line, (code, arguments, targets, constant) in enumerate(instructions(f)):
+        if code in _ARITY:
+            append(new(Node, (code, register[arguments[0]], register[arguments[-1]], 0.0, line)))
+            register[targets[0]] = len(nodes) - 1  # after its operands have been looked up: it may be one of them
+        elif code == _OUTPUT:
+            sources[targets[0]][targets[1]] = register[arguments[0]]
+        elif code == INPUT:
+            register[targets[0]] = len(nodes)
+            append(new(Node, (code, arguments[0], arguments[1], 0.0, line)))
+        elif code in _COPIES:
+            register[targets[0]] = register[arguments[0]]
+        else:
+            for target in targets:  # a call of another function has as many as that has outputs
+                register[target] = len(nodes)
+                append(new(Node, (code, 0, 0, constant, line)))
+    return Program(f, nodes, sources)
+
+
+def codes(f: Any) -> set[int]:
+    """The codes of a function's instructions; a fifth of the time of `read`."""
+    return {f.instruction_id(k) for k in range(f.n_instructions())}
+
+
+def instructions(f: Any) -> Iterator[tuple[int, list[int], list[int], float]]:
+    """CasADi's instructions as they are, (code, read, written, constant), with registers that are used again."""
+    code_of, arguments_of, targets_of = f.instruction_id, f.instruction_input, f.instruction_output
+    for k in range(f.n_instructions()):
+        code = code_of(k)
+        if code == CONST:
+            yield code, [], targets_of(k), f.instruction_constant(k)
+        else:
+            yield code, arguments_of(k), targets_of(k), 0.0
+
+
+def run(
+    program: Program,
+    rules: Mapping[int, Callable[..., V]],
+    *,
+    given: Callable[[int, int], V],
+    constant: Callable[[float], V],
+    refuse: Callable[[int], Exception],
+    keep: Callable[[Node, V], V] | None = None,
+) -> list[V]:
+    """The values of all nodes, in whatever the rules compute with.
+
+    Parameters
+    ----------
+    rules
+        By an operation's code, a function of as many operands as it takes. It returns NotImplemented to refuse them.
+    given
+        The value of a stored element of an argument: which argument, which element.
+    constant
+        The value of a number.
+    refuse
+        The exception to raise for an operation that has no rule, or whose rule refuses its operands; takes the code.
+    keep
+        What stands for a value from then on, of its node and the value: the name of a variable, once a line of text
+        has been written that sets it. The value itself, if it is not given.
+    """
+    values = list[V]()
+    for node in program.nodes:
+        code, a, b, number, _ = node
+        rule = rules.get(code)
+        if code == INPUT:
+            value = given(a, b)
+        elif code == CONST:
+            value = constant(number)
+        elif rule is None:
+            raise refuse(code)
+        else:
+            arity = _ARITY.get(code)
+            value = rule(values[a], values[b]) if arity == 2 else rule(values[a]) if arity else rule()
+        if value is NotImplemented:
+            raise refuse(code)
+        values.append(value if keep is None else keep(node, value))
+    return values
+
+
+def _places(sparsity: Any) -> Sequence[int]:
+    """Where each stored element of a sparse matrix stands in the dense, column-major one."""
+    if sparsity.is_dense():
+        return range(sparsity.numel())
+    rows, columns = sparsity.row(), sparsity.get_col()
+    return [row + column * sparsity.size1() for row, column in zip(rows, columns, strict=True)]
