@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import final
+from typing import NamedTuple, final
 
 
 @final
@@ -100,6 +100,13 @@ class State:
     ball: str = ""
     gain: str = ""
     optional: bool = False
+
+
+class Element(NamedTuple):
+    """One of what a letter of a shape counts, such as a dynamic parameter: its name in results, and its unit."""
+
+    name: str
+    unit: str = ""
 
 
 ANY = "*"
