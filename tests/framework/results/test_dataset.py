@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations
+from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
@@ -47,6 +48,11 @@ def test_adapted_translations_bear_the_names_of_what_they_place(adapt, count, fi
     labels = element_labels(diagram, "h", count)
     assert (len(labels), labels[0], labels[-1]) == (count, first, last)
     assert element_labels(load_experiment("ur10_fast").diagram(), "h", 2) == ("1", "2")
+
+
+def test_a_link_of_a_robot_of_one_joint_is_not_taken_for_its_tool():
+    adapted = block_types()["adaptive_kinematics"](Gamma_k=1, adapt="links").elements(load("pendulum"))["h"]
+    assert adapted == [("joint1 x", "m"), ("joint1 y", "m"), ("joint1 z", "m")]
 
 
 @pytest.mark.parametrize(
