@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import final
+from typing import NamedTuple, final
 
 
 @final
@@ -112,6 +112,14 @@ class State:
 
 DISTRIBUTIONS = ("normal", "uniform")
 """What the numbers of an input can be drawn from."""
+
+
+class Element(NamedTuple):
+    """One of what a letter of a shape counts, such as a dynamic parameter: its name in results, and its unit."""
+
+    name: str
+    unit: str = ""
+
 
 ANY = "*"
 """The unit of an input that takes any unit: an error that drives an adaptation, say."""

@@ -103,6 +103,16 @@ def shorten(text: str, most: int = 60) -> str:
     return text if len(text) <= most else text[:most] + "..."
 
 
+def sliding(unit: str) -> str:
+    """A revolute joint's unit as that of a prismatic one: read m for rad, and N for N m.
+
+    >>> sliding("N m s/rad")
+    'N s/m'
+    """
+    force = re.sub(r"\bN(\^\d)? m(\^\d)?(?![\w])", r"N\1", unit)
+    return re.sub(r"\brad\b", "m", force)
+
+
 def _converted(text: str, unit: str, expected: str) -> float:
     number = _NUMBER.fullmatch(text)
     if _NOT_FINITE.match(text):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Final, Literal, final
 
 import casadi as ca
@@ -14,7 +14,7 @@ from dmframe.errors import MissingError, ValueFault
 from dmframe.linalg import metric, times
 from dmframe.naming import operation
 from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Element, Port, State
 
 
 @final
@@ -107,9 +107,11 @@ class AdaptiveKinematics(AbstractBlock):
     R: Diagonal | None = Positive("m", "1/s", default=None)
     forgetting: Scalar | None = Positive("", "1/s", default=None)
 
-    def sizes(self, robot: Any) -> Mapping[str, int]:
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """h: three a translation."""
-        return {"h": {"all": robot.k, "links": robot.k - 3, "tool": 3}[self.adapt]}
+        links = robot.joint_names
+        places = {"all": (*links, "tool"), "links": links, "tool": ("tool",)}[self.adapt]
+        return {"h": [Element(f"{place} {axis}", "m") for place in places for axis in "xyz"]}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2), or (1), (5) and (6)."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, final
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, final
 
 import casadi as ca
 
@@ -12,7 +12,9 @@ from dmframe.certificate import SX, Certificate, Driven, Square
 from dmframe.errors import ValueFault
 from dmframe.naming import derivative, named
 from dmframe.parameter import Diagonal, Positive, Scalar
-from dmframe.port import Port, State
+from dmframe.port import Element, Port, State
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters, Friction, Part
 
 
 @final
@@ -107,13 +109,13 @@ class FilteredRegressor(AbstractBlock):
 
     bandwidth: Scalar = Positive("", "1/s")
     weight: Diagonal = Positive("n", default=1.0)
-    friction: tuple[Literal["viscous", "coulomb"], ...] = ("viscous",)
+    friction: tuple[Friction, ...] = ("viscous",)
     bias: bool = False
     Gamma_b: Diagonal | None = Positive("n", "1/s", default=None)
 
-    def sizes(self, robot: Any) -> Mapping[str, int]:
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """p: as of the regressor."""
-        return {"p": (10 + len(set(self.friction)) + self.bias) * robot.n}
+        return {"p": self._parameters(robot).elements}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
@@ -170,8 +172,8 @@ class FilteredRegressor(AbstractBlock):
 
     def _momentum(self, u: Signals, p: Signals) -> SX:
         """Y_m of Y_m a_d = M dq."""
-        n = p.robot.n
-        others = ca.DM.zeros(n, self.sizes(p.robot)["p"] - 10 * n)
+        a_d = self._parameters(p.robot.chain)
+        others = ca.DM.zeros(p.robot.n, a_d.size - a_d.inertial.stop)
         return named("Y_m", ca.horzcat(self._inertial(u, p), others) if others.numel() else self._inertial(u, p))
 
     def _inertial(self, u: Signals, p: Signals) -> SX:
@@ -184,11 +186,13 @@ class FilteredRegressor(AbstractBlock):
         """Y_r of Y_r a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
         robot, zero = p.robot, ca.DM.zeros(p.robot.n)
         energy = self._inertial(u, p).T @ u.dq / 2
-        columns = [robot.regressor(u.q, zero, zero, zero) - derivative(energy, u.q).T]
-        if "viscous" in self.friction:
-            columns.append(ca.diag(u.dq))
-        if "coulomb" in self.friction:
-            columns.append(ca.diag(robot.coulomb(u.dq)))
-        if self.bias:
-            columns.append(ca.DM.eye(robot.n))
-        return named("Y_r", ca.densify(ca.horzcat(*columns)))
+        columns: dict[Part, SX] = {
+            "inertial": robot.regressor(u.q, zero, zero, zero) - derivative(energy, u.q).T,
+            "viscous": ca.diag(u.dq),
+            "coulomb": ca.diag(robot.coulomb(u.dq)),
+            "bias": ca.DM.eye(robot.n),
+        }
+        return named("Y_r", ca.densify(ca.horzcat(*self._parameters(robot.chain).in_order(columns))))
+
+    def _parameters(self, chain: SerialChain) -> DynamicParameters:
+        return DynamicParameters(chain, self.friction, bias=self.bias)

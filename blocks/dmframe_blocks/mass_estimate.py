@@ -7,6 +7,7 @@ from typing import ClassVar, final
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.port import Port
+from dmframe.robot.parameters import DynamicParameters
 
 
 @final
@@ -31,8 +32,9 @@ class MassEstimate(AbstractBlock):
     outputs: ClassVar[tuple[Port, ...]] = (Port("M_hat", "n n", "N m s^2/rad"),)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1); the inertial parameters come first in a_d."""
-        return Equations(outputs={"M_hat": p.robot.mass_matrix(u.q, u.a_d_hat[: 10 * p.robot.n])})
+        """(1)."""
+        inertial = DynamicParameters(p.robot.chain).inertial
+        return Equations(outputs={"M_hat": p.robot.mass_matrix(u.q, u.a_d_hat[inertial])})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored."""

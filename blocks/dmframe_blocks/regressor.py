@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, Literal, final
 
@@ -13,11 +13,10 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, Condition, Inequality
 from dmframe.naming import operation
 from dmframe.parameter import NonNegative, Scalar
-from dmframe.port import Port
+from dmframe.port import Element, Port
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import INERTIAL, WEIGHING, DynamicParameters, Friction, Part
 from dmframe.robot.pseudo_inertia import natural_gain
-
-_HEAVY = 4
-"""Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
 
 
 @final
@@ -78,25 +77,29 @@ class Regressor(AbstractBlock):
         Port("g_share"),
     )
 
-    friction: tuple[Literal["viscous", "coulomb"], ...] = ("viscous",)
+    friction: tuple[Friction, ...] = ("viscous",)
     gravity: Literal["together", "apart"] = "together"
     bias: bool = False
     nominal: Scalar | None = NonNegative(default=None)
 
-    def sizes(self, robot: Any) -> Mapping[str, int]:
-        """p: ten a link, four more where gravity is apart, and one a joint for each kind of friction."""
-        apart = _HEAVY if self.gravity == "apart" else 0
-        return {"p": (10 + apart + len(set(self.friction)) + self.bias) * robot.n}
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        """p: the dynamic parameters."""
+        return {"p": self._parameters(robot).elements}
 
     def prior(self, robot: Any, others: Fraction) -> list[list[Fraction]]:
         """Link by link the natural gain of the nominal inertia; `others`, squared, for each friction and bias.
 
         The gravity's own masses and first moments, where it is apart, vary like those of the motion, and by themselves.
         """
-        links = [natural_gain(row) for row in robot.inertia]
-        heavy = [[row[:_HEAVY] for row in link[:_HEAVY]] for link in links] if self.gravity == "apart" else []
-        rest = [[[others * others]]] * (self.sizes(robot)["p"] - sum(len(part) for part in links + heavy))
-        parts = [*links, *heavy, *rest]
+        links, rest = [natural_gain(row) for row in robot.inertia], [[[others * others]]] * robot.n
+        given: dict[Part, list[list[list[Fraction]]]] = {
+            "inertial": links,
+            "weighing": [[row[:WEIGHING] for row in link[:WEIGHING]] for link in links],
+            "viscous": rest,
+            "coulomb": rest,
+            "bias": rest,
+        }
+        parts = [part for parts in self._parameters(robot).in_order(given) for part in parts]
         size, done, rows = sum(map(len, parts)), 0, list[list[Fraction]]()
         for part in parts:
             left, right = [Fraction(0)] * done, [Fraction(0)] * (size - done - len(part))
@@ -106,44 +109,47 @@ class Regressor(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and, if asked, the nominal parameters."""
-        columns = [p.robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)]
-        if self.gravity == "apart":
-            still = ca.DM.zeros(p.robot.n)
-            weight = p.robot.regressor(u.q, still, still, still)
-            columns = [columns[0] - weight, heavy(weight)]
-        if "viscous" in self.friction:
-            columns.append(ca.diag(u.dq_ref))
-        if "coulomb" in self.friction:
-            columns.append(ca.diag(p.robot.coulomb(u.dq_ref)))
-        if self.bias:
-            columns.append(ca.DM.eye(p.robot.n))
-        outputs = {"Y_d": ca.densify(ca.horzcat(*columns))}
+        robot, a_d = p.robot, self._parameters(p.robot.chain)
+        columns: dict[Part, SX] = {
+            "inertial": robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref),
+            "viscous": ca.diag(u.dq_ref),
+            "coulomb": ca.diag(robot.coulomb(u.dq_ref)),
+            "bias": ca.DM.eye(robot.n),
+        }
+        if a_d.gravity_apart:
+            still = ca.DM.zeros(robot.n)
+            weight = robot.regressor(u.q, still, still, still)
+            columns |= {"inertial": columns["inertial"] - weight, "weighing": heavy(weight)}
+        outputs = {"Y_d": ca.densify(ca.horzcat(*a_d.in_order(columns)))}
         if "nominal" in p:
-            n, frictions = p.robot.n, len(set(self.friction))
-            held = [-p.nominal * p.robot.gravity_torque(u.q)] if self.bias else []
-            weighing = [heavy(p.robot.inertia)] if self.gravity == "apart" else []
-            inertia = p.nominal * ca.vertcat(p.robot.inertia, *weighing)
-            outputs["a_d_nominal"] = ca.vertcat(inertia, ca.DM.zeros(frictions * n), *held)
+            none = ca.DM.zeros(robot.n)
+            start: dict[Part, SX] = {
+                "inertial": p.nominal * robot.inertia,
+                "weighing": p.nominal * heavy(robot.inertia),
+                "viscous": none,
+                "coulomb": none,
+                "bias": -p.nominal * robot.gravity_torque(u.q),
+            }
+            outputs["a_d_nominal"] = ca.vertcat(*a_d.in_order(start))
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; the true a_d."""
-        parts = [p.robot.inertia]
-        if self.gravity == "apart":
-            parts.append(truth.g_share * heavy(p.robot.inertia))
-        if "viscous" in self.friction:
-            parts.append(truth.B)
-        if "coulomb" in self.friction:
-            parts.append(truth.D)
-        if self.bias:
-            parts.append(truth.tau_bias)
-        return Certificate(truth={"a_d": ca.vertcat(*parts)})
+        a_d, names = self._parameters(p.robot.chain), {"viscous": "B", "coulomb": "D", "bias": "tau_bias"}
+        true: dict[Part, SX] = {part: getattr(truth, names[part]) for part in a_d.parts if part in names}
+        true["inertial"] = p.robot.inertia
+        if a_d.gravity_apart:
+            true["weighing"] = truth.g_share * heavy(p.robot.inertia)
+        return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """Whatever friction the plant has, the regressor has a column for it."""
         kinds = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
         lacking = [kind for kind in kinds if kind[0] not in self.friction and kind[2] in truth]
         return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
+
+    def _parameters(self, chain: SerialChain) -> DynamicParameters:
+        return DynamicParameters(chain, self.friction, self.gravity == "apart", self.bias)
 
 
 def _column_for(key: str, name: str, true: SX) -> Inequality:
@@ -163,5 +169,5 @@ def _column_for(key: str, name: str, true: SX) -> Inequality:
 def heavy(a: SX) -> SX:
     """Of a link's ten inertial parameters, or of their columns, the four that weigh: mass and first moments."""
     size = a.shape[0] if a.is_column() else a.shape[1]
-    places = [place for place in range(size) if place % 10 < _HEAVY]
+    places = [place for place in range(size) if place % len(INERTIAL) < WEIGHING]
     return a[places] if a.is_column() else a[:, places]

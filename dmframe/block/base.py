@@ -20,7 +20,7 @@ from dmframe.certificate import SX, Certificate, Condition
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import Port, Side, State
+from dmframe.port import Element, Port, Side, State
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -119,6 +119,10 @@ class AbstractBlock(BaseModel):
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
+        return {letter: len(elements) for letter, elements in self.elements(robot).items()}
+
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        """What a letter counts that this block binds, element by element: names and units for results."""
         del robot
         return {}
 

@@ -80,7 +80,7 @@ def page(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> tuple[l
 
 
 def _parameters(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> str:
-    from dmframe.regressor import base_parameters, kinematic_names, kinematic_values, listing, parameter_names
+    from dmframe.regressor import DynamicParameters, base_parameters, kinematic_names, kinematic_values, listing
 
     if wanted.kinematic:
         pairs = zip(kinematic_names(chain), kinematic_values(chain), strict=True)
@@ -88,5 +88,5 @@ def _parameters(chain: SerialChain, friction: Sequence[str], wanted: Wanted) -> 
         return f"{chain.name}: {chain.k} kinematic parameters [m], zero where no value stands: {lengths}"
     if wanted.base:
         return listing(chain, base_parameters(chain, friction)).rstrip()
-    names = parameter_names(chain.n, friction)
+    names = DynamicParameters(chain, friction).names
     return f"{chain.name}: {len(names)} parameters: {', '.join(names)}"

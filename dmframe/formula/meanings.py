@@ -18,6 +18,7 @@ from dmframe.formula.matrices import Numbers
 from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated
+from dmframe.robot.parameters import DynamicParameters
 
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())
 
@@ -59,9 +60,10 @@ class Point:
         parameters = list(inspect.signature(getattr(robot, methods[0])).parameters)[: len(arguments)]
         try:
             function = functions.of_method(methods[0], tuple(parameters))
-            # inertial parameters come first in a_d, whatever else it holds
-            given = [ca.DM(value)[: function.size1_in(place), :] for place, value in enumerate(arguments)]
-            return np.array(function(*given, functions.values).full())
+            given = {name: ca.DM(value) for name, value in zip(parameters, arguments, strict=True)}
+            if "inertia" in given:  # a_d, of which the robot's own quantities take the inertial parameters
+                given["inertia"] = given["inertia"][DynamicParameters(robot.chain).inertial, :]
+            return np.array(function(*given.values(), functions.values).full())
         except (RuntimeError, KeyError, TypeError):  # arguments of other sizes: it is a product after all
             return None
 

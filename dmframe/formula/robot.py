@@ -90,7 +90,8 @@ class RobotFunctions:
         return call(ca.Function("inertia", [self.constants], [self.of.inertia]), [constants])
 
     def _size(self, name: str) -> int:
-        return {"inertia": 10 * self.n, "a_k": self.of.k, "gravity_share": 1}.get(name, self.n)
+        sizes: dict[str, int] = {"inertia": self.of.inertia.numel(), "a_k": self.of.k, "gravity_share": 1}
+        return sizes.get(name, self.n)
 
 
 @final
@@ -149,9 +150,8 @@ class ReadRobot:
         self.chain, self.n, self.m, self.k = robot.chain, robot.n, robot.m, robot.k
         self._functions, self._symbolic = functions, symbolic
         self.constants = ca.MX.sym("constants", functions.constants.numel()) if symbolic else functions.constants
-        sizes = {"inertia": 10 * self.n, "a_k": self.k, "gravity": 3, "friction_velocity": 1}
         self.numbers = {
-            name: ca.MX.sym(printed, sizes[name]) if symbolic else getattr(robot, name)
+            name: ca.MX.sym(printed, getattr(robot, name).numel()) if symbolic else getattr(robot, name)
             for name, printed in CONSTANTS.items()
         }
         self.inertia, self.a_k = self.numbers["inertia"], self.numbers["a_k"]

@@ -13,14 +13,15 @@ from dmframe.regressor.export import (
     self_test,
     write_c,
 )
-from dmframe.regressor.full import Friction, parameter_names, parameter_values
 from dmframe.regressor.listing import listing
 from dmframe.regressor.proofs import Proof, prove
 from dmframe.regressor.python_source import python_source, write_python
 from dmframe.regressor.typeset import WrittenOut, latex, plain_text, write_out
+from dmframe.robot.parameters import DynamicParameters, Friction
 
 __all__ = [
     "BaseParameters",
+    "DynamicParameters",
     "Friction",
     "Proof",
     "SelfTest",
@@ -32,8 +33,6 @@ __all__ = [
     "kinematic_values",
     "latex",
     "listing",
-    "parameter_names",
-    "parameter_values",
     "plain_text",
     "prove",
     "python_source",

@@ -10,15 +10,16 @@ from typing import Final, final
 
 from dmframe.errors import RobotError
 from dmframe.exact import Echelon, NoRationalError, Trial, ZeroDivision, random_prime, rational_reconstruction
-from dmframe.regressor.full import INERTIAL, FullRegressor, Sampler, full_regressor
+from dmframe.regressor.full import Sampler, full_regressor
 from dmframe.regressor.groupings import symbolic_groupings
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters, Inertial
 
 # Mersenne primes: large ones carry the long fractions that general rotations bring, and need no search.
 _EXPONENTS: Final = (127, 521, 1279, 2203, 4423, 9689, 19937)
 # The textbooks' choice: inertias before first moments before masses, and I_xx before I_yy, so that a link's mass
 # moves to its parent and I_xx - I_yy stays [GautierKhalil1990].
-_PREFERENCE: Final = ("I_xx", "I_xy", "I_xz", "I_yy", "I_yz", "I_zz", "mc_x", "mc_y", "mc_z", "m")
+_RANK: Final = Inertial(I_xx=0, I_xy=1, I_xz=2, I_yy=3, I_yz=4, I_zz=5, mc_x=6, mc_y=7, mc_z=8, m=9)
 _CALM: Final = 3
 
 
@@ -33,7 +34,7 @@ class BaseParameters:
 
     Attributes
     ----------
-    names : all p parameters of the full regressor
+    parameters : all p of the full regressor
     independent : columns kept, ascending
     grouping : (count, p) exact coefficients
     unidentifiable : parameters that no motion shows
@@ -42,12 +43,17 @@ class BaseParameters:
         place in the frame of joint 2
     """
 
-    names: tuple[str, ...]
+    parameters: DynamicParameters
     independent: tuple[int, ...]
     grouping: tuple[tuple[Fraction, ...], ...]
     unidentifiable: tuple[str, ...]
     symbolic: tuple[str, ...]
     translations: tuple[tuple[str, Fraction], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of all parameters."""
+        return self.parameters.names
 
     @property
     def count(self) -> int:
@@ -82,15 +88,17 @@ def base_parameters(chain: SerialChain, friction: Collection[str] = (), *, symbo
     sampler = Sampler(regressor)
     independent, grouping = _exact_grouping(sampler, random.Random(0), chain.name)
     texts, translations = symbolic_groupings(chain, sampler, independent, grouping, exact_only=not symbolic)
-    shown = [any(row[column] for row in grouping) for column in range(len(regressor.names))]
-    hidden = tuple(name for name, seen in zip(regressor.names, shown, strict=True) if not seen)
-    return BaseParameters(regressor.names, independent, grouping, hidden, texts, translations)
+    shown = [any(column) for column in zip(*grouping, strict=True)]
+    hidden = tuple(name for name, seen in zip(regressor.parameters.names, shown, strict=True) if not seen)
+    return BaseParameters(regressor.parameters, independent, grouping, hidden, texts, translations)
 
 
-def _order(regressor: FullRegressor) -> list[int]:
+def _order(parameters: DynamicParameters) -> list[int]:
     """Columns by preference: links from the base on, so that the far link's parameters are those eliminated."""
-    inertial = [10 * link + INERTIAL.index(name) for link in range(regressor.n) for name in _PREFERENCE]
-    return inertial + list(range(10 * regressor.n, len(regressor.names)))
+    columns = range(parameters.size)
+    links = [parameters.of_link(link) for link in range(parameters.chain.n)]
+    inertial = [column for link in links for _, column in sorted(zip(_RANK, columns[link], strict=True))]
+    return [*inertial, *columns[parameters.inertial.stop :]]
 
 
 def _row_space(sampler: Sampler, trial: Trial, order: Sequence[int]) -> Echelon:
@@ -107,7 +115,7 @@ def _row_space(sampler: Sampler, trial: Trial, order: Sequence[int]) -> Echelon:
 def _exact_grouping(
     sampler: Sampler, rng: random.Random, name: str
 ) -> tuple[tuple[int, ...], tuple[tuple[Fraction, ...], ...]]:
-    order = _order(sampler.regressor)
+    order = _order(sampler.regressor.parameters)
     check = Trial(random_prime(rng), rng)
     expected = _row_space(sampler, check, order)
     for exponent in _EXPONENTS:

@@ -97,7 +97,7 @@ def export_c(
     if kinematic:
         write_c(kinematic_function(chain), path, robot=chain.name, parameters=kinematic_names(chain))
         return kinematic_names(chain)
-    names, robot = full_regressor(chain, friction).names, chain.name
+    names, robot = full_regressor(chain, friction).parameters.names, chain.name
     if base:
         names = base_parameters(chain, friction, symbolic=False).kept
         robot += " in base parameters, each named after the one that it keeps"

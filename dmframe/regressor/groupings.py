@@ -19,11 +19,13 @@ from dmframe.exact import (
     rational_reconstruction,
     reduced_echelon,
 )
-from dmframe.regressor.full import INERTIAL, Sampler
+from dmframe.regressor.full import Sampler
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters
 
 # Parallel axes give 1, 2 and their halves; a larger fraction comes from a rotation and reads better as a decimal.
 _LARGEST: Final = 1000
+_LENGTHS: Final = {"kg": 0, "kg m": 1, "kg m^2": 2}
 _MOST_MONOMIALS: Final = 120
 _FRESH: Final = 2
 _MOTIONS: Final = 30
@@ -72,17 +74,18 @@ def symbolic_groupings(
     if not exact_only:
         rng = random.Random(1)
         trial = Trial(random_prime(rng), rng)
-        shapes = _shapes(independent, _support(sampler, trial, independent, grouping), lengths)
+        support = _support(sampler, trial, independent, grouping)
+        shapes = _shapes(sampler.regressor.parameters, independent, support, lengths)
         polynomials = _fit(sampler, trial, independent, shapes)
     names = {place: f"p_{'xyz'[place % 3]}{place // 3 + 1}" for place in range(len(lengths))}
-    texts = []
+    names_of, texts = sampler.regressor.parameters.names, list[str]()
     for row, column in enumerate(independent):
         coefficients = {}
         for other, value in enumerate(grouping[row]):
             polynomial = polynomials.get(_Entry(row, other))
             if (value or polynomial) and other != column:
-                coefficients[sampler.regressor.names[other]] = _coefficient(polynomial, value, names)
-        texts.append(_sum(sampler.regressor.names[column], coefficients))
+                coefficients[names_of[other]] = _coefficient(polynomial, value, names)
+        texts.append(_sum(names_of[column], coefficients))
     used = sorted({place for polynomial in polynomials.values() for monomial, _ in polynomial for place in monomial})
     return tuple(texts), tuple((names[place], lengths[place]) for place in used)
 
@@ -114,27 +117,22 @@ def _random_translations(sampler: Sampler, trial: Trial) -> list[list[int]]:
 
 
 def _shapes(
-    independent: Sequence[int], support: Collection[_Entry], lengths: Sequence[Fraction]
+    parameters: DynamicParameters, independent: Sequence[int], support: Collection[_Entry], lengths: Sequence[Fraction]
 ) -> dict[_Entry, _Shape]:
     """What each non-zero coefficient may look like; one without a shape is printed as a number."""
-    inertial = 10 * (len(lengths) // 3)
-    shapes = {}
+    powers = [_LENGTHS[unit] for _, unit in parameters.elements[parameters.inertial]]
+    inertial, shapes = len(powers), {}
     for row, kept in enumerate(independent):
         for column in range(inertial):
             if _Entry(row, column) not in support or column == kept or kept >= inertial:
                 continue
-            degree = _dimension(kept) - _dimension(column)
+            degree = powers[kept] - powers[column]
             # Only the joints between the two links move one's parameters to the other.
-            between = range(3 * (kept // 10 + 1), 3 * (column // 10 + 1))
+            between = range(3 * (parameters.link_of(kept) + 1), 3 * (parameters.link_of(column) + 1))
             shape = _Shape(tuple(place for place in between if lengths[place]) if degree else (), degree)
             if degree >= 0 and 0 < len(shape.monomials) <= _MOST_MONOMIALS:
                 shapes[_Entry(row, column)] = shape
     return shapes
-
-
-def _dimension(column: int) -> int:
-    """The power of a length in a parameter: 0 for m, 1 for mc, 2 for I."""
-    return {"m": 0, "mc": 1, "I": 2}[INERTIAL[column % 10].split("_")[0]]
 
 
 def _fit(

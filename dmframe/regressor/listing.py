@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 from dmframe.regressor.base_parameters import BaseParameters
-from dmframe.regressor.full import parameter_values
 from dmframe.robot.chain import SerialChain
 
 
@@ -16,7 +15,7 @@ def listing(chain: SerialChain, base: BaseParameters) -> str:
     Values in kg, kg m and kg m^2; friction has none in the model, and shows a dash. Below the table: the lengths that
     the groupings name, and the parameters that no motion shows.
     """
-    values = parameter_values(chain)
+    values = base.parameters.values
     rows = [
         (str(number), _value(row, values), text)
         for number, (row, text) in enumerate(zip(base.grouping, base.symbolic, strict=True), start=1)
@@ -34,11 +33,13 @@ def listing(chain: SerialChain, base: BaseParameters) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _value(row: Sequence[Fraction], values: Sequence[Fraction]) -> str:
-    if any(row[len(values) :]):
-        return "-"
-    known = sum((x * value for x, value in zip(row, values, strict=False)), Fraction(0))
-    return f"{float(known):.6g}"
+def _value(row: Sequence[Fraction], values: Sequence[Fraction | None]) -> str:
+    total = Fraction(0)
+    for x, value in zip(row, values, strict=True):
+        if x and value is None:
+            return "-"
+        total += x * (value or 0)
+    return f"{float(total):.6g}"
 
 
 def _table(rows: Sequence[tuple[str, str, str]]) -> str:

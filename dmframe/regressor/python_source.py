@@ -22,8 +22,8 @@ from dmframe.regressor.export import (
     tool_velocity,
     travel_of_prismatic_joints,
 )
-from dmframe.regressor.full import parameter_names, parameter_values
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters
 from dmframe.version import version
 
 RULES: Final = by_code(
@@ -143,8 +143,9 @@ def python_difference(
         found = [Y @ module["VALUES"] + free(*motion) for Y, *motion in zip(module["Y_k"](q, dq), q, dq, strict=True)]
         expected = [tool_velocity(chain, *motion) for motion in zip(q, dq, strict=True)]
     else:
-        columns = base_parameters(chain, friction, symbolic=False).independent if base else range(10 * chain.n)
-        inertial = [column for column in columns if column < 10 * chain.n]
+        every = DynamicParameters(chain).size
+        columns = base_parameters(chain, friction, symbolic=False).independent if base else range(every)
+        inertial = [column for column in columns if column < every]
         found = list(module["Y_d"](q, dq, dq_ref, ddq_ref)[..., : len(inertial)])
         motions = zip(q, dq, dq_ref, ddq_ref, strict=True)
         expected = [polarised_regressor(chain, *motion)[:, inertial] for motion in motions]
@@ -153,11 +154,10 @@ def python_difference(
 
 
 def _dynamic(chain: SerialChain, friction: Collection[str], base: bool) -> tuple[Sequence[str], list[float]]:
-    values = [float(value) for value in parameter_values(chain)]
-    names = parameter_names(chain.n, friction)
-    values += [float("nan")] * (len(names) - len(values))
+    parameters = DynamicParameters(chain, friction)
+    values = [math.nan if value is None else float(value) for value in parameters.values]
     if not base:
-        return names, values
+        return parameters.names, values
     found = base_parameters(chain, friction, symbolic=False)
     sums = [sum(float(x) * v for x, v in zip(row, values, strict=True) if x) for row in found.grouping]
     return found.kept, sums

@@ -12,13 +12,15 @@ import numpy as np
 
 from dmframe.errors import ValueFault
 from dmframe.regressor.export import kinematic_names, kinematic_values
-from dmframe.regressor.full import full_regressor, parameter_names, parameter_values
+from dmframe.regressor.full import full_regressor
 from dmframe.regressor.polynomial import Polynomial, expand
 from dmframe.regressor.readable import Groups, Style, Term, latex_name, terms_of
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters, Part
 from dmframe.robot.symbolic import SymbolicRobot
 
 MOST_JOINTS: Final = 3
+_FRICTION: Final[dict[Part, str]] = {"viscous": "dq_ref", "coulomb": "phi"}
 
 
 @final
@@ -90,13 +92,15 @@ class _Writer:
     def __init__(self, chain: SerialChain) -> None:
         self.chain, self.robot = chain, SymbolicRobot(chain)
         self.groups = parallel_groups(chain)
-        self.inertial = parameter_names(chain.n)
+        inertial = DynamicParameters(chain)
+        self.inertial = inertial.names
         self.lengths = kinematic_names(chain)
         down = [x for x in chain.gravity if x]
         single = len(down) == 1
         self.gravity = ["g_0"] if single else [f"g_{axis}" for axis, x in zip("xyz", chain.gravity, strict=True) if x]
         self.sign = Fraction(-1 if single and down[0] < 0 else 1)
-        values = dict(zip(self.inertial, map(float, parameter_values(chain)), strict=True))
+        known = zip(inertial.names, inertial.values, strict=True)
+        values = {name: float(value) for name, value in known if value is not None}
         values |= dict(zip(self.lengths, kinematic_values(chain), strict=True))
         values |= {name: float(self.sign * x) for name, x in zip(self.gravity, down, strict=True)}
         self.numbers = values
@@ -154,14 +158,14 @@ class _Writer:
         dq, dq_ref, ddq_ref, psi = (ca.SX.sym(name, n) for name in ("dq", "dq_ref", "ddq_ref", "psi"))
         motion = [("dq", dq), ("dq_ref", dq_ref), ("ddq_ref", ddq_ref)]
         Y_d = self.matrix("Y_d", motion, lambda q: robot.regressor(q, dq, dq_ref, ddq_ref))
-        Y_d = _with_friction(Y_d, n, friction)
-        names = parameter_names(n, friction)
+        parameters = DynamicParameters(self.chain, friction)
+        Y_d = _with_friction(Y_d, parameters)
         return WrittenOut(
             chain=self.chain,
             M=self.matrix("M", [], robot.mass_matrix, drop=True),
             C=self.matrix("C", [("dq", dq)], lambda q: robot.coriolis(q, dq), drop=True),
             g=self.matrix("g", [], robot.gravity_torque, drop=True),
-            Y_d=_named_columns(Y_d, names, keep),
+            Y_d=_named_columns(Y_d, parameters.names, keep),
             Y_k=_named_columns(
                 self.matrix("Y_k", [("psi", psi)], lambda q: robot.kinematic_regressor(q, psi)), self.lengths, None
             ),
@@ -192,13 +196,14 @@ def _parallel(before: Any, joint: Any) -> int:
     return -1 if turned == tuple(-a for a in before.axis) else 0
 
 
-def _with_friction(Y_d: Matrix, n: int, friction: Collection[str]) -> Matrix:
-    """The columns diag(dq_ref) and diag(phi(dq_ref)) after the inertial ones."""
-    kinds = [label for kind, label in (("viscous", "dq_ref"), ("coulomb", "phi")) if kind in friction]
-    rows = []
-    for i, row in enumerate(Y_d.entries):
-        more = [(Term(Fraction(1), (f"{label}_{j + 1}",), ()),) if i == j else () for label in kinds for j in range(n)]
-        rows.append((*row, *more))
+def _with_friction(Y_d: Matrix, parameters: DynamicParameters) -> Matrix:
+    """With the columns diag(dq_ref) and diag(phi(dq_ref)) too, where there are such parameters."""
+    n, rows = parameters.chain.n, []
+    for i, inertial in enumerate(Y_d.entries):
+        parts: dict[Part, list[tuple[Term, ...]]] = {"inertial": [*inertial]}
+        for part, label in _FRICTION.items():
+            parts[part] = [(Term(Fraction(1), (f"{label}_{j + 1}",), ()),) if i == j else () for j in range(n)]
+        rows.append(tuple(entry for part in parameters.in_order(parts) for entry in part))
     return Matrix(Y_d.name, Y_d.arguments, tuple(rows))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from typing import Final
 
@@ -20,6 +21,15 @@ _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mov
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
 """Accents that are drawn as such, for the signs ^ and ~ of the keyboard."""
 _LEADING: Final = re.compile(r"^(<math[^>]*><mrow><mo)>(?=&#x0(?:002B|2212|003D|2265|2264|00B1);)")
+_ELEMENTS: Final = frozenset(
+    "math menclose mfrac mi mn mo mover mpadded mphantom mroot mrow mspace msqrt mstyle msub msubsup msup mtable mtd "
+    "mtext mtr munder munderover".split()
+)
+_ATTRIBUTES: Final = frozenset(
+    "accent accentunder columnalign columnlines columnspacing depth display displaystyle fence form height largeop "
+    "linethickness lspace mathbackground mathcolor mathsize mathvariant maxsize minsize movablelimits notation "
+    "rowlines rowspacing rspace scriptlevel separator stretchy symmetric voffset width".split()
+)
 _SIGNS: Final = ("+", "-", "=", r"\ge", r"\le", r"\pm")
 
 
@@ -32,7 +42,10 @@ def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
 
     try:
         text = convert(_prepared(latex))
+        known = _is_mathml(text)
     except Exception:  # the library raises what it likes, and one formula unset is better than no report
+        known = False
+    if not known:
         return f"<code>{html.escape(latex)}</code>"
     text = text.replace(' xmlns="http://www.w3.org/1998/Math/MathML"', "")
     text = text.replace('display="inline"', 'displaystyle="true"' if display else 'displaystyle="false"', 1)
@@ -43,6 +56,12 @@ def mathml(latex: str, *, display: bool = False, joined: bool = False) -> str:
     if joined or latex.startswith(("=", r"\le", r"\ge")):
         text = _LEADING.sub(r'\1 form="infix">', text)
     return text
+
+
+def _is_mathml(text: str) -> bool:
+    r"""True for elements and attributes that set formulas: the library lets markup in a ``\text`` through."""
+    elements = list(ET.fromstring(text).iter())
+    return all(each.tag.rpartition("}")[2] in _ELEMENTS and set(each.keys()) <= _ATTRIBUTES for each in elements)
 
 
 def breakable(latex: str, *, display: bool = False) -> str:
@@ -84,7 +103,7 @@ def _prepared(latex: str) -> str:
     latex = _WORDS.sub(lambda found: rf"{{\text{{{found[1] or found[2]}}}}}", latex)
     out, opened = list[str](), False
     for token in _TOKEN.findall(latex):
-        if token == "|":
+        if token in ("|", r"\vert"):
             opened = not opened
             out.append(r"\left|" if opened else r"\right|")
         else:

@@ -2,63 +2,93 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
-from html import escape
-from typing import Any
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Final
 
-from dmframe.notebook import embedded
+from dmframe.report import html, markdown, sections
 from dmframe.report.content import Content, Opening
-from dmframe.report.linear import JOINT_HEADS
-from dmframe.report.mathml import breakable, mathml, terms
+from dmframe.report.html import Html, plain, tag
+from dmframe.report.parts import MARKED, Badge, Link, Table
 from dmframe.report.references import reference
-from dmframe.report.rows import Row
 
-MARKED = re.compile(r"\$([^$]+)\$|`([^`]+)`|\[([A-Z]\w+\d{4}\w?)\]")
-
-SHORT = 48
-"""Characters of LaTeX up to which a formula in a sentence is not broken."""
+_POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+_NARROW: Final = Html("""\
+.dmframe p { margin: 0.4em 0 }
+.dmframe .columns { display: flex; gap: 2em }
+.dmframe .columns > div { flex: 1 }
+.dmframe h3 { font-size: 1em; margin: 0.6em 0 0.2em }
+.dmframe ul { margin: 0; padding-left: 1.2em }""")
 
 
 def as_html(contents: Sequence[Content]) -> str:
     """One file: formulas in MathML, pictures in SVG, nothing fetched from anywhere."""
-    return _rendered("report.html.jinja", contents, _html_filters(), escaped=True)
+    one = contents[0] if len(contents) == 1 else None
+    names = ", ".join(content.name for content in contents)
+    title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {names}"
+    head = [
+        Html('<meta charset="utf-8"/>'),
+        Html(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}"/>'),
+        Html('<meta name="viewport" content="width=device-width, initial-scale=1"/>'),
+        tag("title", plain(title)),
+        tag("style", Html(files("dmframe.report").joinpath("report.css").read_text(encoding="utf-8"))),
+    ]
+    kind = tag("p", plain("Certificate of a control loop"), class_="doc-kind")
+    named = _named(one) if one else [tag("h1", plain(f"{len(contents)} graphs")), html.table(_overview(contents))]
+    articles = [_article(content, f"g{place}", one is None) for place, content in enumerate(contents, start=1)]
+    body = [tag("header", html.joined([kind, *named])), *articles, *_sources(contents)]
+    page = tag("html", tag("head", html.joined(head)), Html("\n"), tag("body", html.joined(body)), lang="en")
+    return f"<!DOCTYPE html>\n{page}\n"
+
+
+def _named(content: Content, kind: str = "") -> list[Html]:
+    title = [tag("p", plain(content.title), class_="doc-title")] if content.title else []
+    return [tag("h1", plain(content.name), class_=kind), *title]
+
+
+def _overview(contents: Sequence[Content]) -> Table:
+    rows = [
+        (Link(content.name, f"g{place}"), Badge(content.meaning.headline, content.outcome), content.title)
+        for place, content in enumerate(contents, start=1)
+    ]
+    return Table(rows, ("graph", "verdict", "what it is"), kind="overview")
+
+
+def _article(content: Content, prefix: str, named: bool) -> Html:
+    writer, parts = html.Writer(prefix), list(sections.sections(content))
+    head = [*(_named(content, "graph") if named else []), html.lead(sections.lead(content))]
+    inside = [*head, writer.contents(content.name, parts), *map(writer.section, parts)]
+    return tag("article", html.joined(inside), id=prefix)
+
+
+def _sources(contents: Sequence[Content]) -> list[Html]:
+    told = [tag("dt", plain(f"[{key}]"), id=key) + tag("dd", plain(text)) for key, text in _cited(contents)]
+    listed = tag("dl", html.joined(map(Html, told)))
+    return [tag("section", tag("h2", plain("Sources")), listed, id="references")] if told else []
 
 
 def as_markdown(contents: Sequence[Content]) -> str:
     """The same content, formulas between dollar signs, the diagram as Mermaid."""
-    return re.sub(r"\n{3,}", "\n\n", _rendered("report.md.jinja", contents, _markdown_filters(), escaped=False))
+    one = contents[0] if len(contents) == 1 else None
+    title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {len(contents)} graphs"
+    out = [f"# {title}", *([] if one else [markdown.table(_overview(contents))])]
+    for content in contents:
+        lead = sections.lead(content)
+        out += [] if one else [f"# {content.name}"]
+        out += [content.title, f"> **{lead.headline}**: {lead.sentence.text}"]
+        out += [block for section in sections.sections(content) for block in markdown.section(section)]
+    cited = "\n".join(f"- [{key}] {text}" for key, text in _cited(contents))
+    out += ["## Sources", cited] if cited else []
+    return "\n\n".join(block for block in out if block) + "\n"
 
 
 def first_page(opening: Opening) -> str:
     """The verdict, what it means and what follows, as a part of a page: for a notebook."""
-    return str(_template("first_page.html.jinja", _html_filters(), escaped=True).render(r=opening))
-
-
-def _rendered(template: str, contents: Sequence[Content], filters: dict[str, Callable[..., Any]], escaped: bool) -> str:
-    page = _template(template, filters, escaped)
-    return str(page.render(reports=contents, references=_cited(contents), style=_style(), heads=JOINT_HEADS))
-
-
-def _template(name: str, filters: dict[str, Callable[..., Any]], escaped: bool) -> Any:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("dmframe.report"),
-        autoescape=escaped,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=StrictUndefined,
-    )
-    environment.filters |= filters
-    return environment.get_template(name)
-
-
-def _style() -> str:
-    from importlib.resources import files
-
-    return files("dmframe.report").joinpath("templates", "report.css").read_text(encoding="utf-8")
+    said = f": {opening.title}" if opening.title else ""
+    name = tag("p", tag("b", plain(opening.name)), plain(said))
+    writer = html.Writer("first")
+    parts = [tag("style", _NARROW), name, html.lead(sections.lead(opening))]
+    return tag("div", html.joined([*parts, *map(writer.part, sections.first_page(opening))]), class_="dmframe")
 
 
 def _cited(contents: Sequence[Content]) -> list[tuple[str, str]]:
@@ -71,81 +101,3 @@ def _cited(contents: Sequence[Content]) -> list[tuple[str, str]]:
     ]
     keys = sorted({found[3] for text in texts for found in MARKED.finditer(text) if found[3]})
     return [(key, reference(key)) for key in keys]
-
-
-def _html_filters() -> dict[str, Callable[..., Any]]:
-    from markupsafe import Markup
-
-    def rich(text: str) -> Any:
-        out, place = "", 0
-        for found in MARKED.finditer(text):
-            out += escape(text[place : found.start()], quote=False)
-            formula, code, key = found.groups()
-            if formula:
-                out += mathml(formula) if len(formula) < SHORT else breakable(formula)
-            elif code:
-                out += f"<code>{escape(code, quote=False)}</code>"
-            else:
-                out += f'<a href="#{key}">[{key}]</a>'
-            place = found.end()
-        return Markup(out + escape(text[place:], quote=False))
-
-    def math(latex: str) -> Any:
-        return Markup(f'<span class="f">{breakable(latex)}</span>')
-
-    def display(latex: str) -> Any:
-        return Markup(breakable(latex, display=True))
-
-    def whole(latex: str) -> Any:
-        return Markup(mathml(latex, display=True))
-
-    def picture(svg: str, prefix: str) -> Any:
-        return Markup(embedded(svg, prefix))
-
-    return {
-        "rich": rich,
-        "math": math,
-        "display": display,
-        "whole": whole,
-        "picture": picture,
-        "width": _width,
-        "units": _units,
-        "aligned": _aligned,
-    }
-
-
-def _width(svg: str) -> float:
-    """Of a picture, as it says itself."""
-    found = re.search(r'<svg[^>]* width="([\d.]+)', svg)
-    return float(found[1]) if found else 0.0
-
-
-def _aligned(rows: Sequence[Row]) -> list[Row]:
-    """Rows whose left sides are short enough to be aligned; a longer one joins its right side."""
-    return [Row("", f"{row.left} {row.right}", row.tag) if len(terms(row.left)) > 2 else row for row in rows]
-
-
-def _units(text: str) -> str:
-    """A unit with its exponents raised."""
-    return text.replace("^2", "²").replace("^3", "³")
-
-
-def _markdown_filters() -> dict[str, Callable[..., Any]]:
-    def math(latex: str) -> str:
-        return f"${_bars(latex)}$"
-
-    def cell(text: str) -> str:
-        """Marked text in a table, in which a bar would end the cell."""
-        parts = re.split(r"(\$[^$]+\$)", text)
-        return "".join(_bars(part) if part.startswith("$") else part.replace("|", r"\|") for part in parts)
-
-    def equation(row: Row) -> str:
-        tag = rf" \tag{{{row.tag}}}" if row.tag else ""
-        return f"$$\n{row.left} {row.right}{tag}\n$$".replace("\n ", "\n")
-
-    return {"math": math, "cell": cell, "equation": equation, "units": _units}
-
-
-def _bars(latex: str) -> str:
-    r"""Bars as ``\vert``, which tables bear."""
-    return re.sub(r"(?<!\\)\|", r"\\vert ", latex)

@@ -21,9 +21,10 @@ from dmframe.plotting import (
     unit_text,
 )
 from dmframe.port import Access, Side
-from dmframe.results.dataset import joint_labels, sliding
+from dmframe.results.dataset import joint_labels
 from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, shown_unit, told, window_text
 from dmframe.simulate import Recording
+from dmframe.units import sliding
 
 WINDOW = 12.0
 """How much of a run's end is shown [s]: over all of a long run one would see a band of ink."""

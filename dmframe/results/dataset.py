@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import io
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
+from dmframe.block.faults import told_by
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.files import encoded, printable
+from dmframe.port import Element
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import Recording, Solver
+from dmframe.units import sliding
 from dmframe.version import version
 
 if TYPE_CHECKING:
@@ -57,7 +59,7 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
     seed
         Of the run's noise, where it has any.
     """
-    entries, variables = dict[str, list[str] | list[int]](), dict[str, Labelled]()
+    entries, variables = dict[str, tuple[Element, ...]](), dict[str, Labelled]()
     for label, shape, unit, kind in _recorded(run):
         dimensions, values = _labelled(run.diagram, label, shape, run[label], entries)
         said = {"units": unit or "1", "long_name": f"{label.split('.', 1)[1]}, {kind} of {label.split('.')[0]}"}
@@ -66,10 +68,12 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
             said["units"] = "see parameter_unit"
         variables[label] = Labelled(("time", *dimensions), values, said)
     coordinates = {"time": Labelled(("time",), run.time, {"units": "s", "long_name": "time"})}
-    for name, elements in entries.items():
-        coordinates[name] = Labelled((name,), elements, {"long_name": name.split(".")[-1], "units": "1"})
+    for name, counted in entries.items():
+        names = [element.name for element in counted]
+        labels = [int(each) for each in names] if all(map(str.isdigit, names)) else names
+        coordinates[name] = Labelled((name,), labels, {"long_name": name.split(".")[-1], "units": "1"})
     if "parameter" in entries:
-        units = [_parameter_unit(str(name)) for name in entries["parameter"]]
+        units = [element.unit for element in entries["parameter"]]
         coordinates["parameter_unit"] = Labelled(("parameter",), units, {"long_name": "unit", "units": "1"})
     return Table(coordinates, variables, _attributes(run, experiment, seed))
 
@@ -152,39 +156,29 @@ def axis_labels(diagram: Diagram) -> tuple[str, ...]:
     return tuple(names) if len(names) == m else tuple(names[:m]) if m <= 3 else tuple(str(i + 1) for i in range(m))
 
 
-def parameter_labels(diagram: Diagram) -> tuple[str, ...]:
-    """m_1, mc_x1 and so on where the dynamic parameters are the robot's full set, else 1, 2, ..."""
-    size = diagram.sizes.bound.get("p", (0, ""))[0]
-    if diagram.robot is not None:
-        from dmframe.regressor.full import parameter_names
+def elements(diagram: Diagram, letter: str, size: int) -> tuple[Element, ...]:
+    """What a dimension counts that a shape calls `letter`: joints, axes, or what a block that binds it says of them.
 
-        for block in diagram.blocks.values():
-            if "p" in block.sizes(diagram.robot):
-                names = parameter_names(diagram.robot.n, getattr(block, "friction", ()))
-                if len(names) == size:
-                    return names
-    return tuple(str(i) for i in range(1, size + 1))
-
-
-def translation_labels(diagram: Diagram) -> tuple[str, ...]:
-    """``shoulder_pan_joint x`` and so on, of the kinematic parameters that are adapted: all, links or tool."""
-    size = diagram.sizes.bound.get("h", (0, ""))[0]
-    joints = joint_labels(diagram)
-    places = {3 * len(joints) + 3: (*joints, "tool"), 3 * len(joints): joints, 3: ("tool",)}
-    return tuple(f"{place} {axis}" for place in places.get(size, ()) for axis in "xyz")
+    Numbers where nobody says it.
+    """
+    if letter in ("n", "m"):
+        known = [Element(label) for label in (joint_labels if letter == "n" else axis_labels)(diagram)]
+        return tuple(known) if len(known) == size else _numbered(size)
+    for name, block in diagram.blocks.items():
+        with told_by(name, "elements()"):
+            found = tuple(Element(each.name, each.unit) for each in block.elements(diagram.robot).get(letter, ()))
+        if found and len(found) == size:
+            return found
+    return _numbered(size)
 
 
-def _parameter_unit(name: str) -> str:
-    """Of a dynamic parameter by its name, in the full set; empty where it has no name."""
-    kinds = {"m": "kg", "mc": "kg m", "I": "kg m^2", "B": "N m s/rad", "D": "N m"}
-    return kinds.get(name.split("_")[0], "")
+def _numbered(size: int) -> tuple[Element, ...]:
+    return tuple(Element(str(i)) for i in range(1, size + 1))
 
 
 def element_labels(diagram: Diagram, letter: str, size: int) -> tuple[str, ...]:
-    """Names for the elements of a dimension that a shape calls `letter`."""
-    named = {"n": joint_labels, "m": axis_labels, "p": parameter_labels, "h": translation_labels}
-    found = named[letter](diagram) if letter in named else ()
-    return found if len(found) == size else tuple(str(i) for i in range(1, size + 1))
+    """Their names alone."""
+    return tuple(element.name for element in elements(diagram, letter, size))
 
 
 def _recorded(run: Recording) -> list[tuple[str, str, str, str]]:
@@ -196,7 +190,7 @@ def _recorded(run: Recording) -> list[tuple[str, str, str, str]]:
 
 
 def _labelled(
-    diagram: Diagram, label: str, shape: str, rows: np.ndarray, coordinates: dict[str, Any]
+    diagram: Diagram, label: str, shape: str, rows: np.ndarray, entries: dict[str, tuple[Element, ...]]
 ) -> tuple[tuple[str, ...], np.ndarray]:
     words, sizes = shape.split(), diagram.sizes.of(shape)
     dimensions = list[str]()
@@ -204,8 +198,7 @@ def _labelled(
         name = _DIMENSIONS.get(word, f"{label}.{word}")
         name = f"{name}_{dimensions.count(name) + 1}" if name in dimensions else name  # netCDF wants them distinct
         dimensions.append(name)
-        entries = element_labels(diagram, word, size)
-        coordinates[name] = [int(entry) for entry in entries] if all(map(str.isdigit, entries)) else list(entries)
+        entries[name] = elements(diagram, word, size)
     # states are kept column by column
     values = rows.reshape(len(rows), *reversed(sizes)).transpose(0, *range(len(sizes), 0, -1))
     return tuple(dimensions), values
@@ -218,16 +211,6 @@ def _prismatic(diagram: Diagram, dimensions: tuple[str, ...], unit: str) -> dict
         return {}
     units = (f"{joint.name}: {sliding(unit) if joint.kind == 'prismatic' else unit}" for joint in joints)
     return {"units_per_joint": "; ".join(units)}
-
-
-def sliding(unit: str) -> str:
-    """A revolute joint's unit as that of a prismatic one: read m for rad, and N for N m.
-
-    >>> sliding("N m s/rad")
-    'N s/m'
-    """
-    force = re.sub(r"\bN(\^\d)? m(\^\d)?(?![\w])", r"N\1", unit)
-    return re.sub(r"\brad\b", "m", force)
 
 
 def _solver(solver: Solver, clock: float | None) -> str:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from dmframe.plotting import look, verbatim
-from dmframe.results.dataset import axis_labels, joint_labels, sliding
+from dmframe.results.dataset import axis_labels, joint_labels
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.simulate import Recording
-from dmframe.units import plain
+from dmframe.units import plain, sliding
 
 Runs = Mapping[str, Recording]
 """Runs by the names that the legends show."""

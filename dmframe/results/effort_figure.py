@@ -21,9 +21,10 @@ from dmframe.plotting import (
     unit_text,
 )
 from dmframe.results.command_figure import window
-from dmframe.results.dataset import joint_labels, sliding
+from dmframe.results.dataset import joint_labels
 from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, told, window_text
 from dmframe.simulate import Recording
+from dmframe.units import sliding
 
 UNITS = ("V", "N m")
 

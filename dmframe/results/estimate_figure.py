@@ -9,8 +9,21 @@ import numpy as np
 from dmframe.certify.true_values import true_values
 from dmframe.diagram.closed_loop import Variable
 from dmframe.formula.names import unicode_name
-from dmframe.plotting import GREY, POINTS, draw_curve, frame, look, new_figure, settle, styled, tame, unit_text
-from dmframe.results.dataset import element_labels
+from dmframe.plotting import (
+    GREY,
+    POINTS,
+    draw_curve,
+    frame,
+    look,
+    new_figure,
+    settle,
+    styled,
+    tame,
+    unit_text,
+    verbatim,
+)
+from dmframe.port import Element
+from dmframe.results.dataset import elements
 from dmframe.results.drawn_runs import mark_divergence, set_times, short, told
 from dmframe.simulate import Recording
 
@@ -56,7 +69,7 @@ def is_estimate(variable: Variable) -> bool:
 def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.ndarray | None, *, legend: bool) -> None:
     values = tame(run[variable.label])
     size, letter = values.shape[1], variable.shape
-    labels = element_labels(run.diagram, letter, size)
+    counted = elements(run.diagram, letter, size)
     diverged = run.divergence is not None
     seen = values[: max(1, int(0.9 * len(values)))] if diverged else values
     moves = np.ptp(seen, axis=0)
@@ -68,12 +81,12 @@ def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.n
         label = f"{len(grey)} more" if place == 0 else None
         draw_curve(axes, run.time, values[:, row], most, color=GREY, linewidth=0.6, label=label, zorder=1.5)
     for place, row in enumerate(named):
-        label = element(labels[row], letter) + ("" if truth is None else f"  (true {truth[row]:.3g})")
+        label = element(counted[row], letter, variable.unit) + ("" if truth is None else f"  (true {truth[row]:.3g})")
         draw_curve(axes, run.time, values[:, row], most, label=label, **look(place))
     frame(axes, [(values[:, row], diverged) for row in (*named, *grey)])
     if truth is not None:
         _truths(axes, truth, named)
-    unit = variable.unit or ("SI units" if variable.shape == "p" else "")
+    unit = variable.unit or ("SI units" if letter == "p" and not any(each.unit for each in counted) else "")
     axes.set_ylabel(unicode_name(variable.name) + (f" [{unit_text(unit)}]" if unit else ""))
     handles, texts = axes.get_legend_handles_labels()
     last = [i for i, text in enumerate(texts) if text.endswith(" more")]
@@ -94,11 +107,14 @@ def _truths(axes: Any, truth: np.ndarray, named: list[int]) -> None:
             axes.plot([1.0], [truth[row]], linestyle="none", transform=axes.get_yaxis_transform(), **mark)
 
 
-def element(label: str, letter: str) -> str:
-    """A name of `element_labels` as a legend shows it."""
+def element(counted: Element, letter: str, unit: str) -> str:
+    """One of `elements` as a legend shows it, with its unit where the signal has no `unit` for all of them."""
+    name = counted.name
     if letter == "n":
-        return short(label)
-    if letter == "h":
-        place, _, axis = label.rpartition(" ")
-        return f"{short(place)} {axis}".strip()
-    return unicode_name(label) if label.isidentifier() else label
+        said = short(name)
+    elif letter == "h":
+        place, _, axis = name.rpartition(" ")
+        said = f"{short(place)} {axis}".strip()
+    else:
+        said = unicode_name(name) if name.isidentifier() else verbatim(name)
+    return f"{said} [{unit_text(counted.unit)}]" if counted.unit and not unit else said

@@ -10,7 +10,7 @@ import numpy as np
 from dmframe.diagram.closed_loop import Signal, Variable
 from dmframe.errors import UnknownNameError, raise_all
 from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, new_figure, settle, styled, tame, unit_text
-from dmframe.results.dataset import element_labels
+from dmframe.results.dataset import elements
 from dmframe.results.drawn_runs import Runs, mark_divergence, set_times, told
 from dmframe.results.estimate_figure import element
 from dmframe.simulate import Recording
@@ -45,22 +45,23 @@ def _has(run: Recording, label: str) -> bool:
 
 
 def _panel(axes: Any, runs: Runs, label: str, most: int) -> None:
-    curves, count, unit = list[tuple[np.ndarray, bool]](), 0, ""
+    curves, count, unit, mixed = list[tuple[np.ndarray, bool]](), 0, "", False
     for name, run in runs.items():
         if not _has(run, label):
             continue
         item, values = _declared(run, label), tame(run[label])
         unit = item.unit
         letter = item.shape if len(item.shape.split()) == 1 else ""
-        names = element_labels(run.diagram, letter, values.shape[1])
+        counted = elements(run.diagram, letter, values.shape[1])
+        mixed = mixed or any(each.unit for each in counted)
         for column in range(values.shape[1]):
-            part = element(names[column], letter) if values.shape[1] > 1 else ""
+            part = element(counted[column], letter, unit) if values.shape[1] > 1 else ""
             said = " ".join(word for word in (told(name, run) if len(runs) > 1 else "", part) if word)
             draw_curve(axes, run.time, values[:, column], most, label=said or None, **look(count))
             curves.append((values[:, column], run.divergence is not None))
             count += 1
     frame(axes, curves)
-    axes.set_ylabel(f"{label}\n[{unit_text(unit or '1')}]")
+    axes.set_ylabel(label if mixed and not unit else f"{label}\n[{unit_text(unit or '1')}]")
     if 1 < count <= NAMED:
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), borderaxespad=0.0)
 

@@ -54,7 +54,7 @@ class SerialChain:
     tool : (3,), m
         The tool point in the last joint's frame.
     inertia : n rows of 10
-        m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz about the joint frame's origin: Pinocchio's order.
+        The elements of `dmframe.robot.parameters.Inertial`, link by link.
     gravity : (3,), m/s^2
     axes : "xyz", "xy", ...
         Which coordinates of the tool's position are the task.

@@ -5,21 +5,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from fractions import Fraction
 
+from dmframe.robot.parameters import Inertial
+
 Rows = list[list[Fraction]]
 
-# phi = tr(A P) for each of m, mc_x, mc_y, mc_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz: the entries of A, each of which is
-# shared by the two sides of the diagonal.
-_ENTRIES: tuple[dict[tuple[int, int], int], ...] = (
-    {(3, 3): 1}, {(0, 3): 1}, {(1, 3): 1}, {(2, 3): 1},
-    {(1, 1): 1, (2, 2): 1}, {(0, 1): -1}, {(0, 0): 1, (2, 2): 1}, {(0, 2): -1}, {(1, 2): -1}, {(0, 0): 1, (1, 1): 1},
+# phi = tr(A P) for each parameter: the entries of A, each of which is shared by the two sides of the diagonal.
+_ENTRIES = Inertial(
+    m={(3, 3): 1},
+    mc_x={(0, 3): 1}, mc_y={(1, 3): 1}, mc_z={(2, 3): 1},
+    I_xx={(1, 1): 1, (2, 2): 1}, I_yy={(0, 0): 1, (2, 2): 1}, I_zz={(0, 0): 1, (1, 1): 1},
+    I_xy={(0, 1): -1}, I_xz={(0, 2): -1}, I_yz={(1, 2): -1},
 )  # fmt: skip
 
 
 def pseudo_inertia(row: Sequence[Fraction]) -> Rows:
     r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
-    m, x, y, z, xx, xy, yy, xz, yz, zz = row
-    half = (xx + yy + zz) / 2
-    return [[half - xx, -xy, -xz, x], [-xy, half - yy, -yz, y], [-xz, -yz, half - zz, z], [x, y, z, m]]
+    b = Inertial(*row)
+    half, h = (b.I_xx + b.I_yy + b.I_zz) / 2, [b.mc_x, b.mc_y, b.mc_z]
+    return [
+        [half - b.I_xx, -b.I_xy, -b.I_xz, h[0]],
+        [-b.I_xy, half - b.I_yy, -b.I_yz, h[1]],
+        [-b.I_xz, -b.I_yz, half - b.I_zz, h[2]],
+        [*h, b.m],
+    ]
 
 
 def natural_gain(row: Sequence[Fraction]) -> Rows:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import INERTIAL, Inertial
 from dmframe.robot.rational import Matrix, Vector, decimal
 
 
@@ -191,7 +192,7 @@ class SymbolicRobot:
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
         links = self._links(q)
-        h = _bodies(self.inertia if inertia is None else inertia, self.n)
+        h = _bodies(self.inertia if inertia is None else inertia)
         omega = nu = dnu = ca.SX(3, 1)
         plain = dq_ref is dq
         acceleration = -self.gravity * gravity_share
@@ -202,7 +203,7 @@ class SymbolicRobot:
             acceleration = R_t @ (acceleration + A @ link.offset)
             omega, nu, dnu = R_t @ omega, R_t @ nu, R_t @ dnu
             if link.revolute:
-                spin = omega * dq[i] if plain else omega * _half(dq_ref[i]) + nu * _half(dq[i])
+                spin = omega * dq[i] if plain else omega * (dq_ref[i] * 0.5) + nu * (dq[i] * 0.5)
                 dnu += a * ddq_ref[i] + ca.cross(spin, a)
                 omega, nu = omega + a * dq[i], nu + a * dq_ref[i]
             else:
@@ -223,7 +224,7 @@ class SymbolicRobot:
         [Featherstone2008]_ section 6.2.
         """
         links = self._links(q)
-        composites = _bodies(self.inertia if inertia is None else inertia, self.n)
+        composites = _bodies(self.inertia if inertia is None else inertia)
         M = ca.SX(self.n, self.n)
         for i in reversed(range(self.n)):
             force, moment = composites[i].momentum(links[i])
@@ -326,11 +327,11 @@ class Body:
         return Body(self.mass, h + self.mass * p, _symmetric(turned - product - product.T))
 
 
-def _bodies(parameters: Any, n: int) -> list[Body]:
+def _bodies(parameters: Any) -> list[Body]:
     bodies = []
-    for m, x, y, z, xx, xy, yy, xz, yz, zz in (ca.vertsplit(row) for row in ca.vertsplit(parameters, 10)):
-        inertia = _matrix([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        bodies.append(Body(m, ca.vertcat(x, y, z), inertia))
+    for b in (Inertial(*ca.vertsplit(row)) for row in ca.vertsplit(parameters, len(INERTIAL))):
+        inertia = _matrix([[b.I_xx, b.I_xy, b.I_xz], [b.I_xy, b.I_yy, b.I_yz], [b.I_xz, b.I_yz, b.I_zz]])
+        bodies.append(Body(b.m, ca.vertcat(b.mc_x, b.mc_y, b.mc_z), inertia))
     return bodies
 
 
@@ -374,10 +375,6 @@ def _kinematic(chain: SerialChain) -> Vector:
 def _turns(chain: SerialChain) -> Vector:
     """Rotation and axis of each joint, entry by entry."""
     return tuple(x for joint in chain.joints for x in (*itertools.chain.from_iterable(joint.rotation), *joint.axis))
-
-
-def _half(x: Any) -> Any:
-    return x * 0.5
 
 
 def _constant(name: str, values: Vector, unit: str) -> Constant:

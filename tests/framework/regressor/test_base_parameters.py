@@ -13,7 +13,7 @@ import sympy
 
 from dmframe.errors import RobotError, UnknownNameError
 from dmframe.exact import Trial, random_prime
-from dmframe.regressor import BaseParameters, base_parameters, listing, parameter_names, parameter_values
+from dmframe.regressor import BaseParameters, DynamicParameters, base_parameters, listing
 from dmframe.regressor.export import polarised_regressor
 from dmframe.regressor.full import Sampler, full_regressor
 from dmframe.robot.chain import SerialChain
@@ -129,11 +129,11 @@ def test_without_symbols_the_groupings_are_the_same_numbers() -> None:
 
 
 def test_names_follow_pinocchios_order_and_friction_comes_last() -> None:
-    names = parameter_names(2, ("coulomb", "viscous"))
+    names = DynamicParameters(chain("arm2"), ("coulomb", "viscous")).names
     assert names[:3] == ("m_1", "mc_x1", "mc_y1")
     assert names[9:11] == ("I_zz1", "m_2")
     assert names[20:] == ("B_1", "B_2", "D_1", "D_2")
-    assert len(parameter_values(chain("arm2"))) == 20
+    assert len(DynamicParameters(chain("arm2")).values) == 20
 
 
 def test_another_kind_of_friction_is_refused_with_the_nearest() -> None:
@@ -153,7 +153,7 @@ def test_the_listing_shows_values_groupings_lengths_and_what_is_hidden() -> None
     assert "21 base parameters of 36" in text
     assert "p_z3 = 0.612 m" in text
     assert "No motion shows m_1, mc_x1" in text
-    values = [float(x) for x in parameter_values(robot)]
+    values = [float(x) for x in DynamicParameters(robot).values]
     number = found.symbolic.index("mc_z2 + p_z3 m_3")
     expected = values[13] + 0.612 * values[20]
     [line] = [line for line in text.splitlines() if line.endswith(" mc_z2 + p_z3 m_3")]

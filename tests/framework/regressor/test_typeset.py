@@ -133,9 +133,9 @@ def test_what_is_printed_is_what_pinocchio_computes(name: str, options: dict[str
     q, dq, dq_ref, ddq_ref = rng.uniform(-2, 2, (4, chain.n))
     signals = {"dq": dq, "dq_ref": dq_ref, "ddq_ref": ddq_ref, "psi": dq}
     numbers = written.numbers | {f"{k}_{i + 1}": v for k, x in signals.items() for i, v in enumerate(x)}
-    from dmframe.regressor import parameter_names
+    from dmframe.regressor import DynamicParameters
 
-    columns = [parameter_names(chain.n).index(column) for column in written.Y_d.columns]
+    columns = [DynamicParameters(chain).names.index(column) for column in written.Y_d.columns]
     expected = polarised_regressor(chain, q, dq, dq_ref, ddq_ref)
     assert np.allclose(evaluate(written.Y_d, numbers, q), expected[:, columns], atol=1e-8)
     left = np.delete(expected, columns, axis=1)

@@ -16,6 +16,7 @@ from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
+from dmframe.results.signal_figure import signal_figure
 
 
 def drawn(name, run):
@@ -92,6 +93,23 @@ def test_of_many_parameters_those_that_move_most_are_named(ur10):
     moves = np.ptp(ur10.recording["dynamics.a_d_hat"], axis=0)
     assert len(texts) == 8
     assert texts[-1] == f"{int(np.sum(moves > 0)) - 7} more"
+
+
+def test_an_estimate_of_mixed_units_says_each_ones_own(make_result):
+    run = make_result("torque_indirect_pi", 0.02).recording
+    panel = estimate_figure("torque", run).axes[0]
+    texts = [text.get_text() for text in panel.get_legend().get_texts()]
+    assert "[" not in panel.get_ylabel()
+    assert (
+        sum(text.split("  ")[0].endswith(("[kg]", "[kg m]", "[kg m²]", "[N m s/rad]", "[N m]")) for text in texts) == 7
+    )
+    assert signal_figure({"torque": run}, ["adaptation.a_d_hat"]).axes[0].get_ylabel() == "adaptation.a_d_hat"
+
+
+def test_an_estimate_of_one_unit_says_it_at_the_axis(ur10):
+    panel = signal_figure({"ur10": ur10.recording}, ["inverse.w"]).axes[0]
+    assert panel.get_ylabel() == "inverse.w\n[rad/(N m s)]"
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["shoulder pan", "shoulder lift", "elbow"]
 
 
 def test_the_path_is_drawn_in_the_plane_in_which_it_is_widest(ur10):

@@ -1,0 +1,344 @@
+"""A report's sections, one after another: the one place that says what a report shows, and in which words."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from dmframe.report.content import BlockLaw, Content, Follows, Opening
+from dmframe.report.linear import JOINT_HEADS
+from dmframe.report.parts import (
+    Bullets,
+    Cell,
+    Columns,
+    Equations,
+    Formula,
+    Lead,
+    Listing,
+    Marked,
+    Paragraph,
+    Part,
+    Picture,
+    Section,
+    Subsection,
+    Table,
+    Titled,
+    Word,
+)
+from dmframe.report.terms import TermRow, Terms
+
+_SIDES: Final = {"source": "desired trajectory", "controller": "controller", "plant": "robot and servo"}
+_TERM_HEADS: Final = ("block", "square of", "weight", (), "at this graph's numbers", "times")
+_KAPPA: Final = Formula(r"\kappa")
+WIDE: Final = 900.0
+"""Width of a picture beyond which it is printed across. [px]"""
+
+
+def sections(content: Content) -> Iterator[Section]:
+    """Everything below the verdict."""
+    r = content
+    yield Section("meaning", "What this means", [*meaning(r), *_witness(r)])
+    wide = _width(r.picture) > WIDE
+    yield Section("diagram", "The diagram", _diagram(r, wide), wide)
+    yield Section("laws", "The laws", [*_laws(r)])
+    yield Section("terms", "V and its derivative", [*_terms(r)])
+    yield Section("conditions", "Conditions and assumptions", [*_conditions(r)])
+    yield Section("follows", "What follows", [_follows(r.follows)])
+    yield Section("run", "The loop as it runs", [*_run(r)])
+    yield Section("linear", "Poles, margins and the sampling period", [*_linear(r)])
+    yield Section("controls", "Negative controls", [*_controls(r)])
+    if r.model is not None:
+        yield Section("model", "The robot's equations", [*_model(r)])
+    yield Section("provenance", "Provenance", [*_provenance(r)])
+
+
+def lead(r: Opening | Content) -> Lead:
+    """The verdict."""
+    return Lead(r.outcome, r.meaning.headline, Marked(r.meaning.sentence))
+
+
+def meaning(r: Opening | Content) -> list[Part]:
+    """What the verdict says, and what it does not."""
+    told = (("It says", r.meaning.means), ("It does not say", r.meaning.means_not))
+    return [Columns([Titled(title, Bullets([*map(Marked, texts)])) for title, texts in told])]
+
+
+def first_page(r: Opening) -> list[Part]:
+    """What stands below the verdict where there is room for little: what it means, what follows in the end."""
+    parts = meaning(r)
+    if r.follows:
+        parts.append(
+            Titled("What follows", Bullets([(*_joined(item.signals, ", "), f" {item.says}") for item in r.follows]))
+        )
+    if r.assumptions:
+        parts.append(Titled("Assumed", Bullets([Marked(text) for text, _ in r.assumptions])))
+    return parts
+
+
+def _joined(formulas: Sequence[str], between: str) -> list[str | Formula]:
+    """Formulas with a text between each two."""
+    return [piece for latex in formulas for piece in (between, Formula(latex, "whole"))][1:]
+
+
+def _witness(r: Content) -> Iterator[Part]:
+    if r.witness is None:
+        return
+    rows: list[tuple[Cell, Cell]] = [
+        ("blocks to blame", ", ".join(r.witness.blame) or "none alone; what they exchange differs"),
+        ("fewest signals that still refute it", ", ".join(r.witness.signals) or "none: all can be zero"),
+        ("prime p", Word(r.witness.prime, "long")),
+        ("claimed minus true, modulo p", Word(r.witness.residue, "long")),
+        *((f"{label}, modulo p", Word(values, "long")) for label, values in r.witness.point),
+    ]
+    note = Paragraph("The values of all gains and parameters at this point are in the JSON.", note=True)
+    yield Subsection("Where it fails", [Table(rows, keys=True), note])
+
+
+def _diagram(r: Content, wide: bool) -> list[Part]:
+    caption = Marked(
+        "Sources, controller and, behind the wall, the servo and the robot, of which the controller sees only what is "
+        "measured. `d/dt` marks an input that is the derivative of the one above it."
+    )
+    picture = Picture(r.picture, "picture", caption, "diagram", wide, Listing(r.mermaid, "mermaid"))
+    return [picture, Table(r.facts, keys=True)]
+
+
+def _width(svg: str) -> float:
+    """Of a picture, as it says itself."""
+    found = re.search(r'<svg[^>]* width="([\d.]+)', svg)
+    return float(found[1]) if found else 0.0
+
+
+def _laws(r: Content) -> Iterator[Part]:
+    yield Paragraph(
+        "One block after another, printed from the lines of code that are simulated and proved. In a product, a column "
+        "that is not the last factor stands for a diagonal matrix. Numbers in parentheses count within a block; those "
+        "of the sources stand under each."
+    )
+    for block in r.laws:
+        yield Subsection(block.name, [*_law(block)], f"{block.type}, {_SIDES[block.side]}", law=True)
+    if r.signs:
+        yield Table(r.signs, ("sign", "what it means"), "Signs of these laws:")
+
+
+def _law(block: BlockLaw) -> Iterator[Part]:
+    yield Paragraph(Marked(block.law.summary))
+    yield Equations(block.equations)
+    if block.values:
+        rows = [(Word(v.name, "code"), v.value, units(v.unit), Marked(v.says)) for v in block.values]
+        yield Table(rows, ("parameter", "in this graph", "unit", "what it is"), kind="values")
+    if block.law.notes:
+        yield Paragraph(Marked(block.law.notes), note=True)
+    if block.law.source:
+        yield Paragraph(("Source: ", Marked(block.law.source)), note=True)
+
+
+def units(text: str) -> str:
+    """A unit with its exponents raised."""
+    return text.replace("^2", "²").replace("^3", "³")
+
+
+def _terms(r: Content) -> Iterator[Part]:
+    found = r.terms
+    if found is None:
+        yield Paragraph(f"There is no V: {r.summary['reason']}.")
+        return
+    yield Equations(found.V)
+    if r.outcome == "refuted":
+        yield Paragraph("What the blocks claim of its derivative, and what is not true:")
+    yield Equations(found.rate)
+    if found.definitions:
+        yield Equations(found.definitions)
+    yield Paragraph(Marked(_weights_and_kappa(r, found)))
+    stored = [(row.block, _square(row), *_weight(row)) for row in found.storage]
+    yield Table(stored, _TERM_HEADS, Marked("What V holds: $V$ is half the sum of these squares."))
+    lost = [(row.block, (*_lost(row), *_by(row)), *_weight(row)) for row in found.dissipation]
+    lost += [_projected(symbol, name, found) for symbol, name in found.projections]
+    consumed: tuple[str | Formula, ...] = (", plus ", Formula(found.consumption)) if found.consumption else ()
+    projected = ", plus what the projections add" if found.projections else ""
+    yield Table(
+        lost, _TERM_HEADS, (Marked(r"What is lost: $\dot V$ is minus the sum of these"), *consumed, f"{projected}.")
+    )
+    if found.excess:
+        left = [(row.block, (*_left(row), *_by(row)), *_weight(row)) for row in found.excess]
+        caption = (
+            r"What is left, above zero or of either sign: $\dot V$ may be above minus what is lost by the sum of these."
+        )
+        yield Table(left, ("block", "term", *_TERM_HEADS[2:]), Marked(caption))
+    legend = [(Formula(i.symbol), Word(i.label, "code"), i.value, units(i.unit)) for i in found.legend]
+    heads = ("symbol", "parameter or signal", "value", "unit")
+    yield Table(legend, heads, "The symbols of the weights:", kind="legend")
+
+
+def _weights_and_kappa(r: Content, found: Terms) -> str:
+    text = r"Here $\vert a \vert^2_W = a^\top W a$; a diagonal W is written by its elements."
+    if not found.consumption:
+        return text
+    text += (
+        " What the reference generator consumes stands last in the derivative. The servo level pays for it if its "
+        r"weight $\kappa$ is large enough; $\kappa$ exists in this analysis alone, nowhere in the controller."
+    )
+    kappa = r.summary["kappa"]
+    if not kappa:
+        return text
+    where = ", and anywhere in its intervals," if r.uncertain else ""
+    least, chosen = f"{kappa['least']:.4g}", f"{kappa['chosen']:.4g}"
+    return f"{text} At the numbers of this graph{where} any $\\kappa$ above {least} will do; {chosen} was chosen."
+
+
+def _weight(row: TermRow) -> tuple[Cell, ...]:
+    """Symbol, formula, value and factor of a weight."""
+    weight = Formula(row.weight, "display") if row.weight else ""
+    return Formula(row.symbol), weight, row.value, _KAPPA if row.factor == "kappa" else "1"
+
+
+def _square(row: TermRow) -> tuple[str | Formula, ...]:
+    if not row.metric:
+        return (Formula(row.of),)
+    return Formula(row.of), ", in the metric of the matrix ", Formula("G"), " that the block gathers"
+
+
+def _by(row: TermRow) -> tuple[str | Formula, ...]:
+    return (", times ", Formula(row.by)) if row.by else ()
+
+
+def _lost(row: TermRow) -> tuple[str | Formula, ...]:
+    if row.kind == "lemma":
+        return "what a monotone function makes of ", Formula(row.of), "; never negative"
+    return _square(row)
+
+
+def _left(row: TermRow) -> tuple[str | Formula, ...]:
+    clipped = "at most the width times the sum of absolute values of "
+    return clipped if row.kind == "clipped" else "square of ", Formula(row.of)
+
+
+def _projected(symbol: str, name: str, found: Terms) -> tuple[Cell, ...]:
+    says = ("what projecting ", Word(name, "code"), " onto its box or ball adds; not positive by the projection lemma")
+    return name.partition(".")[0], says, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
+
+
+def _conditions(r: Content) -> Iterator[Part]:
+    if r.conditions:
+        over = " and over the intervals that the graph gives for uncertain parameters" if r.uncertain else ""
+        yield Paragraph(
+            Marked(
+                "The identity becomes a theorem where all of these hold. The margin is the least value over all joints"
+                rf"{over}: it must be above zero or, where the condition says $\ge$ or that something lies inside a "
+                "set, not below."
+            )
+        )
+        rows = [
+            (
+                Marked(each.text),
+                each.margin,
+                each.told if each.holds else Word("fails", "strong"),
+                "exactly" if each.how == "exact" else each.how,
+                Marked(each.source),
+            )
+            for each in r.conditions
+        ]
+        failing = [place for place, each in enumerate(r.conditions) if not each.holds]
+        heads = ("condition", "margin", (), "decided", "needed for")
+        yield Table(rows, heads, kind="conditions", numbers=(1,), failing=failing)
+    else:
+        yield Paragraph("No condition was decided, since there is no proved identity that they could complete.")
+    if r.uncertain:
+        items = [(Word(label, "code"), f": {ends}") for label, ends in r.uncertain]
+        yield Titled("True parameters known only up to an interval", Bullets(items))
+    if r.assumptions:
+        assumed = [(Marked(text), Word(f" ({source})" if source else "", "small")) for text, source in r.assumptions]
+        yield Titled("Assumed, not checked", Bullets(assumed))
+
+
+def _follows(follows: Sequence[Follows]) -> Part:
+    if not follows:
+        return Paragraph("Nothing follows from a claim that is not proved.")
+    rows = []
+    for item in follows:
+        assumed = Word(Marked(f"Assumed: {'; '.join(item.assumes)}."), "next") if item.assumes else ""
+        rows.append((tuple(_joined(item.signals, "; ")), item.says, (Marked(item.step), assumed)))
+    return Table(rows, ("signals", "each", "because"), kind="follows")
+
+
+def _run(r: Content) -> Iterator[Part]:
+    yield Paragraph(Marked(r.measured.sentence))
+    if r.measured.facts:
+        yield Table([(Marked(key), Marked(value)) for key, value in r.measured.facts], keys=True)
+    if r.measured.figure:
+        rows = [(f"{time:.4g}", f"{value:.6g}") for time, value in r.measured.table]
+        instead = Table(rows, ("time, s", Formula("V")), numbers=(0, 1))
+        yield Picture(r.measured.figure, "run-plot", Marked(r.measured.caption), instead=instead)
+
+
+def _linear(r: Content) -> Iterator[Part]:
+    yield Paragraph(Marked(r.linear.sentence))
+    if not r.linear.periods:
+        return
+    caption = "The largest sampling period up to which the loop stays stable, looked for in three ways."
+    yield Table(r.linear.periods, ("search", "boundary", "what it means"), caption, kind="periods", keys=True)
+    caption = "The linearised closed loop, with and without the slope that smooth Coulomb friction has at rest."
+    yield Table(r.linear.loop, ((), "at rest", "moving"), caption)
+    caption = (
+        "Joint by joint, the other joints held: the maker's servo on its joint, and as the controller sees it through "
+        "the inverse with its true values. On the passivity of the latter the certificate rests."
+    )
+    yield Table(r.linear.joints, JOINT_HEADS, caption)
+    caption = (
+        "Bode diagrams: the loop gain of each joint (left), and servo with inverse as the controller sees them "
+        "(right), passive where the phase stays between the grey lines."
+    )
+    yield Picture(r.linear.bode, "bode", caption)
+    caption = (
+        "Nyquist diagrams: the loop gain about −1 (left), and servo with inverse (right), passive where the curve "
+        "stays right of the axis."
+    )
+    yield Picture(r.linear.nyquist, "nyquist", caption)
+
+
+def _controls(r: Content) -> Iterator[Part]:
+    if not r.controls:
+        yield Paragraph("None were tried: there was no proof to doubt.")
+        return
+    count = r.summary["mutants"]
+    yield Paragraph(
+        "A test that never says no proves nothing. So each time these faults are put into the equations on purpose, "
+        f"one at a time; {count['refuted']} of {count['tried']} were refuted."
+    )
+    items: list[Cell] = [
+        Marked(text) if refuted else (Marked(text), ": ", Word("not refuted", "strong")) for text, refuted in r.controls
+    ]
+    yield Bullets(items, [place for place, (_, refuted) in enumerate(r.controls) if not refuted], dense=True)
+
+
+def _model(r: Content) -> Iterator[Part]:
+    if r.model is None:
+        return
+    yield Paragraph(Marked(r.model.about))
+    yield Equations(r.model.rows)
+    caption = (
+        "The regressor $Y_d$, a column a parameter, here turned on its side: "
+        r"$Y_d a_d = M \ddot q_{\mathrm r} + C \dot q_{\mathrm r} + g$."
+    )
+    rows = [(Formula(name), *map(Formula, column)) for name, column in r.model.regressor]
+    heads = ["parameter", *(f"joint {place}" for place in range(1, len(rows[0])))]
+    yield Table(rows, heads, Marked(caption), kind="regressor")
+
+
+def _provenance(r: Content) -> Iterator[Part]:
+    said, made, time = r.summary, r.provenance, r.summary["time"]
+    rows: list[tuple[Cell, Cell]] = [("this report again", Word(r.replay, "command")), ("written", made["time"])]
+    if said["primes"]:
+        test = f"{said['trials']} random points, seed {said['seed']}, degree at most {said['degree_bound']}"
+        bound = said["log2_error_bound"]
+        wrong = () if bound is None else (", error below ", Formula(f"2^{{{bound:.0f}}}"))
+        rows += [("exact test", (test, *wrong)), ("primes", Word(", ".join(said["primes"]), "long"))]
+    rows.append(("graph, SHA-256", Word(made["graph_sha256"], "long")))
+    if made.get("urdf"):
+        rows.append(("robot", Word(f"{made['urdf']}, SHA-256 {made['urdf_sha256']}", "long")))
+    versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items() if version)
+    rows += [("software", f"Python {made['python']}; {versions}"), ("machine", made["platform"])]
+    rows.append(("time taken", f"{time['build']:.2f} s to write V and its derivative, {time['check']:.2f} s to decide"))
+    yield Table(rows, keys=True)
+    yield Titled("The graph, everything said", Listing(r.resolved, "yaml"))

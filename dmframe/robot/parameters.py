@@ -1,0 +1,167 @@
+"""The dynamic parameters a_d of a robot: which there are, in which order, their names, units and values."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, TypeVar, final
+
+from dmframe.errors import UnknownNameError
+from dmframe.port import Element
+from dmframe.units import sliding
+
+if TYPE_CHECKING:
+    from dmframe.robot.chain import SerialChain
+
+Friction = Literal["viscous", "coulomb"]
+Part = Literal["inertial", "weighing", "viscous", "coulomb", "bias"]
+T = TypeVar("T")
+
+
+class Inertial(NamedTuple):
+    """A link's ten inertial parameters, or what belongs to each, in the order of Pinocchio's `toDynamicParameters`.
+
+    Mass, first moments, and inertia about the joint frame's origin, in its frame.
+    """
+
+    m: Any
+    mc_x: Any
+    mc_y: Any
+    mc_z: Any
+    I_xx: Any
+    I_xy: Any
+    I_yy: Any
+    I_xz: Any
+    I_yz: Any
+    I_zz: Any
+
+
+INERTIAL: Final = Inertial._fields
+WEIGHING: Final = 4
+"""Of a link's ten parameters, the first ones alone weigh anything: mass and first moments."""
+
+_UNITS: Final = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
+# A joint's: the name and, at a revolute joint, the unit.
+_OF_JOINTS: Final[Mapping[Part, tuple[str, str]]] = {
+    "viscous": ("B", "N m s/rad"),
+    "coulomb": ("D", "N m"),
+    "bias": ("tau_bias", "N m"),
+}
+
+
+@final
+@dataclass(frozen=True)
+class DynamicParameters:
+    """The layout of a_d, and of the columns of its regressor.
+
+    First ten inertial parameters a link, link by link. Then, where `gravity_apart`, the masses and first moments that
+    weigh, link by link; then a parameter a joint for viscous friction, for Coulomb friction, and for a constant torque,
+    where asked for.
+
+    Parameters
+    ----------
+    chain
+        The robot.
+    friction
+        Any of "viscous", "coulomb", in any order.
+    gravity_apart
+        Whether masses and first moments count a second time, in gravity alone.
+    bias
+        Whether a constant torque a joint is a parameter too.
+
+    Raises `UnknownNameError` for another kind of friction.
+    """
+
+    chain: SerialChain
+    friction: Collection[str] = ()
+    gravity_apart: bool = False
+    bias: bool = False
+
+    def __post_init__(self) -> None:
+        kinds = ("viscous", "coulomb")
+        for kind in self.friction:
+            if kind not in kinds:
+                raise UnknownNameError(f"friction {kind}", "kind of friction", kind, kinds)
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The parts that there are, in their order."""
+        asked: dict[Part, bool] = {
+            "inertial": True,
+            "weighing": self.gravity_apart,
+            "viscous": "viscous" in self.friction,
+            "coulomb": "coulomb" in self.friction,
+            "bias": self.bias,
+        }
+        return tuple(part for part, wanted in asked.items() if wanted)
+
+    def in_order(self, given: Mapping[Part, T]) -> list[T]:
+        """What is given for the parts, without those that there are not: columns of a regressor, true values."""
+        return [given[part] for part in self.parts]
+
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
+        """Names and units: m_1, mc_x1, ..., I_zzn; m_g1, mc_gx1, ...; B_1, ...; D_1, ...; tau_bias1, ..."""
+        return tuple(element for part in self.parts for element in self._of(part))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of `elements`."""
+        return tuple(element.name for element in self.elements)
+
+    @property
+    def size(self) -> int:
+        """p, the number of parameters."""
+        return len(self.elements)
+
+    @property
+    def inertial(self) -> slice:
+        """The places of the inertial parameters."""
+        return self.places("inertial")
+
+    def places(self, part: Part) -> slice:
+        """The places of a part; none where there is no such part."""
+        if part not in self.parts:
+            return slice(0, 0)
+        start = sum(len(self._of(other)) for other in self.parts[: self.parts.index(part)])
+        return slice(start, start + len(self._of(part)))
+
+    def of_link(self, link: int) -> slice:
+        """The places of the inertial parameters of a link, 0 being the first."""
+        return slice(len(INERTIAL) * link, len(INERTIAL) * (link + 1))
+
+    def link_of(self, place: int) -> int:
+        """The link to which an inertial parameter belongs, 0 being the first."""
+        return place // len(INERTIAL)
+
+    @property
+    def values(self) -> tuple[Fraction | None, ...]:
+        """What the robot's model states; of friction and of the bias, nothing."""
+        rows = self.chain.inertia
+        known: Mapping[Part, list[Fraction]] = {
+            "inertial": [value for row in rows for value in row],
+            "weighing": [value for row in rows for value in row[:WEIGHING]],
+        }
+        return tuple(value for part in self.parts for value in known.get(part, [None] * self.chain.n))
+
+    def _of(self, part: Part) -> list[Element]:
+        joints = list(enumerate(self.chain.joints, start=1))
+        if part == "inertial":
+            return [_inertial(name, link) for link, _ in joints for name in INERTIAL]
+        if part == "weighing":
+            return [_inertial(name, link, "g") for link, _ in joints for name in INERTIAL[:WEIGHING]]
+        name, unit = _OF_JOINTS[part]
+        return [
+            Element(_indexed(name, str(i)), sliding(unit) if joint.kind == "prismatic" else unit) for i, joint in joints
+        ]
+
+
+def _inertial(name: str, link: int, mark: str = "") -> Element:
+    stem, _, axes = name.partition("_")
+    return Element(f"{stem}_{mark}{axes}{link}", _UNITS[stem])
+
+
+def _indexed(name: str, index: str) -> str:
+    return f"{name}{index}" if "_" in name else f"{name}_{index}"
