@@ -14,7 +14,7 @@ from dmframe.config import Experiment
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
-from dmframe.results.run import HEADS, NOTE, Run, ended, row, table_of
+from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.units import plain, shorten
 
@@ -63,19 +63,11 @@ class Runs(Sequence[Run]):
 
     def plot(self, *signals: str | Sequence[str]) -> Figures:
         """The figures of the command line, overlaid, or one of some signals. See `Run.plot`."""
-        from dmframe.results.figures import figures_of, signals_figure
-
-        runs = {run.name: run.recording for run in self.runs}
-        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
-        return signals_figure(runs, labels) if labels else figures_of(runs)
+        return drawn(self.runs, signals)
 
     def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write each to a folder of its own below `folder`, and the figures beside them. See `Run.save`."""
-        from dmframe.results.folder import write_run
-
-        path = Path(folder).expanduser()
-        write_run(path, self.runs, plots=plots, force=force)
-        return path
+        return saved(self.runs, folder, plots=plots, force=force)
 
     @overload
     def __getitem__(self, key: int | str) -> Run: ...
@@ -113,7 +105,7 @@ class Runs(Sequence[Run]):
         return (
             notebook.table(map(row, self.runs), HEADS)
             + notebook.paragraphs([NOTE, *told])
-            + error_picture({run.name: run.recording for run in self.runs})
+            + error_picture({run.name: run for run in self.runs})
         )
 
 

@@ -110,7 +110,7 @@ def draw_figures(place: Place, runs: Sequence[Run]) -> None:
         from dmframe.results.figures import save_figures  # a backend of matplotlib's may be missing
 
         with writing(place.path, "figures"):
-            save_figures(dict(zip(_names(runs), (run.recording for run in runs), strict=True)), place.folder)
+            save_figures(dict(zip(_names(runs), runs, strict=True)), place.folder)
     except OutputError:
         raise
     except Exception as error:  # whatever a plotting library raises at names and numbers of others

@@ -16,6 +16,8 @@ from dmframe.files import hidden_name, is_hidden, writing
 
 FILES: Final = ("graph.yaml", "provenance.json", "signals.nc", "summary.json")
 FIGURES: Final = ("error", "path", "commands", "effort")
+OF_EACH: Final = ("storage", "estimates")
+"""Figures of one run: of several runs each has its own, ``estimates_<name>``."""
 
 
 @final
@@ -103,7 +105,7 @@ def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
 def is_ours(name: str) -> bool:
     """Is it the name of a file that a run writes?"""
     stem, _, ending = name.rpartition(".")
-    return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith("estimates")))
+    return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith(OF_EACH)))
 
 
 def _check_replaceable(item: Path, path: Path) -> None:

@@ -119,11 +119,7 @@ class Run:
         UnknownNameError
             The run recorded no such signal.
         """
-        from dmframe.results.figures import figures_of, signals_figure
-
-        runs = {self.name: self.recording}
-        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
-        return signals_figure(runs, labels) if labels else figures_of(runs)
+        return drawn([self], signals)
 
     def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
@@ -135,11 +131,7 @@ class Run:
         OutputError
             The folder has files in it, or cannot be written.
         """
-        from dmframe.results.folder import write_run
-
-        path = Path(folder).expanduser()
-        write_run(path, [self], plots=plots, force=force)
-        return path
+        return saved([self], folder, plots=plots, force=force)
 
     def __reduce__(self) -> Any:
         """Pickled with its arrays; its diagram is made anew when it is read."""
@@ -164,7 +156,7 @@ class Run:
             notebook.heading(self.name, self.experiment.file.title)
             + notebook.table(rows, HEADS)
             + notebook.paragraphs([NOTE, *told])
-            + error_picture({self.name: self.recording})
+            + error_picture({self.name: self})
         )
 
     def _ended(self) -> str:
@@ -177,6 +169,24 @@ class Run:
         if error is None or error.rms_final is None:
             return ""
         return f", |{error.signal}| {plain(error.rms_final, error.unit)} RMS in the last eighth"
+
+
+def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figures:
+    """See `Run.plot`."""
+    from dmframe.results.figures import figures_of, signals_figure
+
+    named = {run.name: run for run in runs}
+    labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
+    return signals_figure(named, labels) if labels else figures_of(named)
+
+
+def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, force: bool) -> Path:
+    """See `Run.save`."""
+    from dmframe.results.folder import write_run
+
+    path = Path(folder).expanduser()
+    write_run(path, runs, plots=plots, force=force)
+    return path
 
 
 def row(run: Run) -> tuple[str, ...]:
