@@ -10,6 +10,7 @@ import numpy as np
 from dmframe.plotting import (
     COLUMN,
     POINTS,
+    VANISHING,
     draw_curve,
     frame,
     look,
@@ -80,9 +81,11 @@ def _norms(
             tops.append(span(positive, runs[name].divergence is not None)[1])
             bottoms.append(float(np.quantile(positive, 0.02)))
     axes.set_ylabel(f"norm [{', '.join(units)}]")
-    if tops:
+    top = max(tops, default=0.0)
+    if top < VANISHING:
+        frame(axes, [(np.zeros(1), False)], zero=True)
+    else:
         axes.set_yscale("log")
-        top = max(tops)
         axes.set_ylim(max(min(bottoms), top * 1e-6) * 0.7, top * 1.5)
         log_ticks(axes)
 

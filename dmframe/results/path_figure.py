@@ -44,13 +44,20 @@ def path_figure(runs: Runs) -> Any:
 
 
 def last_lap(times: np.ndarray, path: np.ndarray) -> int:
-    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends."""
-    distance = np.linalg.norm(path - path[-1], axis=1)
-    largest = float(np.max(distance))
+    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends.
+
+    It comes back where it also moves as it does in the end: one that only crosses that point begins no lap.
+    """
+    if len(path) < 3:
+        return 0
+    rate = np.gradient(path, times, axis=0, edge_order=2)
+    distance, turned = (np.linalg.norm(values - values[-1], axis=1) for values in (path, rate))
+    largest, fastest = float(np.max(distance)), float(np.max(np.linalg.norm(rate, axis=1)))
     if largest <= 0:
         return 0
     away = np.flatnonzero(distance > 0.5 * largest)
-    back = np.flatnonzero(distance[: away[-1]] < 0.05 * largest)
+    same = (distance < 0.05 * largest) & (turned < 0.1 * fastest)
+    back = np.flatnonzero(same[: away[-1]])
     if not back.size:
         return 0
     last = back[-1]

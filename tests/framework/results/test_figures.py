@@ -121,6 +121,27 @@ def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
     assert last_lap(times, np.ones((times.size, 2))) == 0
 
 
+def test_a_path_that_only_crosses_the_point_where_it_ends_begins_no_lap_there(make_result):
+    times = np.arange(0, 10, 0.01)
+    eight = np.stack([np.sin(times), np.sin(2 * times)], axis=1)[: int(300 * np.pi) + 1]  # one eight and a half
+    begin = last_lap(times[: len(eight)], eight)
+    assert times[len(eight) - 1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)  # not half of it
+    there_and_back = make_result("pendulum", 30.0).recording  # through zero on its way, and at rest there in the end
+    assert last_lap(there_and_back.time, there_and_back["path.q_d"]) == 0
+    assert last_lap(times[:2], eight[:2]) == 0
+
+
+def test_errors_of_rounding_alone_are_drawn_as_zero(arm2):
+    run = arm2.recording
+    states = {**run.states, "arm.q": run["path.q_d"] + np.array([1e-17, 1e-4])}
+    first, second, norm = error_figure({"one": replace(run, states=states)}).axes
+    assert first.get_yticks().tolist() == [0.0]
+    assert second.get_ylim()[1] == pytest.approx(0.1, rel=0.2)
+    assert norm.get_yscale() == "log"
+    nothing = replace(run, states={**run.states, "arm.q": run["path.q_d"] + 1e-17})
+    assert [panel.get_yticks().tolist() for panel in error_figure({"none": nothing}).axes] == [[0.0]] * 3
+
+
 def test_deviations_are_magnified_by_round_numbers_and_never_reduced():
     assert magnification(0.3, 0.001) == 100
     assert magnification(0.3, 0.012) == 5
@@ -218,3 +239,10 @@ def test_v_of_a_run_that_diverged_is_drawn_up_to_there(arm2, blow_up):
     figure = storage_figure("wild", replace(arm2, recording=blow_up(arm2.recording, 0.3)))
     assert figure.axes[0].get_title(loc="left") == "wild (diverged at 0.3 s)"
     assert figure.axes[0].get_ylim()[1] < 10
+
+
+def test_no_label_of_a_panel_leaves_the_page(pendulum):
+    figure = error_figure({"pendulum": pendulum.recording})
+    with styled():
+        figure.draw_without_rendering()
+    assert all(panel.yaxis.label.get_window_extent().x0 >= 0 for panel in figure.axes)
