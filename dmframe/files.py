@@ -41,6 +41,14 @@ def reason(error: OSError) -> str:
     return (error.strerror or str(error)).lower()
 
 
+def expanded(path: str | Path) -> Path:
+    """A path with ``~`` as the user's home. Raises `OutputError` for one of a user that there is not."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise OutputError(f"{path}: expected a folder, found no home of that user; name it in full") from None
+
+
 def check_place(path: str | Path) -> None:
     """Raise `OutputError` where no file of that name can be: to be asked before anything is computed."""
     path = Path(path)

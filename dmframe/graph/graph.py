@@ -70,9 +70,11 @@ class Graph:
         return self.experiment.file.duration
 
     @property
-    def blocks(self) -> Mapping[str, AbstractBlock]:
+    def blocks(self) -> Named[AbstractBlock]:
         """The blocks by name; their parameters are attributes, ``g.blocks["dynamics"].Gamma``."""
-        return Named("block", self.experiment.blocks)
+        held = self.experiment.blocks
+        facts = {name: {"type": type_name(type(block)), "side": block.side.value} for name, block in held.items()}
+        return Named("block", facts, held.__getitem__)
 
     @property
     def robot(self) -> Any:
@@ -238,10 +240,10 @@ class Graph:
 
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
-        from dmframe.files import write_text
+        from dmframe.files import expanded, write_text
 
         _ = self.diagram  # faults of sizes and wires, too
-        path = Path(path).expanduser()
+        path = expanded(path)
         write_text(path, self.text, new=True)
         return path
 
@@ -268,13 +270,12 @@ class Graph:
     def _repr_html_(self) -> str:
         from dmframe.drawing import svg
 
-        rows = [(name, type_name(type(block)), block.side.value) for name, block in self.blocks.items()]
         clock = "continuous time" if self.clock is None else f"sampled every {plain(self.clock, 's')}"
         return (
             notebook.heading(self.name, self.title)
             + notebook.fitted(svg(self.diagram), f"dm-{self.diagram.fingerprint[:8]}")
             + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
-            + notebook.table(rows, ("block", "type", "side"))
+            + self.blocks._repr_html_()
         )
 
 

@@ -89,7 +89,7 @@ def first_line(kind: type[AbstractBlock]) -> str:
 
 def block_page(kind: type[AbstractBlock]) -> str:
     """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
-    said, wide = about(kind), _wide()
+    said, wide = about(kind), page_width()
     parts = [
         f"{type_name(kind)} ({kind.side.value})",
         textwrap.fill(unmarked(said.summary), wide),
@@ -112,7 +112,7 @@ def block_page(kind: type[AbstractBlock]) -> str:
     return "\n\n".join(parts)
 
 
-def _wide() -> int:
+def page_width() -> int:
     """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
     return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, final
 
 from dmframe import notebook
 from dmframe.errors import OutputError
-from dmframe.files import writing
+from dmframe.files import expanded, writing
 from dmframe.plotting import save
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
@@ -43,7 +43,7 @@ class Figures(Mapping[str, Any]):
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write each as PNG and SVG to a folder. Raises `OutputError` where that cannot be done."""
-        place, files = Path(folder).expanduser(), list[Path]()
+        place, files = expanded(folder), list[Path]()
         if place.suffix in (".png", ".svg", ".pdf"):
             raise OutputError(
                 f"{place}: expected a folder, found the name of a file; each figure has a savefig of its own"

@@ -16,6 +16,7 @@ from dmframe.config import Experiment
 from dmframe.config.document import Document
 from dmframe.config.experiment import experiment_of
 from dmframe.errors import UnknownNameError, ValueFault
+from dmframe.files import expanded
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.results.summary import summary
@@ -184,7 +185,7 @@ def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, force: bool) 
     """See `Run.save`."""
     from dmframe.results.folder import write_run
 
-    path = Path(folder).expanduser()
+    path = expanded(folder)
     write_run(path, runs, plots=plots, force=force)
     return path
 
