@@ -17,8 +17,8 @@ from dmframe.cli.streams import tell
 from dmframe.errors import OutputError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.progress import Bars
-from dmframe.graph.runs import labelled
-from dmframe.results.folder import draw_figures, safe_name, write_data
+from dmframe.graph.runs import labelled, labels_of
+from dmframe.results.folder import draw_figures, folders_of, safe_name, write_data
 from dmframe.results.place import Place, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
@@ -79,7 +79,8 @@ def run_graphs(
 def _place(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
     """The folder that was named, or one named by the time, of which two runs may not have the same."""
     if out is not None:
-        with reserved(out, force=force) as place:
+        labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+        with reserved(out, force=force, folders=folders_of(labels)) as place:
             yield place
         return
     first, count = _default_folder(graphs), 1
