@@ -109,6 +109,15 @@ def settle(figure: Any) -> None:
     figure.set_layout_engine("none")
 
 
+@contextmanager
+def page(width: float, height: float) -> Iterator[Any]:
+    """An empty figure to draw on, in our style, which is settled at the end."""
+    with styled():
+        figure = new_figure(width, height)
+        yield figure
+        settle(figure)
+
+
 def figure_svg(figure: Any) -> str:
     """A matplotlib figure as SVG text."""
     text = io.StringIO()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -14,6 +14,7 @@ from dmframe.files import check_place, expanded, write_text
 
 if TYPE_CHECKING:
     from dmframe.graph.named import Named
+    from dmframe.simulate.engine import Choice
 
 app = typer.Typer(
     name="dmframe",
@@ -187,7 +188,7 @@ def run(
         graphs_of(graph, overrides, trust=trust),
         until=until,
         out=out,
-        engine=engine,
+        engine=cast("Choice", engine),  # where it is used, it is checked
         baseline=baseline,
         plots=not no_plots,
         force=force,

@@ -172,6 +172,10 @@ class Experiment:
         file = self.file.model_copy(update={"duration": duration})
         return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
 
+    def __reduce__(self) -> Any:
+        """Pickled as its document: a process elsewhere makes its blocks anew."""
+        return _again, (self.document, self.name, self.overrides)
+
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
 
@@ -195,8 +199,13 @@ def placed(error: DmframeError, document: Document) -> DmframeError:
 
 
 def _location(fault: DmframeError, document: Document) -> str:
-    """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list."""
+    """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list.
+
+    Empty for what is said of no graph, such as an engine.
+    """
     path = fault.path
+    if path and path[0] not in (*KEYS, *document.data):
+        return ""
     if path in TIMES:
         path = next((other for other in (path, *TIMES) if document.is_said(other)), path)
     if isinstance(fault, UnknownNameError):
@@ -251,6 +260,11 @@ def experiment_of(document: Document) -> Experiment:
     for notice in read.notices:
         sys.stderr.write(f"{notice}\n")
     return _made(read.document, path)
+
+
+def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+    """One that was pickled."""
+    return replace(experiment_of(document), name=name, overrides=overrides)
 
 
 def _made(document: Document, path: Path) -> Experiment:

@@ -12,14 +12,14 @@ from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import Experiment, load_experiment
-from dmframe.config.document import Document, document_of, read_document
+from dmframe.config.document import document_of, read_document
 from dmframe.config.experiment import experiment_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.named import Named
 from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
-from dmframe.units import plain, to_unit
+from dmframe.units import plain, shorten, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
@@ -248,8 +248,8 @@ class Graph:
         return path
 
     def __reduce__(self) -> Any:
-        """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.experiment.document, self.experiment.name, self.experiment.overrides)
+        """Pickled without its diagram, which is made anew."""
+        return Graph, (self.experiment,)
 
     def __eq__(self, other: object) -> bool:
         """The same text gives the same run."""
@@ -328,12 +328,7 @@ def seconds(what: str, value: float | str) -> float:
     try:
         found = to_unit(value, "s")
     except DmframeError as error:
-        raise ValueFault(f"{what} {value}: {error.text}") from None
+        raise ValueFault(f"{what} {shorten(str(value))}: {error.text}") from None
     if not found > 0:
-        raise ValueFault(f"{what} {value}: expected a time above zero")
+        raise ValueFault(f"{what} {shorten(str(value))}: expected a time above zero")
     return found
-
-
-def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Graph:
-    """A graph that was pickled."""
-    return Graph(replace(experiment_of(document), name=name, overrides=overrides))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 from dmframe import notebook
 from dmframe.config import Experiment
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.files import told_apart
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
@@ -269,13 +270,7 @@ def labels_of(items: Sequence[tuple[str, Experiment]]) -> list[str]:
         alike = [set(other.overrides) for called, other in items if called == name]
         own = [text for text in experiment.overrides if not all(text in others for others in alike)]
         labels.append(f"{name} {', '.join(map(_short, own))}".strip())
-    for place, label in enumerate(labels):
-        if label in labels[:place]:
-            count = 2
-            while f"{label} {count}" in labels:
-                count += 1
-            labels[place] = f"{label} {count}"
-    return labels
+    return told_apart(labels, lambda label, count: f"{label} {count}")
 
 
 def _short(override: str) -> str:

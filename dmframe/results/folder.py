@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
-from dmframe.files import encoded, writing
+from dmframe.files import encoded, told_apart, writing
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, reserved
 from dmframe.results.resolved import companions, resolved_text, robot_source
@@ -135,15 +135,8 @@ def folders_of(labels: Sequence[str]) -> list[str]:
 
 
 def _names(labels: Sequence[str]) -> list[str]:
-    """Names for the graphs' folders and curves, distinct where capitals are not told apart, too."""
-    names = dict[str, str]()
-    for label in labels:
-        first = name = safe_name(label)
-        count = 2
-        while name.casefold() in names:
-            name, count = f"{first}_{count}", count + 1
-        names[name.casefold()] = name
-    return list(names.values())
+    """Names for the graphs' folders and curves."""
+    return told_apart(map(safe_name, labels), lambda name, count: f"{name}_{count}")
 
 
 def _write_one(

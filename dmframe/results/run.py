@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -13,8 +13,6 @@ import numpy as np
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import Experiment
-from dmframe.config.document import Document
-from dmframe.config.experiment import experiment_of
 from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.files import expanded
 from dmframe.results.dataset import dataset
@@ -137,8 +135,7 @@ class Run:
     def __reduce__(self) -> Any:
         """Pickled with its arrays; its diagram is made anew when it is read."""
         held = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        experiment = self.experiment
-        return _again, (experiment.document, experiment.name, experiment.overrides, held, self.label)
+        return _again, (self.experiment, held, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -226,7 +223,6 @@ def table_of(runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
-def _again(document: Document, name: str, overrides: tuple[str, ...], held: dict[str, Any], label: str) -> Run:
+def _again(experiment: Experiment, held: dict[str, Any], label: str) -> Run:
     """A run that was pickled."""
-    experiment = replace(experiment_of(document), name=name, overrides=overrides)
     return Run(experiment, Recording(diagram=experiment.diagram(), **held), label)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
-from dmframe.plotting import draw_curve, frame, look, new_figure, settle, span, styled, tame, verbatim
+from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
 from dmframe.results.drawn_runs import told
 from dmframe.simulate import Recording
 
@@ -47,8 +47,7 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]
     largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
-    with styled():
-        figure = new_figure(6.6, 3.9)
+    with page(6.6, 3.9) as figure:
         above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
         draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
         frame(above, [(tame(found.V), diverged)])
@@ -65,5 +64,4 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
         below.set_xlabel("time [s]")
         above.set_xlim(0, float(found.time[-1]))
         below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
-        settle(figure)
     return figure
