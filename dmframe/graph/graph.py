@@ -12,8 +12,9 @@ from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import Experiment, load_experiment
-from dmframe.config.document import document_of, read_document
+from dmframe.config.document import read_document
 from dmframe.config.experiment import experiment_of
+from dmframe.config.given import document_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.named import Named
@@ -192,7 +193,7 @@ class Graph:
             No equilibrium, or no goal to follow.
         """
         from dmframe.analysis import analyse
-        from dmframe.config.experiment import placed
+        from dmframe.config.places import placed
         from dmframe.report import Analysis
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
