@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError
+from dmframe.errors import UnknownNameError, raise_all
 from dmframe.files import check_place, expanded, write_text
 
 if TYPE_CHECKING:
@@ -152,9 +152,17 @@ def new(
 
 @app.command()
 def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> None:  # noqa: B006 - typer reads it, nobody changes it
-    """Build a graph and print its blocks, wires, shapes, units and clock."""
-    from dmframe.cli.graphs import one_graph
+    """Build a graph and print its blocks, wires, shapes, units and clock.
 
+    Of block files that others may have written, which are not run without --trust, print what they declare.
+    """
+    from dmframe.cli.graphs import one_graph, unrun
+
+    if (looked := unrun(graph, overrides, trust=trust)) is not None:
+        from dmframe.graph.unrun_page import unrun_page
+
+        tell(unrun_page(looked))
+        raise_all(looked.faults)
     loaded = one_graph(graph, overrides, trust=trust)
     loaded.experiment.intervals(loaded.diagram)
     tell(str(loaded))
@@ -297,13 +305,19 @@ def draw(
     trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
-    from dmframe.cli.graphs import one_graph
-    from dmframe.drawing import check_ending
+    from dmframe.cli.graphs import one_graph, unrun
+    from dmframe.drawing import Drawing, check_ending
 
     if out is not None:
         check_ending(out)
         check_place(out)
-    drawing = one_graph(graph, overrides, trust=trust).draw()
+    looked = unrun(graph, overrides, trust=trust)
+    if looked is None:
+        drawing = one_graph(graph, overrides, trust=trust).draw()
+    else:
+        drawing = Drawing(looked, looked.experiment.file.title)
+        for fault in looked.faults:
+            tell(f"drawn from declarations alone: {fault}", aside=True)
     if out is None:
         tell(drawing.mermaid.rstrip())
         return

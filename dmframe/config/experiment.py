@@ -18,7 +18,7 @@ from dmframe.config.document import Document, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
 from dmframe.config.overrides import changed, overridden, put
 from dmframe.config.places import placed
-from dmframe.config.renamed import with_new_names
+from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.exact.rational import Interval
@@ -204,14 +204,17 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     return replace(experiment_of(document), overrides=tuple(overrides))
 
 
-def experiment_of(document: Document) -> Experiment:
-    """An experiment from its document, whose old names are read as the new ones. Raises what `load_experiment` does."""
+def experiment_of(document: Document, find: Find = find_block) -> Experiment:
+    """An experiment from its document, whose old names are read as the new ones; `find` gives the class of a type.
+
+    Raises what `load_experiment` does.
+    """
     path = Path(document.name)
-    read = with_new_names(document, path.parent)
+    read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{notice}\n")
-    return _made(read.document, path)
+    return _made(read.document, path, find)
 
 
 def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
@@ -219,7 +222,7 @@ def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Experim
     return replace(experiment_of(document), name=name, overrides=overrides)
 
 
-def _made(document: Document, path: Path) -> Experiment:
+def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:
     """An experiment from its document; `path` names it, and files are looked for beside it."""
     data = document.data
     faults = list[DmframeError]()
@@ -228,8 +231,8 @@ def _made(document: Document, path: Path) -> Experiment:
     except ValidationError as error:
         faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
-    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults)
-    _check_baseline(data.get("baseline"), blocks, path.parent, faults)
+    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults, find)
+    _check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
     robot = _robot(_section(RobotSection, robot_name(data.get("robot"))), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [_at_name(fault) for fault in faults]
@@ -245,11 +248,14 @@ def _made(document: Document, path: Path) -> Experiment:
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def _check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError]) -> None:
+def _check_baseline(
+    section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find
+) -> None:
     """Its blocks can be made, and what it leaves out is there."""
     entries = section if isinstance(section, dict) else {}
     if entries:
-        _blocks("baseline", {name: spec for name, spec in entries.items() if spec is not None} or None, base, faults)
+        made = {name: spec for name, spec in entries.items() if spec is not None}
+        _blocks("baseline", made or None, base, faults, find)
     faults += [
         UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
         for name, spec in entries.items()
@@ -257,7 +263,7 @@ def _check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults:
     ]
 
 
-def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
+def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError], find: Find) -> dict[str, AbstractBlock]:
     """The blocks of a section, ``blocks`` or ``baseline``."""
     made = dict[str, AbstractBlock]()
     for name, spec in section.items() if isinstance(section, dict) else ():
@@ -273,7 +279,7 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
             )
         elif isinstance(spec, dict):
             try:
-                made[name] = _block(path, spec, base)
+                made[name] = _block(path, spec, base, find)
             except DmframeError as error:
                 for fault in error.faults:
                     faults.append(fault)
@@ -282,10 +288,10 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
     return made
 
 
-def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
+def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Find) -> AbstractBlock:
     where = ".".join(path)
     try:
-        kind = find_block(spec["type"], base, f"{where}.type")
+        kind = find(spec["type"], base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise

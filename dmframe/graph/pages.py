@@ -54,10 +54,11 @@ def check_page(graph: Experiment, diagram: Diagram) -> str:
 def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:
     shape = " x ".join(str(size) for size in diagram.sizes.of(port.shape)) or "1"
     source = diagram.sources[name, port.name]
-    return f"{name}.{port.name}", "<-", _source(source, name), shape, port.unit or "-"
+    return f"{name}.{port.name}", "<-", source_text(source, name), shape, port.unit or "-"
 
 
-def _source(source: Source, name: str) -> str:
+def source_text(source: Source, name: str) -> str:
+    """What drives an input of the block of that name."""
     match source:
         case Wire(block, port):
             return f"{block}.{port}"
