@@ -6,7 +6,7 @@ import errno
 import os
 import stat
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Final
@@ -36,9 +36,28 @@ def is_hidden(name: str) -> bool:
     return name.startswith(".dmframe-") and name.endswith(".part")
 
 
+def told_apart(names: Iterable[str], numbered: Callable[[str, int], str]) -> list[str]:
+    """The names, each `numbered` from 2 on that is one before it, also on systems that do not tell capitals apart."""
+    taken = dict[str, str]()
+    for first in names:
+        name, count = first, 2
+        while name.casefold() in taken:
+            name, count = numbered(first, count), count + 1
+        taken[name.casefold()] = name
+    return list(taken.values())
+
+
 def reason(error: OSError) -> str:
     """What the operating system says, without the name."""
     return (error.strerror or str(error)).lower()
+
+
+def expanded(path: str | Path) -> Path:
+    """A path with ``~`` as the user's home. Raises `OutputError` for one of a user that there is not."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise OutputError(f"{path}: expected a folder, found no home of that user; name it in full") from None
 
 
 def check_place(path: str | Path) -> None:

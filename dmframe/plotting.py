@@ -26,6 +26,9 @@ GREY = "#9a9a9a"
 FLAT = 1e-3
 """Relative change below which a curve is drawn as nearly flat."""
 
+VANISHING = 1e-9
+"""Of an error or an effort in the unit in which it is drawn, so less than a picometre: rounding, which has no scale."""
+
 POINTS = 30_000
 """Points of all the curves in a figure; an SVG spends about 25 bytes on one."""
 
@@ -96,10 +99,23 @@ def settle(figure: Any) -> None:
         if spec is not None and axes.yaxis.label.get_text():
             columns.setdefault(spec.colspan.start, []).append(axes)
     for panels in columns.values():
-        left = min(axes.yaxis.label.get_position()[0] for axes in panels)  # pixels
-        for axes in panels:
+        labels = [axes.yaxis.label for axes in panels]
+        ends = [label.get_position()[0] for label in labels]  # pixels
+        room = min(ends) - max(end - label.get_window_extent().x0 for end, label in zip(ends, labels, strict=True))
+        for axes, end in zip(panels, ends, strict=True):
+            # one of two lines may have no room where the others stand: then each stays where it is
+            left = min(ends) if room >= 0 else end
             axes.yaxis.set_label_coords(axes.transAxes.inverted().transform((left, 0.0))[0], 0.5)
     figure.set_layout_engine("none")
+
+
+@contextmanager
+def page(width: float, height: float) -> Iterator[Any]:
+    """An empty figure to draw on, in our style, which is settled at the end."""
+    with styled():
+        figure = new_figure(width, height)
+        yield figure
+        settle(figure)
 
 
 def figure_svg(figure: Any) -> str:
@@ -159,13 +175,20 @@ def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 200
 
 
 def frame(axes: Any, curves: Sequence[tuple[np.ndarray, bool]], *, zero: bool = False) -> None:
-    """Limits that show every curve in full, and a diverged one up to its last stretch, which would dwarf the rest."""
+    """Limits that show every curve in full, and a diverged one up to its last stretch, which would dwarf the rest.
+
+    With `zero` they hold zero, and what vanishes is drawn as zero.
+    """
     ends = [span(values, diverged) for values, diverged in curves if len(values)]
     if not ends:
         return
     low, high = min(end[0] for end in ends), max(end[1] for end in ends)
     if zero:
         low, high = min(low, 0.0), max(high, 0.0)
+        if high - low < VANISHING:
+            axes.set_ylim(-1.0, 1.0)
+            axes.set_yticks([0.0])
+            return
     # what hardly changes is drawn as flat: ticks of many digits would say more than they mean
     room = max(0.06 * (high - low), FLAT * max(abs(low), abs(high)) - (high - low) / 2, 1e-12)
     axes.set_ylim(low - room, high + room)

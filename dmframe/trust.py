@@ -22,16 +22,35 @@ from dmframe.files import reason, write_text
 _MARKS: Final = ("user.xdg.origin.url", "com.apple.quarantine")
 """What browsers leave on what they have fetched."""
 
+MOST: Final = 1_000_000
+"""Bytes of a file that is not to be run, of which more are not looked at."""
+
 
 def read(base: Path, file: str, where: str) -> bytes:
-    """The content of a block's file, named beside the graph in the folder `base`; `where` says who names it.
+    """The content of a block's file that is to be run, named beside the graph in the folder `base`.
+
+    `where` says who names it.
+
+    Raises
+    ------
+    BlockError, MissingError
+        What `look` raises; or it is not to be run.
+    """
+    content, why = look(base, file, where)
+    if why:
+        raise BlockError(f"{where}: {why}")
+    return content
+
+
+def look(base: Path, file: str, where: str) -> tuple[bytes, str]:
+    """The content of a block's file, and why it is not to be run; empty where it may be.
 
     What is looked at is what is read: one descriptor, in folders that nobody else can exchange.
 
     Raises
     ------
     BlockError, MissingError
-        It lies outside, it is no file, it is not to be run, or there is none.
+        It lies outside, it is no file, or there is none.
     """
     path, folder = (base / file).resolve(), base.resolve()
     if Path(file).is_absolute() or ".." in Path(file).parts or not path.is_relative_to(folder):
@@ -48,12 +67,11 @@ def read(base: Path, file: str, where: str) -> bytes:
         if not stat.S_ISREG(os.fstat(descriptor).st_mode):
             raise BlockError(f"{where}: expected a file, found {base / file}, which is none")
         why = _foreign(path, os.fstat(descriptor))
-        if why and not _trusted(path):
-            raise BlockError(
-                f"{where}: {path.name} would run as your own program, and {why}; read it, then trust its folder once: "
-                "add --trust"
-            )
-        return opened.read()
+        if not why or _trusted(path):
+            return opened.read(), ""
+        return opened.read(MOST), (
+            f"{path.name} would run as your own program, and {why}; read it, then trust its folder once: add --trust"
+        )
 
 
 def remember(folder: Path) -> None:

@@ -20,11 +20,15 @@ CHUNK = 2048
 @final
 @dataclass(frozen=True)
 class TermAlong:
-    r"""One term of V: :math:`\tfrac12 \kappa |a|_W^2` of `block`, or without kappa for a cascade; (N,) values."""
+    r"""One term of V: :math:`\tfrac12 \kappa |a|_W^2` of `block`, or without kappa for a cascade; (N,) values.
+
+    `of` is a in the code's names, and `drawn` the same for a drawing.
+    """
 
     block: str
     of: str
     values: np.ndarray
+    drawn: str = ""
 
 
 @final
@@ -84,9 +88,16 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         A run whose states are not those of the claim.
     """
     _check_same(claim, run)
-    named = [(part.block, square, claim.weight(part)) for part in claim.parts for square in part.certificate.storage]
-    rows = _evaluated(claim, run, [weight * square.value / 2 for _, square, weight in named], kappa)
-    terms = tuple(TermAlong(block, square.of, row) for (block, square, _), row in zip(named, rows, strict=True))
+    stored = [
+        (part, square, law)
+        for part in claim.parts
+        for square, law in zip(part.certificate.storage, claim.laws[part.block].storage, strict=True)
+    ]
+    rows = _evaluated(claim, run, [claim.weight(part) * square.value / 2 for part, square, _ in stored], kappa)
+    terms = tuple(
+        TermAlong(part.block, square.of, row, law.vector.unicode)
+        for (part, square, law), row in zip(stored, rows, strict=True)
+    )
     with np.errstate(over="ignore", invalid="ignore"):
         total = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
     return Along(run.time, kappa, total, terms)

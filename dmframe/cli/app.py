@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError
-from dmframe.files import check_place, write_text
+from dmframe.errors import UnknownNameError, raise_all
+from dmframe.files import check_place, expanded, write_text
+
+if TYPE_CHECKING:
+    from dmframe.graph.named import Named
+    from dmframe.simulate.engine import Choice
 
 app = typer.Typer(
     name="dmframe",
@@ -72,6 +76,14 @@ HORIZON, TUBE = "20", "0.05 rad"
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 
 
+Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
+
+
+def _home(path: Path | None) -> Path | None:
+    """A path that an option names, ``--report=~/x.html`` too, which no shell expands."""
+    return None if path is None else expanded(path)
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         from dmframe.version import version as installed
@@ -90,25 +102,38 @@ def common(
 
 
 @app.command()
-def graphs() -> None:
-    """List the packaged graphs."""
+def graphs(as_json: Listed = False) -> None:
+    """List the packaged graphs, with how long each runs, its clock and its title."""
     from dmframe.graph import graphs as shelf
 
-    tell(str(shelf()))
+    _tell_shelf(shelf(), as_json)
 
 
 @app.command()
-def robots() -> None:
-    """List the robots that come with the installed packages."""
+def robots(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Print this robot's page.", autocompletion=_robots)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
+) -> None:
+    """List the robots that come with the installed packages, or print one's joints, masses, tool and known errors."""
     from dmframe.graph import robots as shelf
+    from dmframe.graph.robot_page import robot_data, robot_page
 
-    tell(str(shelf()))
+    if name is None:
+        _tell_shelf(shelf(), as_json)
+    else:
+        tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
+
+
+def _tell_shelf(shelf: Named[Any], as_json: bool) -> None:
+    tell(json.dumps(shelf.summary, indent=2) if as_json else str(shelf))
 
 
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=_graphs)],
-    file: Annotated[Path | None, typer.Argument(help="The new file; NAME.yaml without it.")] = None,
+    file: Annotated[Path | None, typer.Argument(callback=_home, help="The new file; NAME.yaml without it.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Copy a packaged graph to a file of your own, to edit it; an editor completes it from the schema beside it."""
@@ -127,9 +152,17 @@ def new(
 
 @app.command()
 def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> None:  # noqa: B006 - typer reads it, nobody changes it
-    """Build a graph and print its blocks, wires, shapes, units and clock."""
-    from dmframe.cli.graphs import one_graph
+    """Build a graph and print its blocks, wires, shapes, units and clock.
 
+    Of block files that others may have written, which are not run without --trust, print what they declare.
+    """
+    from dmframe.cli.graphs import one_graph, unrun
+
+    if (looked := unrun(graph, overrides, trust=trust)) is not None:
+        from dmframe.graph.unrun_page import unrun_page
+
+        tell(unrun_page(looked))
+        raise_all(looked.faults)
     loaded = one_graph(graph, overrides, trust=trust)
     loaded.experiment.intervals(loaded.diagram)
     tell(str(loaded))
@@ -142,7 +175,9 @@ def run(
         str | None, typer.Option(metavar="S", help="Simulated time, instead of the graph's: 20 s.")
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder of the results; new or empty.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", callback=_home, help="Folder of the results; new or empty.")
+    ] = None,
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
@@ -161,7 +196,7 @@ def run(
         graphs_of(graph, overrides, trust=trust),
         until=until,
         out=out,
-        engine=engine,
+        engine=cast("Choice", engine),  # where it is used, it is checked
         baseline=baseline,
         plots=not no_plots,
         force=force,
@@ -173,7 +208,9 @@ def run(
 def verify(
     graph: Graphs,
     overrides: Overrides = [],  # noqa: B006 - as above
-    report: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a report: .html, .md or .json.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write a report: .html, .md or .json.")
+    ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Of the random points and primes.")] = "0",
     as_json: AsJson = False,
     trust: Trust = False,
@@ -260,19 +297,27 @@ def draw(
     graph: OneGraph,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help=".svg, .png, .pdf, .mmd; Mermaid text without it."),
+        typer.Option(
+            "-o", "--out", metavar="FILE", callback=_home, help=".svg, .png, .pdf, .mmd; Mermaid text without it."
+        ),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
     trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
-    from dmframe.cli.graphs import one_graph
-    from dmframe.drawing import check_ending
+    from dmframe.cli.graphs import one_graph, unrun
+    from dmframe.drawing import Drawing, check_ending
 
     if out is not None:
         check_ending(out)
         check_place(out)
-    drawing = one_graph(graph, overrides, trust=trust).draw()
+    looked = unrun(graph, overrides, trust=trust)
+    if looked is None:
+        drawing = one_graph(graph, overrides, trust=trust).draw()
+    else:
+        drawing = Drawing(looked, looked.experiment.file.title)
+        for fault in looked.faults:
+            tell(f"drawn from declarations alone: {fault}", aside=True)
     if out is None:
         tell(drawing.mermaid.rstrip())
         return
@@ -285,12 +330,21 @@ def blocks(
     kind: Annotated[
         str | None, typer.Argument(metavar="TYPE", help="Print this block's page.", autocompletion=_types)
     ] = None,
+    as_json: Listed = False,
 ) -> None:
     """List the block types, or print one block's page."""
     from dmframe.catalogue import block_types, find_block
+    from dmframe.cli.options import refuse
+    from dmframe.graph import blocks as shelf
     from dmframe.graph.pages import block_list, block_page
 
-    tell(block_list(block_types()) if kind is None else block_page(find_block(kind, Path(), "blocks")))
+    if kind is not None:
+        refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")
+        tell(block_page(find_block(kind, Path(), "blocks")))
+    elif as_json:
+        _tell_shelf(shelf(), as_json)
+    else:
+        tell(block_list(block_types()))
 
 
 @app.command()
@@ -311,9 +365,13 @@ def regressor(
     kinematic: Annotated[bool, typer.Option("--kinematic", help="Y_k instead of Y_d.")] = False,
     symbolic: Annotated[bool, typer.Option("--symbolic", help="Print each entry; up to 3 joints.")] = False,
     prove: Annotated[bool, typer.Option("--prove", help="Prove the properties that controllers rely on.")] = False,
-    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", help="Write it as C source.")] = None,
-    python: Annotated[Path | None, typer.Option(metavar="FILE", help="Write it as a NumPy module.")] = None,
-    latex: Annotated[Path | None, typer.Option(metavar="FILE", help="Write M, C, g, Y_d, Y_k; up to 3 joints.")] = None,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", callback=_home, help="Write it as C source.")] = None,
+    python: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write it as a NumPy module.")
+    ] = None,
+    latex: Annotated[
+        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
+    ] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
     hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006 - as above
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from dmframe.catalogue import find_graph
 from dmframe.config import load_experiment
+from dmframe.config.unrun import Unrun, look_at
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.graph import Graph
 from dmframe.trust import remember
@@ -49,6 +50,13 @@ def one_graph(name: str, overrides: Sequence[str], *, trust: bool = False) -> Gr
     if len(found) > 1:
         raise ValueFault(f"--set: several values make {len(found)} graphs, expected one; `dmframe run` takes several")
     return found[0]
+
+
+def unrun(name: str, overrides: Sequence[str], *, trust: bool) -> Unrun | None:
+    """The graph, looked at, where it has block files that are not to be run; with `trust` there are none."""
+    if trust or any(len(alternatives(text)) > 1 for text in overrides):  # `one_graph` refuses several values
+        return None
+    return look_at(name, [_addressed(text, [name])[1] for text in overrides])
 
 
 def _addressed(text: str, names: Sequence[str]) -> tuple[list[int], str]:

@@ -8,17 +8,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import datetime
 from pathlib import Path
-from typing import cast, get_args
 
 from dmframe.cli import STOPPED
-from dmframe.cli.options import quantity
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
-from dmframe.errors import OutputError, UnknownNameError, ValueFault
+from dmframe.errors import OutputError
 from dmframe.graph import Graph
+from dmframe.graph.graph import seconds
 from dmframe.graph.progress import Bars
-from dmframe.graph.runs import labelled
-from dmframe.results.folder import draw_figures, safe_name, write_data
+from dmframe.graph.runs import labelled, labels_of
+from dmframe.results.folder import draw_figures, folders_of, safe_name, write_data
 from dmframe.results.place import Place, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
@@ -33,7 +32,7 @@ def run_graphs(
     *,
     until: str | None,
     out: Path | None,
-    engine: str,
+    engine: Choice,
     baseline: bool,
     plots: bool,
     force: bool,
@@ -43,16 +42,15 @@ def run_graphs(
 
     At Ctrl-C the graph that runs is kept up to there, and those not begun are left out.
     """
-    choice = _engine(engine)
     if baseline:
         graphs = [each for graph in graphs for each in (graph, graph.baseline())]
-    duration = None if until is None else _seconds(until)
-    if duration is not None:
+    if until is not None:
+        duration = seconds("--until", until)
         graphs = [graph.until(duration) for graph in graphs]
     for graph in graphs:  # faults of every graph are told before the first runs
         _ = graph.diagram
     with _place(out, graphs, force=force) as place:
-        found, interrupted = _run_all(graphs, choice, as_json)
+        found, interrupted = _run_all(graphs, engine, as_json)
         if not found:
             return STOPPED
         runs = labelled(found)
@@ -79,7 +77,8 @@ def run_graphs(
 def _place(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
     """The folder that was named, or one named by the time, of which two runs may not have the same."""
     if out is not None:
-        with reserved(out, force=force) as place:
+        labels = labels_of([(graph.name, graph.experiment) for graph in graphs])
+        with reserved(out, force=force, folders=folders_of(labels)) as place:
             yield place
         return
     first, count = _default_folder(graphs), 1
@@ -108,20 +107,6 @@ def _run_all(graphs: Sequence[Graph], engine: Choice, as_json: bool) -> tuple[li
     except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet
         return runs, True
     return runs, False
-
-
-def _seconds(until: str) -> float:
-    duration = quantity("--until", until, "s")
-    if duration <= 0:
-        raise ValueFault(f"--until {until}: expected a time above zero")
-    return duration
-
-
-def _engine(name: str) -> Choice:
-    for choice in get_args(Choice):
-        if name == choice:
-            return cast(Choice, choice)
-    raise UnknownNameError(f"--engine {name}", "engine", name, get_args(Choice))
 
 
 def _default_folder(graphs: Sequence[Graph]) -> Path:

@@ -9,15 +9,12 @@ from __future__ import annotations
 
 import io
 import math
-import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from numbers import Number
 from pathlib import Path
 from typing import Any, TypeAlias, final
 
-import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import (
@@ -38,16 +35,16 @@ Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | 
 Scalar: TypeAlias = "str | int | float | bool | None"
 Steps: TypeAlias = tuple[str | int, ...]
 
-_MOST_BYTES = 1_000_000
-_DEEPEST = 50
-_MOST_NODES = 100_000  # aliases counted as often as they are used
+MOST_BYTES = 1_000_000
+DEEPEST = 50
+MOST_NODES = 100_000  # aliases counted as often as they are used
 
 _WORDS: dict[str, Scalar] = dict.fromkeys(("", "~", "null", "Null", "NULL"))
 _WORDS |= {form: form.lower() == "true" for form in ("true", "True", "TRUE", "false", "False", "FALSE")}
 _INTEGER = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+UNPRINTABLE = re.compile("[^\t\n\r\x20-\x7e\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 @final
@@ -118,7 +115,7 @@ def read_file(path: Path | str) -> Document:
     path = Path(path)
     try:
         with path.open("rb") as file:
-            raw = file.read(_MOST_BYTES + 1)
+            raw = file.read(MOST_BYTES + 1)
     except FileNotFoundError:
         near = nearest(path.name, _neighbours(path.parent))
         raise MissingError(f"expected a graph file, found none; {near}", location=str(path)) from None
@@ -146,9 +143,9 @@ def read_document(text: str, name: str) -> Document:
     """
     text = text.removeprefix("\ufeff")
     _check_size(len(text.encode("utf-8", "surrogatepass")), name)
-    strange = _UNPRINTABLE.search(text)
+    strange = UNPRINTABLE.search(text)
     if strange:
-        raise DocumentError(_unreadable(strange.group()), location=_place(name, text, strange.start()))
+        raise DocumentError(unreadable(strange.group()), location=_place(name, text, strange.start()))
     reader = _Reader(name)
     root: Node | None = None
     try:
@@ -169,82 +166,18 @@ def read_document(text: str, name: str) -> Document:
     return Document(name, mapping_of(root), root)
 
 
-def document_of(data: Mapping[Any, Any], name: str) -> Document:
-    """A graph given as data, with NumPy's arrays and numbers where it likes; `name` is what messages call it.
-
-    Raises `DocumentError` for what no graph file could say, and `ValueFault` for a number that is not finite.
-    """
-    root = node_of(data, ())
-    if not isinstance(root.value, dict) or not root.value:
-        raise DocumentError("expected a graph, found no keys; a graph begins with dmframe: 1", location=name)
-    return Document(name, mapping_of(root), root)
-
-
-def node_of(value: Any, path: Steps, said: str = "") -> Node:
-    """A value that a program gives, as if a file had said it.
-
-    Raises `DocumentError` for what no file could say, and `ValueFault` for a number that is not finite.
-    """
-    where = ".".join(map(str, path)) or "graph"
-    if len(path) > _DEEPEST:
-        raise DocumentError(f"nested deeper than {_DEEPEST} levels; a graph needs about four", location=said)
-    if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
-        array = np.asarray(value)
-        if array.dtype.kind in "mM":
-            raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=said)
-        if array.size > _MOST_NODES:
-            raise DocumentError(f"{where}: expected at most {_MOST_NODES} numbers, found {array.size}", location=said)
-        value = array.tolist()
-    if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
-        value = float(value)  # type: ignore[arg-type]  # Number itself promises no __float__
-    if isinstance(value, Mapping):
-        entries = dict[str, tuple[Node, Node]]()
-        for key, item in value.items():
-            if not isinstance(key, str):
-                raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=said)
-            _check_letters(key, where, said)
-            entries[key] = (Node(0, 0, key, said=said), node_of(item, (*path, key), said))
-        return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), said)
-    if isinstance(value, list | tuple):
-        if len(value) > _MOST_NODES:
-            raise DocumentError(f"{where}: expected at most {_MOST_NODES} values, found {len(value)}", location=said)
-        items = [node_of(item, (*path, place), said) for place, item in enumerate(value)]
-        return Node(0, 0, items, 1 + sum(node.size for node in items), said)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=said)
-    if isinstance(value, os.PathLike):
-        value = os.fsdecode(value)
-    if isinstance(value, str):
-        _check_letters(value, where, said)
-    if isinstance(value, int) and abs(value) > 10**400:
-        raise ValueFault(
-            f"{where}: expected a finite number, found one of hundreds of digits", path=path, location=said
-        )
-    if value is None or isinstance(value, str | int | float):
-        return Node(0, 0, value, said=said)
-    raise DocumentError(
-        f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
-    )
-
-
-def _check_letters(text: str, where: str, said: str) -> None:
-    if len(text) > _MOST_BYTES:
-        raise DocumentError(f"{where}: expected a short text, found one of {len(text)} letters", location=said)
-    if strange := _UNPRINTABLE.search(text):
-        raise DocumentError(f"{where}: {_unreadable(strange.group())}", location=said)
-
-
 def visible(text: str) -> str:
     """A text that a message quotes, in one line: what cannot be shown is escaped."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
-def _unreadable(letter: str) -> str:
+def unreadable(letter: str) -> str:
+    """What is said of a control character."""
     return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
 
 def _check_size(count: int, name: str) -> None:
-    if count > _MOST_BYTES:
+    if count > MOST_BYTES:
         raise DocumentError("a graph is at most 1 MB; is this the right file?", location=name)
 
 
@@ -323,8 +256,8 @@ class _Reader:
         return root
 
     def _node(self, event: Any, events: Iterator[Any], path: Steps) -> Node:
-        if len(path) > _DEEPEST:
-            raise self._fault(f"nested deeper than {_DEEPEST} levels; a graph needs about four", event, path)
+        if len(path) > DEEPEST:
+            raise self._fault(f"nested deeper than {DEEPEST} levels; a graph needs about four", event, path)
         self._count += 1
         self._bound(self._count, event, path)
         if isinstance(event, AliasEvent):
@@ -379,11 +312,11 @@ class _Reader:
 
     def _scalar(self, event: Any, path: Steps) -> Scalar:
         text: str = event.value
-        if strange := _UNPRINTABLE.search(
+        if strange := UNPRINTABLE.search(
             text
         ):  # out of an escape, "\\e" or "\\ud800"; such a character cannot stand itself
-            self._note(_unreadable(strange.group()), event, path)
-            return _UNPRINTABLE.sub("", text)
+            self._note(unreadable(strange.group()), event, path)
+            return UNPRINTABLE.sub("", text)
         if event.style is not None:
             return text
         if text in _WORDS:
@@ -425,8 +358,8 @@ class _Reader:
         return size
 
     def _bound(self, count: int, event: Any, path: Steps) -> None:
-        if count > _MOST_NODES:
-            raise self._fault(f"more than {_MOST_NODES} values, aliases written out; shorten the graph", event, path)
+        if count > MOST_NODES:
+            raise self._fault(f"more than {MOST_NODES} values, aliases written out; shorten the graph", event, path)
 
     def _at(self, event: Any) -> str:
         return f"{self.name}:{event.start_mark.line + 1}:{event.start_mark.column + 1}"

@@ -7,19 +7,20 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, read_file
-from dmframe.config.grammar import GraphFile, LogSection, RobotSection, SolverSection, robot_name
+from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
 from dmframe.config.overrides import changed, overridden, put
-from dmframe.config.renamed import with_new_names
+from dmframe.config.places import placed
+from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
@@ -183,52 +184,12 @@ class Experiment:
         file = self.file.model_copy(update={"duration": duration})
         return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
 
+    def __reduce__(self) -> Any:
+        """Pickled as its document: a process elsewhere makes its blocks anew."""
+        return _again, (self.document, self.name, self.overrides)
+
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
-
-
-KEYS: Final = tuple(GraphFile.model_fields)
-
-TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
-"""They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
-
-
-def placed(error: DmframeError, document: Document) -> DmframeError:
-    """The fault, or each of several in the order of the file, with ``file:line:column``.
-
-    One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
-    which overrides changed it.
-    """
-    faults = error.faults
-    for fault in faults:
-        fault.location = fault.location or _location(fault, document)
-    return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
-
-
-def _location(fault: DmframeError, document: Document) -> str:
-    """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list."""
-    path = fault.path
-    if path in TIMES:
-        path = next((other for other in (path, *TIMES) if document.is_said(other)), path)
-    if isinstance(fault, UnknownNameError):
-        held: Any = document.data
-        for part in path:
-            held = held.get(part) if isinstance(held, dict) else None
-        if isinstance(held, dict) and fault.name in held:
-            path = (*path, fault.name)
-        elif isinstance(held, list) and fault.name in held:
-            path = (*path, held.index(fault.name))
-    key = isinstance(fault, UnknownNameError) and path[-1:] == (fault.name,)
-    place = document.locate(path, key=key)
-    if document.is_said(path, key) or (isinstance(fault, MissingError) and len(path) == 1):
-        return place
-    changed = document.said_below(path)
-    return f"{place} with {', '.join(changed)}" if changed else place
-
-
-def _place(fault: DmframeError) -> tuple[int, ...]:
-    """Line and column of a fault's location; overrides come first."""
-    return tuple(int(number) for number in re.findall(r":(\d+)(?=:\d+$|$)", fault.location.partition(" with --")[0]))
 
 
 def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experiment:
@@ -254,27 +215,35 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     return replace(experiment_of(document), overrides=tuple(overrides))
 
 
-def experiment_of(document: Document) -> Experiment:
-    """An experiment from its document, whose old names are read as the new ones. Raises what `load_experiment` does."""
+def experiment_of(document: Document, find: Find = find_block) -> Experiment:
+    """An experiment from its document, whose old names are read as the new ones; `find` gives the class of a type.
+
+    Raises what `load_experiment` does.
+    """
     path = Path(document.name)
-    read = with_new_names(document, path.parent)
+    read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{notice}\n")
-    return _made(read.document, path)
+    return _made(read.document, path, find)
 
 
-def _made(document: Document, path: Path) -> Experiment:
+def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+    """One that was pickled."""
+    return replace(experiment_of(document), name=name, overrides=overrides)
+
+
+def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:
     """An experiment from its document; `path` names it, and files are looked for beside it."""
     data = document.data
     faults = list[DmframeError]()
     try:
         file = GraphFile.model_validate(data)
     except ValidationError as error:
-        faults += [_fault(detail, data) for detail in error.errors(include_url=False)]
+        faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
-    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults)
-    _check_baseline(data.get("baseline"), blocks, path.parent, faults)
+    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults, find)
+    _check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
     robot = _robot(_section(RobotSection, robot_name(data.get("robot"))), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [_at_name(fault) for fault in faults]
@@ -290,11 +259,14 @@ def _made(document: Document, path: Path) -> Experiment:
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def _check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError]) -> None:
+def _check_baseline(
+    section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find
+) -> None:
     """Its blocks can be made, and what it leaves out is there."""
     entries = section if isinstance(section, dict) else {}
     if entries:
-        _blocks("baseline", {name: spec for name, spec in entries.items() if spec is not None} or None, base, faults)
+        made = {name: spec for name, spec in entries.items() if spec is not None}
+        _blocks("baseline", made or None, base, faults, find)
     faults += [
         UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
         for name, spec in entries.items()
@@ -302,7 +274,7 @@ def _check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults:
     ]
 
 
-def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> dict[str, AbstractBlock]:
+def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError], find: Find) -> dict[str, AbstractBlock]:
     """The blocks of a section, ``blocks`` or ``baseline``."""
     made = dict[str, AbstractBlock]()
     for name, spec in section.items() if isinstance(section, dict) else ():
@@ -312,13 +284,13 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
         elif isinstance(spec, dict) and "type" not in spec:
             faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
         elif isinstance(spec, dict) and not isinstance(spec["type"], str):
-            found = _shown(spec["type"])
+            found = shown(spec["type"])
             faults.append(
                 ValueFault(f"{where}.type: expected the name of a block type, found {found}", path=(*path, "type"))
             )
         elif isinstance(spec, dict):
             try:
-                made[name] = _block(path, spec, base)
+                made[name] = _block(path, spec, base, find)
             except DmframeError as error:
                 for fault in error.faults:
                     faults.append(fault)
@@ -327,10 +299,10 @@ def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError]) -> d
     return made
 
 
-def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path) -> AbstractBlock:
+def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Find) -> AbstractBlock:
     where = ".".join(path)
     try:
-        kind = find_block(spec["type"], base, f"{where}.type")
+        kind = find(spec["type"], base, f"{where}.type")
     except DmframeError as error:
         error.path = (*path, "type")
         raise
@@ -399,49 +371,8 @@ def _start_numbers(item: Any, depth: int = 0) -> Any:
     if isinstance(item, str):
         return to_unit(item, "rad")
     if isinstance(item, bool) or not isinstance(item, int | float):
-        raise ValueFault(f"expected numbers, found {_shown(item)}")
+        raise ValueFault(f"expected numbers, found {shown(item)}")
     try:
         return float(item)
     except OverflowError:
         raise ValueFault("expected a finite number, found one of hundreds of digits") from None
-
-
-def _shown(value: Any) -> str:
-    """What a message quotes of a value, as the file writes it."""
-    if value is None or isinstance(value, bool):
-        return "nothing" if value is None else str(value).lower()
-    return repr(value) if len(repr(value)) < 40 else "a list" if isinstance(value, list) else "keys with values"
-
-
-def _fault(detail: Any, data: Any) -> DmframeError:
-    *parts, last = detail["loc"]
-    # pydantic puts its own words between, function-before[...]; a user's unknown key is the last
-    kept = [part for part in parts if not (isinstance(part, str) and "[" in part)]
-    own = detail["type"] == "extra_forbidden" or not (isinstance(last, str) and "[" in last)
-    path = (*kept, last) if own else tuple(kept)
-    where, found = ".".join(str(part) for part in path), detail["input"]
-    match detail["type"]:
-        case "extra_forbidden":
-            choices = _keys(path[:-1])
-            return UnknownNameError(where, "key", str(path[-1]), choices, path=path)
-        case "missing":
-            return MissingError(f"{where}: this key is missing", path=path)
-        case "literal_error":
-            return ValueFault(f"{where}: expected {detail['ctx']['expected']}, found {found!r}", path=path)
-        case "value_error":
-            return ValueFault(f"{where}: {detail['msg'].removeprefix('Value error, ')}", path=path)
-        case _:
-            kind = {"dict_type": "keys with values", "string_type": "a text", "tuple_type": "a list"}
-            kind |= {"model_type": "keys with values", "model_attributes_type": "keys with values"}
-            expected = kind.get(detail["type"], detail["msg"])
-            return ValueFault(f"{where}: expected {expected}, found {_shown(found)}", path=path)
-
-
-def _keys(path: tuple[str | int, ...]) -> list[str]:
-    sections: dict[tuple[str | int, ...], type[BaseModel]] = {
-        (): GraphFile,
-        ("robot",): RobotSection,
-        ("solver",): SolverSection,
-        ("log",): LogSection,
-    }
-    return list(sections[path].model_fields) if path in sections else []

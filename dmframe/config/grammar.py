@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, final
+from typing import Annotated, Any, Final, Literal, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
-from dmframe.errors import DmframeError
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.simulate.instants import seed_fault
 from dmframe.simulate.step import Method
 from dmframe.units import to_unit
@@ -144,3 +144,49 @@ class GraphFile(_Section):
     uncertain: dict[str, Any] = Field(
         {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
     )
+
+
+KEYS: Final = tuple(GraphFile.model_fields)
+"""Of a graph file."""
+
+
+def shown(value: Any) -> str:
+    """What a message quotes of a value, as the file writes it."""
+    if value is None or isinstance(value, bool):
+        return "nothing" if value is None else str(value).lower()
+    return repr(value) if len(repr(value)) < 40 else "a list" if isinstance(value, list) else "keys with values"
+
+
+def fault_of(detail: Any) -> DmframeError:
+    """What is said of one of pydantic's errors of a `GraphFile`."""
+    *parts, last = detail["loc"]
+    # pydantic puts its own words between, function-before[...]; a user's unknown key is the last
+    kept = [part for part in parts if not (isinstance(part, str) and "[" in part)]
+    own = detail["type"] == "extra_forbidden" or not (isinstance(last, str) and "[" in last)
+    path = (*kept, last) if own else tuple(kept)
+    where, found = ".".join(str(part) for part in path), detail["input"]
+    match detail["type"]:
+        case "extra_forbidden":
+            choices = _keys(path[:-1])
+            return UnknownNameError(where, "key", str(path[-1]), choices, path=path)
+        case "missing":
+            return MissingError(f"{where}: this key is missing", path=path)
+        case "literal_error":
+            return ValueFault(f"{where}: expected {detail['ctx']['expected']}, found {found!r}", path=path)
+        case "value_error":
+            return ValueFault(f"{where}: {detail['msg'].removeprefix('Value error, ')}", path=path)
+        case _:
+            kind = {"dict_type": "keys with values", "string_type": "a text", "tuple_type": "a list"}
+            kind |= {"model_type": "keys with values", "model_attributes_type": "keys with values"}
+            expected = kind.get(detail["type"], detail["msg"])
+            return ValueFault(f"{where}: expected {expected}, found {shown(found)}", path=path)
+
+
+def _keys(path: tuple[str | int, ...]) -> list[str]:
+    sections: dict[tuple[str | int, ...], type[BaseModel]] = {
+        (): GraphFile,
+        ("robot",): RobotSection,
+        ("solver",): SolverSection,
+        ("log",): LogSection,
+    }
+    return list(sections[path].model_fields) if path in sections else []

@@ -22,6 +22,8 @@ from dmframe.errors import DmframeError, ValueFault
 Names = Mapping[str, Mapping[str, str]]
 """Old names and the new ones, by block."""
 SECTIONS = ("blocks", "baseline")
+Find = Callable[[str, Path, str], type[AbstractBlock]]
+"""The class of a block type, as `find_block` gives it: the type, the graph's folder, and who names it."""
 
 
 @final
@@ -34,9 +36,9 @@ class Renamed:
     faults: tuple[DmframeError, ...] = ()
 
 
-def with_new_names(document: Document, base: Path) -> Renamed:
-    """Put old names right; block files are looked for in the folder `base`."""
-    kinds = _kinds(document.data, base)
+def with_new_names(document: Document, base: Path, find: Find = find_block) -> Renamed:
+    """Put old names right; block files are looked for in the folder `base`, and `find` gives the class of a type."""
+    kinds = _kinds(document.data, base, find)
     if not any(kind.renamed for section in kinds.values() for kind in section.values()):
         return Renamed(document)
     work = _Work(document.name, kinds)
@@ -44,7 +46,7 @@ def with_new_names(document: Document, base: Path) -> Renamed:
     return Renamed(Document(document.name, mapping_of(root), root), tuple(work.notices), tuple(work.faults))
 
 
-def _kinds(data: Mapping[str, Any], base: Path) -> dict[str, dict[str, type[AbstractBlock]]]:
+def _kinds(data: Mapping[str, Any], base: Path, find: Find) -> dict[str, dict[str, type[AbstractBlock]]]:
     """The classes of the blocks of both sections; one that cannot be found is told where blocks are made."""
     found = dict[str, dict[str, type[AbstractBlock]]]()
     for section in SECTIONS:
@@ -53,7 +55,7 @@ def _kinds(data: Mapping[str, Any], base: Path) -> dict[str, dict[str, type[Abst
         for name, spec in entries.items() if isinstance(entries, dict) else ():
             kind = spec.get("type") if isinstance(spec, dict) else None
             try:
-                found[section][name] = find_block(str(kind), base)
+                found[section][name] = find(str(kind), base, "type")
             except DmframeError:
                 continue
     return found

@@ -8,8 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Final, final
 
-from dmframe.diagram import Diagram
 from dmframe.drawing.flowchart import mermaid
+from dmframe.drawing.netlist import Wired
 from dmframe.drawing.picture import svg
 from dmframe.errors import OutputError
 from dmframe.files import check_place, write_bytes, write_text
@@ -28,7 +28,7 @@ class Drawing:
         What stands above it.
     """
 
-    diagram: Diagram
+    diagram: Wired
     title: str = ""
 
     @cached_property

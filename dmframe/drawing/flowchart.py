@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import re
 
-from dmframe.diagram import Diagram
-from dmframe.drawing.netlist import Box, netlist
+from dmframe.drawing.netlist import Box, Wired, netlist
 from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
 
-def mermaid(diagram: Diagram, title: str = "") -> str:
+def mermaid(diagram: Wired, title: str = "") -> str:
     """A flowchart from left to right, controller and plant as subgraphs, a line for each wire.
 
     A wire is labelled ``signal``, or ``output -> input`` where their names differ; an input that is derived from

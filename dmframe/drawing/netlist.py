@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Protocol, final
 
-from dmframe.diagram import Diagram
-from dmframe.diagram.wiring import Derived, End, Wire
+from dmframe.block import AbstractBlock
+from dmframe.diagram.wiring import Derived, End, Source, Wire
 from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
@@ -50,7 +50,34 @@ class Netlist:
     nets: Mapping[End, tuple[End, ...]]
 
 
-def netlist(diagram: Diagram) -> Netlist:
+class Stated(Protocol):
+    """What has states, by name."""
+
+    @property
+    def states(self) -> Iterable[str]:
+        """Their names."""
+
+
+class Wired(Protocol):
+    """Blocks with what drives each input: a `Diagram`, or less."""
+
+    @property
+    def blocks(self) -> Mapping[str, AbstractBlock]:
+        """The blocks by name."""
+
+    @property
+    def sources(self) -> Mapping[End, Source]:
+        """What drives each input."""
+
+    @property
+    def models(self) -> Mapping[str, Stated]:
+        """The states of each block."""
+
+    def type_of(self, name: str) -> str:
+        """The type of a block."""
+
+
+def netlist(diagram: Wired) -> Netlist:
     """Wires without time, without inputs left at zero, and with derived inputs as marks on what drives them."""
     nets, inputs = dict[End, list[End]](), dict[str, list[Pin]]()
     for (name, port), source in diagram.sources.items():
@@ -77,7 +104,7 @@ def netlist(diagram: Diagram) -> Netlist:
     return Netlist(boxes, {end: tuple(targets) for end, targets in nets.items()})
 
 
-def _derived(diagram: Diagram, name: str, port: str) -> Pin | None:
+def _derived(diagram: Wired, name: str, port: str) -> Pin | None:
     """The pin of a derived input, traced back through derivatives of derivatives to a wire."""
     order, root = 0, port
     while isinstance(source := diagram.sources[name, root], Derived):

@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Iterator
 from xml.sax.saxutils import escape, quoteattr
 
-from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import End
 from dmframe.drawing.layout import MARGIN, Layout, Placed, lay_out, segments
-from dmframe.drawing.netlist import netlist
+from dmframe.drawing.netlist import Wired, netlist
 from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 
@@ -33,7 +32,7 @@ _HEAD, _FOOT = 62.0, 34.0
 _CONTROLLER, _PLANT = "controller", "robot and servo"
 
 
-def svg(diagram: Diagram, title: str = "") -> str:
+def svg(diagram: Wired, title: str = "") -> str:
     """The picture of a diagram.
 
     From left to right sources, controller and plant, with the wall between them that the closed architecture is;
@@ -76,7 +75,7 @@ def _ground(layout: Layout, width: float, height: float) -> Iterator[str]:
     yield _text(x + 12, bottom - 3, "closed architecture", "region")
 
 
-def _wires(layout: Layout, diagram: Diagram) -> Iterator[str]:
+def _wires(layout: Layout, diagram: Wired) -> Iterator[str]:
     """Every net as one group, with arrows where it arrives and dots where it branches."""
     pieces = dict[End, list[tuple[tuple[float, float], tuple[float, float]]]]()
     for end, begin, finish in segments(layout):

@@ -37,14 +37,14 @@ def laws_of(diagram: Diagram) -> dict[str, PrintedLaw]:
     return {name: block.law() for name, block in read_blocks(diagram).items()}
 
 
-def read_blocks(diagram: Diagram) -> dict[str, ReadBlock]:
-    """All blocks of a diagram, read and held to what runs. Raises as `laws_of`."""
+def read_blocks(diagram: Diagram, *, near: bool = False) -> dict[str, ReadBlock]:
+    """All blocks of a diagram, read and held to what runs; with `near` at a few points alone. Raises as `laws_of`."""
     robots = [model.robot for model in diagram.models.values() if model.robot is not None]
     functions = RobotFunctions(robots[0]) if robots else None
     blocks = {name: _read(diagram, name, functions) for name in diagram.blocks}
     certify(blocks)
     for block in blocks.values():
-        block.compare()
+        block.compare(near=near)
     return blocks
 
 

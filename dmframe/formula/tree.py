@@ -341,7 +341,7 @@ def transpose(node: Node) -> Node:
         case Stack(rows):
             columns = zip(*rows, strict=True)
             return Stack(tuple(tuple(transpose(item) for item in column) for column in columns), shape)
-        case Product(coefficient, factors, below) if _scalars(factors) or _scalars(below) or coefficient != 1:
+        case Product(coefficient, factors, below) if any(map(is_scalar, factors + below)) or coefficient != 1:
             rest = finished(Product(Fraction(1), _others(factors), _others(below), node.shape))
             outer = Product(coefficient, (*_only(factors), transpose(rest)), _only(below), shape)
             return finished(outer)
@@ -372,19 +372,14 @@ def _chain(one: Product, other: Product, shape: Shape) -> Node:
             one, other = other, one
         else:
             one = _held(one)
-    if _made_of_vectors(other) and not is_scalar_product(one):
+    if _made_of_vectors(other) and not is_scalar(one):
         one, other = _held(other), one
     factors = (*one.factors, *other.factors)
     return finished(Product(one.coefficient * other.coefficient, factors, (*one.below, *other.below), shape))
 
 
-def is_scalar_product(product: Product) -> bool:
-    """Is the product as a whole one number?"""
-    return product.shape == SCALAR
-
-
 def _made_of_vectors(product: Product) -> bool:
-    return is_scalar_product(product) and not all(map(is_scalar, product.factors))
+    return is_scalar(product) and not all(map(is_scalar, product.factors))
 
 
 def _plain(below: tuple[Node, ...]) -> bool:
@@ -402,7 +397,3 @@ def _only(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
 
 def _others(nodes: tuple[Node, ...]) -> tuple[Node, ...]:
     return tuple(node for node in nodes if not is_scalar(node))
-
-
-def _scalars(nodes: tuple[Node, ...]) -> bool:
-    return any(map(is_scalar, nodes))

@@ -12,14 +12,15 @@ from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.config import Experiment, load_experiment
-from dmframe.config.document import Document, document_of, read_document
+from dmframe.config.document import read_document
 from dmframe.config.experiment import experiment_of
+from dmframe.config.given import document_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph.named import Named
 from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
-from dmframe.units import plain, to_unit
+from dmframe.units import plain, shorten, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
@@ -70,9 +71,11 @@ class Graph:
         return self.experiment.file.duration
 
     @property
-    def blocks(self) -> Mapping[str, AbstractBlock]:
+    def blocks(self) -> Named[AbstractBlock]:
         """The blocks by name; their parameters are attributes, ``g.blocks["dynamics"].Gamma``."""
-        return Named("block", self.experiment.blocks)
+        held = self.experiment.blocks
+        facts = {name: {"type": type_name(type(block)), "side": block.side.value} for name, block in held.items()}
+        return Named("block", facts, held.__getitem__)
 
     @property
     def robot(self) -> Any:
@@ -190,7 +193,7 @@ class Graph:
             No equilibrium, or no goal to follow.
         """
         from dmframe.analysis import analyse
-        from dmframe.config.experiment import placed
+        from dmframe.config.places import placed
         from dmframe.report import Analysis
 
         experiment, diagram, until = self.experiment, self.diagram, seconds("horizon", horizon)
@@ -238,16 +241,16 @@ class Graph:
 
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
-        from dmframe.files import write_text
+        from dmframe.files import expanded, write_text
 
         _ = self.diagram  # faults of sizes and wires, too
-        path = Path(path).expanduser()
+        path = expanded(path)
         write_text(path, self.text, new=True)
         return path
 
     def __reduce__(self) -> Any:
-        """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.experiment.document, self.experiment.name, self.experiment.overrides)
+        """Pickled without its diagram, which is made anew."""
+        return Graph, (self.experiment,)
 
     def __eq__(self, other: object) -> bool:
         """The same text gives the same run."""
@@ -268,13 +271,12 @@ class Graph:
     def _repr_html_(self) -> str:
         from dmframe.drawing import svg
 
-        rows = [(name, type_name(type(block)), block.side.value) for name, block in self.blocks.items()]
         clock = "continuous time" if self.clock is None else f"sampled every {plain(self.clock, 's')}"
         return (
             notebook.heading(self.name, self.title)
             + notebook.fitted(svg(self.diagram), f"dm-{self.diagram.fingerprint[:8]}")
             + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
-            + notebook.table(rows, ("block", "type", "side"))
+            + self.blocks._repr_html_()
         )
 
 
@@ -327,12 +329,7 @@ def seconds(what: str, value: float | str) -> float:
     try:
         found = to_unit(value, "s")
     except DmframeError as error:
-        raise ValueFault(f"{what} {value}: {error.text}") from None
+        raise ValueFault(f"{what} {shorten(str(value))}: {error.text}") from None
     if not found > 0:
-        raise ValueFault(f"{what} {value}: expected a time above zero")
+        raise ValueFault(f"{what} {shorten(str(value))}: expected a time above zero")
     return found
-
-
-def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Graph:
-    """A graph that was pickled."""
-    return Graph(replace(experiment_of(document), name=name, overrides=overrides))

@@ -1,40 +1,76 @@
-"""Things by name, which nobody changes; a name that is not there is told with the nearest."""
+"""Things by name, which nobody changes, each with a few facts; a name that is not there is told with the nearest."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Generic, TypeVar, final
+from typing import Any, Generic, TypeVar, final
 
-from dmframe.errors import UnknownNameError
+from dmframe import notebook
+from dmframe.columns import columns
+from dmframe.errors import UnknownNameError, ValueFault
+from dmframe.units import plain
 
 T = TypeVar("T")
 
 
 @final
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Named(Mapping[str, T], Generic[T]):
-    """A read-only mapping; `kind` is what its things are."""
+    """A read-only mapping; a notebook and ``str`` show its facts as a table.
+
+    Parameters
+    ----------
+    kind
+        What its things are, ``block type``.
+    facts
+        What is said of each, by the thing's name: texts, and times [s].
+    make
+        The thing of a name.
+    """
 
     kind: str
-    held: Mapping[str, T]
+    facts: Mapping[str, Mapping[str, str | float]]
+    make: Callable[[str], T]
+
+    @property
+    def summary(self) -> list[dict[str, Any]]:
+        """The facts as plain data, what ``--json`` prints."""
+        return [{"name": name, **said} for name, said in self.facts.items()]
+
+    @property
+    def _rows(self) -> list[tuple[str, ...]]:
+        return [(name, *map(_cell, said.values())) for name, said in self.facts.items()]
 
     def __getitem__(self, name: str) -> T:
-        if name not in self.held:
-            raise UnknownNameError(f"{self.kind}s[{name!r:.40}]", self.kind, str(name), self.held)
-        return self.held[name]
+        if not isinstance(name, str):
+            raise ValueFault(f"{self.kind}s[{name!r:.30}]: expected a name, found {type(name).__name__}")
+        if name not in self.facts:
+            raise UnknownNameError(f"{self.kind}s[{name!r:.40}]", self.kind, name, self.facts)
+        return self.make(name)
 
     def __contains__(self, name: object) -> bool:
-        return name in self.held
+        return name in self.facts
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.held)
+        return iter(self.facts)
 
     def __len__(self) -> int:
-        return len(self.held)
-
-    def __repr__(self) -> str:
-        return repr(dict(self.held))
+        return len(self.facts)
 
     def _ipython_key_completions_(self) -> list[str]:
-        return list(self.held)
+        return list(self)
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} {self.kind}s: {', '.join(self)}>"
+
+    def __str__(self) -> str:
+        return columns(self._rows, indent="")
+
+    def _repr_html_(self) -> str:
+        heads = [head for said in list(self.facts.values())[:1] for head in said]
+        return notebook.table(self._rows, (self.kind, *heads))
+
+
+def _cell(fact: str | float) -> str:
+    return fact if isinstance(fact, str) else plain(fact, "s")

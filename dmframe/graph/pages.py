@@ -54,10 +54,11 @@ def check_page(graph: Experiment, diagram: Diagram) -> str:
 def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:
     shape = " x ".join(str(size) for size in diagram.sizes.of(port.shape)) or "1"
     source = diagram.sources[name, port.name]
-    return f"{name}.{port.name}", "<-", _source(source, name), shape, port.unit or "-"
+    return f"{name}.{port.name}", "<-", source_text(source, name), shape, port.unit or "-"
 
 
-def _source(source: Source, name: str) -> str:
+def source_text(source: Source, name: str) -> str:
+    """What drives an input of the block of that name."""
     match source:
         case Wire(block, port):
             return f"{block}.{port}"
@@ -93,7 +94,7 @@ def first_line(kind: type[AbstractBlock]) -> str:
 
 def block_page(kind: type[AbstractBlock]) -> str:
     """A block's law, printed from its code, its ports, states, parameters and what its docstring says."""
-    said, wide = about(kind), _wide()
+    said, wide = about(kind), page_width()
     parts = [
         f"{type_name(kind)} ({kind.side.value})",
         textwrap.fill(unmarked(said.summary), wide),
@@ -116,7 +117,7 @@ def block_page(kind: type[AbstractBlock]) -> str:
     return "\n\n".join(parts)
 
 
-def _wide() -> int:
+def page_width() -> int:
     """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
     return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
 

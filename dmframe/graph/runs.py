@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 from dmframe import notebook
 from dmframe.config import Experiment
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.files import told_apart
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
-from dmframe.results.run import HEADS, NOTE, Run, ended, row, table_of
+from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.units import plain, shorten
 
@@ -63,19 +64,11 @@ class Runs(Sequence[Run]):
 
     def plot(self, *signals: str | Sequence[str]) -> Figures:
         """The figures of the command line, overlaid, or one of some signals. See `Run.plot`."""
-        from dmframe.results.figures import figures_of, signals_figure
-
-        runs = {run.name: run.recording for run in self.runs}
-        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
-        return signals_figure(runs, labels) if labels else figures_of(runs)
+        return drawn(self.runs, signals)
 
     def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write each to a folder of its own below `folder`, and the figures beside them. See `Run.save`."""
-        from dmframe.results.folder import write_run
-
-        path = Path(folder).expanduser()
-        write_run(path, self.runs, plots=plots, force=force)
-        return path
+        return saved(self.runs, folder, plots=plots, force=force)
 
     @overload
     def __getitem__(self, key: int | str) -> Run: ...
@@ -113,7 +106,7 @@ class Runs(Sequence[Run]):
         return (
             notebook.table(map(row, self.runs), HEADS)
             + notebook.paragraphs([NOTE, *told])
-            + error_picture({run.name: run.recording for run in self.runs})
+            + error_picture({run.name: run for run in self.runs})
         )
 
 
@@ -274,13 +267,7 @@ def labels_of(items: Sequence[tuple[str, Experiment]]) -> list[str]:
         alike = [set(other.overrides) for called, other in items if called == name]
         own = [text for text in experiment.overrides if not all(text in others for others in alike)]
         labels.append(f"{name} {', '.join(map(_short, own))}".strip())
-    for place, label in enumerate(labels):
-        if label in labels[:place]:
-            count = 2
-            while f"{label} {count}" in labels:
-                count += 1
-            labels[place] = f"{label} {count}"
-    return labels
+    return told_apart(labels, lambda label, count: f"{label} {count}")
 
 
 def _short(override: str) -> str:

@@ -17,14 +17,13 @@ from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
 from dmframe.report.notation import latex
 from dmframe.results.metrics import tracking_error
+from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
 from dmframe.units import plain
 
 ROUNDING = 1e-6
 """Of V at the start: rises that an integrator's own error explains."""
 
-CURVES = 6
-"""Terms of V that the figure shows, the largest ones."""
 INSTANTS = 9
 """Rows of the table of V over time."""
 
@@ -77,7 +76,7 @@ def measure(
         sentence=f"{_sentence(clock)} {_judged(found, clock)}",
         facts=(*facts, *more),
         numbers={**numbers, **v_numbers},
-        figure=figure_svg(_figure(found, run.divergence is not None)),
+        figure=figure_svg(storage_picture(found, [rf"${latex(term.of)}$ ({term.block})" for term in found.terms], run)),
         caption="$V$ along the simulated run (above), and its largest terms, each with its weight (below).",
         table=tuple((float(found.time[k]), float(found.V[k])) for k in kept),
     )
@@ -164,31 +163,3 @@ def _increase(found: Along) -> str:
     if found.increase_at is None:
         return "none"
     return f"{found.largest_increase:.3g}, at t = {plain(found.increase_at, 's')}"
-
-
-def _figure(found: Along, diverged: bool) -> Any:
-    """V above, its largest terms on a logarithmic axis below."""
-    from dmframe.plotting import draw_curve, frame, look, new_figure, settle, span, styled, tame
-
-    tops = {id(term): span(tame(term.values), diverged)[1] for term in found.terms}
-    largest = sorted(found.terms, key=lambda term: -tops[id(term)])[:CURVES]
-    with styled():
-        figure = new_figure(6.6, 3.9)
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
-        draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
-        frame(above, [(tame(found.V), diverged)])
-        above.set_ylabel("$V$")
-        for index, term in enumerate(largest):
-            values = np.maximum(tame(term.values), 1e-300)
-            label = rf"${latex(term.of)}$ ({term.block})"
-            draw_curve(below, found.time, values, 600, label=label, **look(index))
-        below.set_yscale("log")
-        top = max(tops.values(), default=0.0)
-        if top > 0:
-            below.set_ylim(top * 1e-9, top * 3)
-        below.set_ylabel("terms of $V$")
-        below.set_xlabel("time [s]")
-        above.set_xlim(0, float(found.time[-1]))
-        below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
-        settle(figure)
-    return figure

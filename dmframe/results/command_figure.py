@@ -7,27 +7,22 @@ from typing import Any
 import numpy as np
 
 from dmframe.formula.names import unicode_name
-from dmframe.plotting import (
-    PAGE,
-    POINTS,
-    draw_curve,
-    frame,
-    look,
-    names_above,
-    new_figure,
-    settle,
-    styled,
-    tame,
-    unit_text,
-)
+from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, shown_unit, told, window_text
+from dmframe.results.drawn_runs import (
+    Runs,
+    joint_slides,
+    last_stretch,
+    left_out,
+    same_joints,
+    short,
+    show_stretch,
+    shown_unit,
+    told,
+)
 from dmframe.simulate import Recording
 from dmframe.units import sliding
-
-WINDOW = 12.0
-"""How much of a run's end is shown [s]: over all of a long run one would see a band of ink."""
 
 
 def command_figure(runs: Runs) -> Any:
@@ -35,18 +30,15 @@ def command_figure(runs: Runs) -> Any:
 
     Over the end of the runs; None where a graph commands nothing.
     """
-    from matplotlib.ticker import MaxNLocator
-
     pairs = {name: command_pairs(run) for name, run in runs.items()}
     pairs = {name: found for name, found in pairs.items() if found}
     if not pairs:
         return None
     first = next(iter(pairs))
     joints, slides = joint_labels(runs[first].diagram), joint_slides(runs[first])
-    names = {name: run for name, run in runs.items() if name in pairs and joint_labels(run.diagram) == joints}
+    names = same_joints(runs, pairs)
     shown = _columns([pairs[name] for name in names])
-    with styled():
-        figure = new_figure(PAGE, 0.8 + 1.2 * len(joints))
+    with page(PAGE, 0.8 + 1.2 * len(joints)) as figure:
         panels = figure.subplots(len(joints), len(shown), sharex=True, squeeze=False)
         most = max(200, min(1500, POINTS // (2 * len(names) * len(joints) * len(shown))))
         for row, joint in enumerate(joints):
@@ -63,16 +55,11 @@ def command_figure(runs: Runs) -> Any:
                 panels[row, column].set_ylabel(
                     (f"{short(joint)}\n" if column == 0 else "") + f"{about} [{unit_text(unit)}]"
                 )
-        for axes in panels[-1]:
-            axes.set_xlabel("time [s]")
-            axes.set_xlim(*window(list(names.values())))
-            axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
         without = left_out(
             runs, names, lambda run: "with other joints" if command_pairs(run) else "which commands nothing"
         )
-        note_below(figure, window_text(*window(list(names.values())), list(names.values())), without)
+        show_stretch(figure, panels[-1], list(names.values()), without, 4)
         names_above(figure, panels[0, 0], PAGE, _explained() if any(kind == "both" for _, kind in shown) else ())
-        settle(figure)
     return figure
 
 
@@ -109,7 +96,7 @@ def _panel(
     scale: float,
     most: int,
 ) -> None:
-    begin, end = window(list(runs.values()))
+    begin, end = last_stretch(runs.values())
     curves = list[tuple[np.ndarray, bool]]()
     for place, (name, run) in enumerate(runs.items()):
         inside = (run.time >= begin) & (run.time <= end)
@@ -127,12 +114,6 @@ def _panel(
         if diverged:
             axes.axvline(run.time[-1], color=color, linestyle=(0, (1, 1.5)), linewidth=0.9)
     frame(axes, curves, zero=kind == "difference")
-
-
-def window(runs: list[Recording]) -> tuple[float, float]:
-    """The last `WINDOW` seconds that all runs went through."""
-    end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
-    return max(0.0, end - WINDOW), end if end > 0 else 1.0
 
 
 def _unit(run: Recording, pairs: dict[str, tuple[str, str]], signal: str) -> str:

@@ -14,6 +14,9 @@ from dmframe.units import plain, sliding
 Runs = Mapping[str, Recording]
 """Runs by the names that the legends show."""
 
+STRETCH = 12.0
+"""How much of a run's end is shown where all of a long run would be a band of ink [s]."""
+
 
 def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, str, float]]:
     """Of each coordinate of the error: its label, the unit in which it is drawn, and the factor to it."""
@@ -29,6 +32,19 @@ def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, s
             for joint, slide in zip(joints, slides, strict=True)
         ]
     return [(f"error {row + 1}", *shown_unit(unit)) for row in range(rows)]
+
+
+def errors_of(runs: Runs) -> dict[str, TrackingError]:
+    """Tracking errors of the runs that can be drawn beside the first that has one."""
+    errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
+    alike = {(error.signal, error.unit) for error in list(errors.values())[:1]}
+    return {name: error for name, error in errors.items() if (error.signal, error.unit) in alike}
+
+
+def same_joints(runs: Runs, names: Collection[str]) -> dict[str, Recording]:
+    """Those of the named runs that have the joints of the first of them."""
+    joints = [joint_labels(runs[name].diagram) for name in names]
+    return {name: runs[name] for name, own in zip(names, joints, strict=True) if own == joints[0]}
 
 
 def joint_slides(run: Recording) -> list[bool]:
@@ -67,6 +83,24 @@ def mark_divergence(panels: Any, runs: Runs) -> None:
                     [run.divergence.time], [1.0], "x", color=color, markersize=4, transform=axes.get_xaxis_transform(),
                     clip_on=False,
                 )  # fmt: skip
+
+
+def last_stretch(runs: Collection[Recording]) -> tuple[float, float]:
+    """The last `STRETCH` seconds that all runs went through."""
+    end = min(float(run.time[-1]) for run in runs)  # up to where all of them came
+    return max(0.0, end - STRETCH), end if end > 0 else 1.0
+
+
+def show_stretch(figure: Any, bottom: Any, runs: list[Recording], without: str, ticks: int) -> None:
+    """Times of `last_stretch` below the panels, and which stretch that is, and which runs are not shown."""
+    from matplotlib.ticker import MaxNLocator
+
+    begin, end = last_stretch(runs)
+    for axes in bottom:
+        axes.set_xlabel("time [s]")
+        axes.set_xlim(begin, end)
+        axes.xaxis.set_major_locator(MaxNLocator(ticks, steps=[1, 2, 5, 10]))
+    note_below(figure, window_text(begin, end, runs), without)
 
 
 def set_times(axes: Any, runs: list[Recording]) -> None:

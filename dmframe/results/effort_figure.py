@@ -6,23 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import (
-    DASHES,
-    PAGE,
-    POINTS,
-    draw_curve,
-    frame,
-    look,
-    names_above,
-    new_figure,
-    settle,
-    styled,
-    tame,
-    unit_text,
-)
-from dmframe.results.command_figure import window
+from dmframe.plotting import DASHES, PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.results.dataset import joint_labels
-from dmframe.results.drawn_runs import Runs, joint_slides, left_out, note_below, short, told, window_text
+from dmframe.results.drawn_runs import (
+    Runs,
+    joint_slides,
+    last_stretch,
+    left_out,
+    same_joints,
+    short,
+    show_stretch,
+    told,
+)
 from dmframe.simulate import Recording
 from dmframe.units import sliding
 
@@ -35,7 +30,6 @@ def effort_figure(runs: Runs) -> Any:
     A colour a run, a dash a signal.
     """
     from matplotlib.lines import Line2D
-    from matplotlib.ticker import MaxNLocator
 
     found = {name: efforts(run) for name, run in runs.items()}
     found = {name: signals for name, signals in found.items() if signals}
@@ -43,12 +37,11 @@ def effort_figure(runs: Runs) -> Any:
         return None
     first = next(iter(found))
     joints, slides = joint_labels(runs[first].diagram), joint_slides(runs[first])
-    names = {name: run for name, run in runs.items() if name in found and joint_labels(run.diagram) == joints}
+    names = same_joints(runs, found)
     labels = list(dict.fromkeys(label for name in names for label in found[name]))
     units = [unit for unit in UNITS if any(unit in found[name].values() for name in names)]
-    begin, end = window(list(names.values()))
-    with styled():
-        figure = new_figure(PAGE, 0.9 + 1.2 * len(joints))
+    begin, end = last_stretch(names.values())
+    with page(PAGE, 0.9 + 1.2 * len(joints)) as figure:
         panels = figure.subplots(len(joints), len(units), sharex=True, squeeze=False)
         most = max(200, min(1500, POINTS // (len(names) * len(joints) * len(labels))))
         for row, joint in enumerate(joints):
@@ -64,10 +57,6 @@ def effort_figure(runs: Runs) -> Any:
                 frame(axes, curves, zero=True)
                 shown = sliding(unit) if slides[row] else unit
                 axes.set_ylabel((f"{short(joint)}\n" if column == 0 else "") + f"[{unit_text(shown)}]")
-        for axes in panels[-1]:
-            axes.set_xlabel("time [s]")
-            axes.set_xlim(begin, end)
-            axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
         keys = [Line2D([], [], color="black", linestyle=_dash(labels, label), label=label) for label in labels]
         runs_too = [
             Line2D([], [], color=look(place)["color"], label=told(name, run))
@@ -76,8 +65,7 @@ def effort_figure(runs: Runs) -> Any:
         ]
         names_above(figure, None, PAGE, [*runs_too, *keys])
         without = left_out(runs, names, lambda run: "with other joints" if efforts(run) else "without such signals")
-        note_below(figure, window_text(begin, end, list(names.values())), without)
-        settle(figure)
+        show_stretch(figure, panels[-1], list(names.values()), without, 5)
     return figure
 
 

@@ -10,20 +10,20 @@ import numpy as np
 from dmframe.plotting import (
     COLUMN,
     POINTS,
+    VANISHING,
     draw_curve,
     frame,
     look,
     names_above,
-    new_figure,
-    settle,
+    page,
     span,
-    styled,
     tame,
     unit_text,
 )
 from dmframe.results.drawn_runs import (
     Runs,
     coordinate_labels,
+    errors_of,
     left_out,
     mark_divergence,
     note_below,
@@ -31,21 +31,18 @@ from dmframe.results.drawn_runs import (
     told,
     why_not_with,
 )
-from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.metrics import TrackingError
 from dmframe.simulate import Recording
 
 
 def error_figure(runs: Runs) -> Any:
     """Tracking error against time, a panel a coordinate, and its norm on a logarithmic scale; None without a goal."""
-    errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
-    if not errors:
+    same = errors_of(runs)
+    if not same:
         return None
-    first = next(iter(errors))
-    signal = errors[first].signal
-    same = {name: e for name, e in errors.items() if e.signal == signal and e.unit == errors[first].unit}
-    labels = coordinate_labels(runs[first], errors[first])
-    with styled():
-        figure = new_figure(COLUMN, 0.75 + 0.85 * len(labels) + 1.25)
+    first = next(iter(same))
+    labels = coordinate_labels(runs[first], same[first])
+    with page(COLUMN, 0.75 + 0.85 * len(labels) + 1.25) as figure:
         panels = figure.subplots(
             len(labels) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.0] * len(labels) + [1.4]
         )[:, 0]
@@ -62,8 +59,7 @@ def error_figure(runs: Runs) -> Any:
         mark_divergence(panels, {name: runs[name] for name in same})
         set_times(panels[-1], [runs[name] for name in same])
         names_above(figure, panels[0], COLUMN)
-        note_below(figure, left_out(runs, same, why_not_with(signal)))
-        settle(figure)
+        note_below(figure, left_out(runs, same, why_not_with(same[first].signal)))
     return figure
 
 
@@ -80,9 +76,11 @@ def _norms(
             tops.append(span(positive, runs[name].divergence is not None)[1])
             bottoms.append(float(np.quantile(positive, 0.02)))
     axes.set_ylabel(f"norm [{', '.join(units)}]")
-    if tops:
+    top = max(tops, default=0.0)
+    if top < VANISHING:
+        frame(axes, [(np.zeros(1), False)], zero=True)
+    else:
         axes.set_yscale("log")
-        top = max(tops)
         axes.set_ylim(max(min(bottoms), top * 1e-6) * 0.7, top * 1.5)
         log_ticks(axes)
 

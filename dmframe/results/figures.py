@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, final
+from typing import TYPE_CHECKING, Any, final
 
 from dmframe import notebook
 from dmframe.errors import OutputError
-from dmframe.files import writing
+from dmframe.files import expanded, writing
 from dmframe.plotting import save
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
@@ -18,8 +18,13 @@ from dmframe.results.effort_figure import effort_figure
 from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
+from dmframe.results.place import FIGURES, OF_EACH
 from dmframe.results.signal_figure import signal_figure
+from dmframe.results.storage_figure import storage_figure
 from dmframe.two import by_two
+
+if TYPE_CHECKING:
+    from dmframe.results.run import Run
 
 
 @final
@@ -38,7 +43,7 @@ class Figures(Mapping[str, Any]):
 
     def save(self, folder: str | Path) -> list[Path]:
         """Write each as PNG and SVG to a folder. Raises `OutputError` where that cannot be done."""
-        place, files = Path(folder).expanduser(), list[Path]()
+        place, files = expanded(folder), list[Path]()
         if place.suffix in (".png", ".svg", ".pdf"):
             raise OutputError(
                 f"{place}: expected a folder, found the name of a file; each figure has a savefig of its own"
@@ -66,17 +71,17 @@ class Figures(Mapping[str, Any]):
         return "".join(notebook.picture(figure, f"{name} of {self.about}") for name, figure in self.items())
 
 
-def figures_of(runs: Runs) -> Figures:
+def figures_of(runs: Mapping[str, Run]) -> Figures:
     """Every figure that the runs allow.
 
-    ``error``, ``path``, ``commands``, ``effort``, and for each run that estimates something ``estimates``
-    (``estimates_<name>`` where there are several runs).
+    ``error``, ``path``, ``commands``, ``effort``, and for each run with a certificate ``storage``, and that estimates
+    something ``estimates`` (``storage_<name>``, ``estimates_<name>`` where there are several runs).
     """
     made = {name: make() for name, make in _makers(runs).items()}
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-def save_figures(runs: Runs, folder: Path) -> None:
+def save_figures(runs: Mapping[str, Run], folder: Path) -> None:
     """Write `figures_of` as PNG and SVG, on two cores where there are as many."""
 
     def job(name: str, make: Callable[[], Any]) -> Callable[[], None]:
@@ -91,25 +96,29 @@ def save_figures(runs: Runs, folder: Path) -> None:
     by_two(jobs[::-1])  # the first ones take least, which evens out what the two do last
 
 
-def _makers(runs: Runs) -> dict[str, Callable[[], Any]]:
+def _makers(runs: Mapping[str, Run]) -> dict[str, Callable[[], Any]]:
     """How each figure is made."""
+    recordings = _recordings(runs)
     made: dict[str, Callable[[], Any]] = {
-        "error": partial(error_figure, runs),
-        "path": partial(path_figure, runs),
-        "commands": partial(command_figure, runs),
-        "effort": partial(effort_figure, runs),
+        name: partial(figure, recordings)
+        for name, figure in zip(FIGURES, (error_figure, path_figure, command_figure, effort_figure), strict=True)
     }
     for name, run in runs.items():
-        made["estimates" if len(runs) == 1 else f"estimates_{name}"] = partial(estimate_figure, name, run)
+        own = (partial(storage_figure, name, run), partial(estimate_figure, name, run.recording))
+        made |= {kind if len(runs) == 1 else f"{kind}_{name}": make for kind, make in zip(OF_EACH, own, strict=True)}
     return made
 
 
-def signals_figure(runs: Runs, labels: Sequence[str]) -> Figures:
+def _recordings(runs: Mapping[str, Run]) -> Runs:
+    return {name: run.recording for name, run in runs.items()}
+
+
+def signals_figure(runs: Mapping[str, Run], labels: Sequence[str]) -> Figures:
     """One figure of some signals over time, a panel each. Raises `UnknownNameError` for one that no run recorded."""
-    return Figures({"signals": signal_figure(runs, labels)}, ", ".join(runs))
+    return Figures({"signals": signal_figure(_recordings(runs), labels)}, ", ".join(runs))
 
 
-def error_picture(runs: Runs) -> str:
+def error_picture(runs: Mapping[str, Run]) -> str:
     """The tracking error for a notebook; empty without a goal."""
-    figure = error_figure(runs)
+    figure = error_figure(_recordings(runs))
     return "" if figure is None else notebook.picture(figure, f"tracking error of {', '.join(runs)}")

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
-from dmframe.files import encoded, writing
+from dmframe.files import encoded, told_apart, writing
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, reserved
 from dmframe.results.resolved import companions, resolved_text, robot_source
@@ -75,7 +75,8 @@ def write_run(
     OutputError
         The folder has files in it, or cannot be written.
     """
-    with nullcontext(path) if isinstance(path, Place) else reserved(path, force=force) as place:
+    folders = folders_of([run.name for run in runs])
+    with nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders) as place:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
         if plots:
             draw_figures(place, runs)
@@ -91,8 +92,8 @@ def write_data(
     now: datetime | None = None,
 ) -> list[dict[str, Any]]:
     """All of `write_run` but the figures."""
-    names = _names(runs)
-    folders = [place.path / name if len(runs) > 1 else place.path for name in names]
+    below = folders_of([run.name for run in runs])
+    folders = [place.path / name for name in below] or [place.path]
     summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
     with built(place) as building:
         for run, folder, told in zip(runs, folders, summaries, strict=True):
@@ -110,7 +111,7 @@ def draw_figures(place: Place, runs: Sequence[Run]) -> None:
         from dmframe.results.figures import save_figures  # a backend of matplotlib's may be missing
 
         with writing(place.path, "figures"):
-            save_figures(dict(zip(_names(runs), (run.recording for run in runs), strict=True)), place.folder)
+            save_figures(dict(zip(_names([run.name for run in runs]), runs, strict=True)), place.folder)
     except OutputError:
         raise
     except Exception as error:  # whatever a plotting library raises at names and numbers of others
@@ -128,16 +129,14 @@ def safe_name(name: str) -> str:
     return re.sub(r"[^\w-]", "_", name).strip("_-").encode()[:_LONGEST].decode(errors="ignore") or "graph"
 
 
-def _names(runs: Sequence[Run]) -> list[str]:
-    """Names for the graphs' folders and curves, distinct where capitals are not told apart, too."""
-    names = dict[str, str]()
-    for run in runs:
-        first = name = safe_name(run.name)
-        count = 2
-        while name.casefold() in names:
-            name, count = f"{first}_{count}", count + 1
-        names[name.casefold()] = name
-    return list(names.values())
+def folders_of(labels: Sequence[str]) -> list[str]:
+    """The folders in a folder of results, one a run; none where there is one run alone, whose files lie in it."""
+    return _names(labels) if len(labels) > 1 else []
+
+
+def _names(labels: Sequence[str]) -> list[str]:
+    """Names for the graphs' folders and curves."""
+    return told_apart(map(safe_name, labels), lambda name, count: f"{name}_{count}")
 
 
 def _write_one(

@@ -7,22 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.plotting import (
-    GREY,
-    PAGE,
-    draw_curve,
-    frame,
-    look,
-    names_above,
-    new_figure,
-    settle,
-    styled,
-    tame,
-    unit_text,
-)
+from dmframe.plotting import GREY, PAGE, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.results.dataset import axis_labels
-from dmframe.results.drawn_runs import Runs, coordinate_labels, left_out, note_below, told, why_not_with
-from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.drawn_runs import Runs, coordinate_labels, errors_of, left_out, note_below, told, why_not_with
+from dmframe.results.metrics import TrackingError
 from dmframe.simulate import Recording
 from dmframe.units import plain
 
@@ -33,24 +21,28 @@ _VISIBLE = 0.35
 
 def path_figure(runs: Runs) -> Any:
     """The path in the plane in which it is widest; over time where it has no plane. None without a goal."""
-    errors = {name: error for name, run in runs.items() if (error := tracking_error(run)) is not None}
+    errors = errors_of(runs)
     if not errors:
         return None
-    first = next(iter(errors))
-    same = {name: e for name, e in errors.items() if e.signal == errors[first].signal}
-    if errors[first].signal.startswith("x ") and errors[first].values.shape[1] > 1:
-        return _in_plane(runs, same)
-    return _over_time(runs, same)
+    first = next(iter(errors.values()))
+    return (_in_plane if first.signal.startswith("x ") and first.values.shape[1] > 1 else _over_time)(runs, errors)
 
 
 def last_lap(times: np.ndarray, path: np.ndarray) -> int:
-    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends."""
-    distance = np.linalg.norm(path - path[-1], axis=1)
-    largest = float(np.max(distance))
+    """Index at which the last lap of a closed path begins: 0 where it does not come back to where it ends.
+
+    It comes back where it also moves as it does in the end: one that only crosses that point begins no lap.
+    """
+    if len(path) < 3:
+        return 0
+    rate = np.gradient(path, times, axis=0, edge_order=2)
+    distance, turned = (np.linalg.norm(values - values[-1], axis=1) for values in (path, rate))
+    largest, fastest = float(np.max(distance)), float(np.max(np.linalg.norm(rate, axis=1)))
     if largest <= 0:
         return 0
     away = np.flatnonzero(distance > 0.5 * largest)
-    back = np.flatnonzero(distance[: away[-1]] < 0.05 * largest)
+    same = (distance < 0.05 * largest) & (turned < 0.1 * fastest)
+    back = np.flatnonzero(same[: away[-1]])
     if not back.size:
         return 0
     last = back[-1]
@@ -85,8 +77,7 @@ def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
     factors = [1.0] if factor == 1.0 else [1.0, factor]
     first = next(iter(errors))
     labels = axis_labels(runs[first].diagram)
-    with styled():
-        figure = new_figure(PAGE if len(factors) > 1 else PAGE / 2, 3.5)
+    with page(PAGE if len(factors) > 1 else PAGE / 2, 3.5) as figure:
         panels = figure.subplots(1, len(factors), squeeze=False)[0]
         for axes, times in zip(panels, factors, strict=True):
             _plane_panel(axes, runs, desired, actual, plane, times)
@@ -101,7 +92,6 @@ def _in_plane(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
             _scale_bar(panels[1], factor, largest)
         names_above(figure, panels[0], PAGE if len(factors) > 1 else PAGE / 2)
         note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
-        settle(figure)
     return figure
 
 
@@ -176,10 +166,9 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
     first = next(iter(errors))
     rows = errors[first].values.shape[1]
     labels = [label.removesuffix("error").strip() for label, _, _ in coordinate_labels(runs[first], errors[first])]
-    with styled():
-        figure = new_figure(PAGE / 2, 0.8 + 1.3 * rows)
+    with page(PAGE / 2, 0.8 + 1.3 * rows) as figure:
         panels = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
-        begin, end = _window([runs[name] for name in errors], [runs[name][e.desired] for name, e in errors.items()])
+        begin, end = _last_laps([runs[name] for name in errors], [runs[name][e.desired] for name, e in errors.items()])
         for row, axes in enumerate(panels):
             curves = list[tuple[np.ndarray, bool]]()
             for place, (name, error) in enumerate(errors.items()):
@@ -197,11 +186,10 @@ def _over_time(runs: Runs, errors: Mapping[str, TrackingError]) -> Any:
         panels[-1].set_xlabel("time [s]")
         note_below(figure, left_out(runs, errors, why_not_with(errors[first].signal)))
         names_above(figure, panels[0], PAGE / 2, [Line2D([], [], color=GREY, linewidth=2.4, label="desired")])
-        settle(figure)
     return figure
 
 
-def _window(runs: list[Recording], paths: list[np.ndarray]) -> tuple[float, float]:
+def _last_laps(runs: list[Recording], paths: list[np.ndarray]) -> tuple[float, float]:
     """The last laps that all runs went through, or all of the time."""
     begin = min(float(run.time[last_lap(run.time, path)]) for run, path in zip(runs, paths, strict=True))
     end = max(float(run.time[-1]) for run in runs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,8 @@ from dmframe.files import hidden_name, is_hidden, writing
 
 FILES: Final = ("graph.yaml", "provenance.json", "signals.nc", "summary.json")
 FIGURES: Final = ("error", "path", "commands", "effort")
+OF_EACH: Final = ("storage", "estimates")
+"""Figures of one run: of several runs each has its own, ``estimates_<name>``."""
 
 
 @final
@@ -37,7 +39,7 @@ class Place:
 
 
 @contextmanager
-def reserved(path: str | Path, *, force: bool = False) -> Iterator[Place]:
+def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] = ()) -> Iterator[Place]:
     """Make and hold a folder for results; where nothing was written to it, what was made goes again.
 
     A long simulation is held within, so that it does not end in a place that cannot be used.
@@ -46,11 +48,14 @@ def reserved(path: str | Path, *, force: bool = False) -> Iterator[Place]:
     ----------
     force
         The folder may hold files; those of the same names will be replaced.
+    folders
+        Those in it to which results will be written.
 
     Raises
     ------
     OutputError
-        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there.
+        It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there; or,
+        with `force`, what would be replaced in it is not ours.
     """
     path, made = Path(path), list[Path]()
     try:
@@ -60,7 +65,7 @@ def reserved(path: str | Path, *, force: bool = False) -> Iterator[Place]:
             lock = _locked(folder, path)
         try:
             with writing(path, "folder"):
-                _check_usable(folder, path, ours=lock is not None, force=force)
+                _check_usable(folder, path, folders, ours=lock is not None, force=force)
             yield Place(path, folder, folder in made)
         finally:
             if lock is not None:
@@ -84,12 +89,12 @@ def _make(folder: Path, path: Path, made: list[Path]) -> None:
                 raise
 
 
-def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
+def _check_usable(folder: Path, path: Path, folders: Collection[str], *, ours: bool, force: bool) -> None:
     """The folder is empty, and what is done at the end can be done."""
     for item in list(folder.iterdir()):
         if not (ours and is_hidden(item.name)):
             if force:
-                _check_replaceable(item, path)
+                _check_replaceable(item, path, folder=item.name in folders)
                 continue
             raise OutputError(
                 f"{path}: expected an empty or a new folder, found one with files; name another folder, or take --force"
@@ -103,15 +108,21 @@ def _check_usable(folder: Path, path: Path, *, ours: bool, force: bool) -> None:
 def is_ours(name: str) -> bool:
     """Is it the name of a file that a run writes?"""
     stem, _, ending = name.rpartition(".")
-    return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith("estimates")))
+    return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith(OF_EACH)))
 
 
-def _check_replaceable(item: Path, path: Path) -> None:
-    """With --force: a folder in the place of a file of ours, or one that holds no results, is left alone."""
-    if item.is_symlink() or not item.is_dir():
-        return
-    if is_ours(item.name):
+def _check_replaceable(item: Path, path: Path, *, folder: bool) -> None:
+    """With --force: refuse a folder where a file of ours is to be, and where `folder` is to be what holds no results.
+
+    Anything else is replaced, or stays beside the results.
+    """
+    real = item.is_dir() and not item.is_symlink()
+    if real and is_ours(item.name):
         raise OutputError(f"{path}: {item.name} is a folder, where a file is to be written; move it, or name another")
+    if folder and not real:
+        raise OutputError(f"{path}: {item.name} is a file, where a folder is to be made; move it, or name another")
+    if folder and not (item / FILES[0]).is_file() and any(item.iterdir()):
+        raise OutputError(f"{path}: the folder {item.name} holds no results; move it, or name another")
 
 
 def clear_figures(folder: Path) -> None:
@@ -155,11 +166,9 @@ def built(place: Place) -> Iterator[Path]:
                 return
             for item in list(building.iterdir()):
                 target = place.folder / item.name
-                if target.is_dir() and not target.is_symlink():  # --force: results of before
-                    if not (target / FILES[0]).is_file() and any(target.iterdir()):
-                        raise OutputError(
-                            f"{place.path}: the folder {item.name} holds no results; move it, or name another"
-                        )
+                if target.exists() or target.is_symlink():  # --force, and it may have come since
+                    _check_replaceable(target, place.path, folder=item.is_dir())
+                if target.is_dir() and not target.is_symlink():  # results of before
                     shutil.rmtree(target)
                 item.replace(target)
                 moved.append(target)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dmframe.config.experiment import Experiment
+from dmframe.files import told_apart
 from dmframe.robot.library import RobotSource, find_robot
 
 _AFTER = ("wires", "baseline", "uncertain")
@@ -105,13 +106,9 @@ def _file_names(experiment: Experiment) -> dict[Path, str]:
     files = [_beside(experiment, path) for path, colon, _ in kinds if colon]
     if experiment.file.robot is not None and experiment.file.robot.model.endswith(".urdf"):
         files.append(find_robot(experiment.file.robot.model, _base(experiment)).urdf.resolve())
-    names = dict[Path, str]()
-    for path in dict.fromkeys(files):
-        taken, name, count = set(names.values()), path.name, 2
-        while name in taken:
-            name, count = f"{path.stem}_{count}{path.suffix}", count + 1
-        names[path] = name
-    return names
+    paths = list(dict.fromkeys(files))
+    names = told_apart((path.name for path in paths), lambda name, k: f"{Path(name).stem}_{k}{Path(name).suffix}")
+    return dict(zip(paths, names, strict=True))
 
 
 def _base(experiment: Experiment) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
@@ -13,9 +13,8 @@ import numpy as np
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import Experiment
-from dmframe.config.document import Document
-from dmframe.config.experiment import experiment_of
 from dmframe.errors import UnknownNameError, ValueFault
+from dmframe.files import expanded
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.results.summary import summary
@@ -119,11 +118,7 @@ class Run:
         UnknownNameError
             The run recorded no such signal.
         """
-        from dmframe.results.figures import figures_of, signals_figure
-
-        runs = {self.name: self.recording}
-        labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
-        return signals_figure(runs, labels) if labels else figures_of(runs)
+        return drawn([self], signals)
 
     def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
         """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
@@ -135,17 +130,12 @@ class Run:
         OutputError
             The folder has files in it, or cannot be written.
         """
-        from dmframe.results.folder import write_run
-
-        path = Path(folder).expanduser()
-        write_run(path, [self], plots=plots, force=force)
-        return path
+        return saved([self], folder, plots=plots, force=force)
 
     def __reduce__(self) -> Any:
         """Pickled with its arrays; its diagram is made anew when it is read."""
         held = {name: value for name, value in vars(self.recording).items() if name != "diagram"}
-        experiment = self.experiment
-        return _again, (experiment.document, experiment.name, experiment.overrides, held, self.label)
+        return _again, (self.experiment, held, self.label)
 
     def __repr__(self) -> str:
         lasted = self.divergence or self.recording.interrupted
@@ -164,7 +154,7 @@ class Run:
             notebook.heading(self.name, self.experiment.file.title)
             + notebook.table(rows, HEADS)
             + notebook.paragraphs([NOTE, *told])
-            + error_picture({self.name: self.recording})
+            + error_picture({self.name: self})
         )
 
     def _ended(self) -> str:
@@ -177,6 +167,24 @@ class Run:
         if error is None or error.rms_final is None:
             return ""
         return f", |{error.signal}| {plain(error.rms_final, error.unit)} RMS in the last eighth"
+
+
+def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figures:
+    """See `Run.plot`."""
+    from dmframe.results.figures import figures_of, signals_figure
+
+    named = {run.name: run for run in runs}
+    labels = [each for item in signals for each in ([item] if isinstance(item, str) else item)]
+    return signals_figure(named, labels) if labels else figures_of(named)
+
+
+def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, force: bool) -> Path:
+    """See `Run.save`."""
+    from dmframe.results.folder import write_run
+
+    path = expanded(folder)
+    write_run(path, runs, plots=plots, force=force)
+    return path
 
 
 def row(run: Run) -> tuple[str, ...]:
@@ -215,7 +223,6 @@ def table_of(runs: Sequence[Run]) -> str:
     return "\n".join(lines)
 
 
-def _again(document: Document, name: str, overrides: tuple[str, ...], held: dict[str, Any], label: str) -> Run:
+def _again(experiment: Experiment, held: dict[str, Any], label: str) -> Run:
     """A run that was pickled."""
-    experiment = replace(experiment_of(document), name=name, overrides=overrides)
     return Run(experiment, Recording(diagram=experiment.diagram(), **held), label)

@@ -9,7 +9,7 @@ import numpy as np
 
 from dmframe.diagram.closed_loop import Signal, Variable
 from dmframe.errors import UnknownNameError, raise_all
-from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, new_figure, settle, styled, tame, unit_text
+from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, page, tame, unit_text
 from dmframe.results.dataset import elements
 from dmframe.results.drawn_runs import Runs, mark_divergence, set_times, told
 from dmframe.results.estimate_figure import element
@@ -25,14 +25,12 @@ def signal_figure(runs: Runs, labels: Sequence[str]) -> Any:
     strangers = [label for label in dict.fromkeys(labels) if label not in known]
     raise_all([UnknownNameError(f"plot {label}", "signal", label, known) for label in strangers])
     most = max(200, min(2000, POINTS // (len(labels) * max(1, sum(_width(runs, label) for label in labels)))))
-    with styled():
-        figure = new_figure(PAGE, 0.5 + 1.7 * len(labels))
+    with page(PAGE, 0.5 + 1.7 * len(labels)) as figure:
         panels = figure.subplots(len(labels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, label in zip(panels, labels, strict=True):
             _panel(axes, runs, label, most)
         mark_divergence(panels, runs)
         set_times(panels[-1], list(runs.values()))
-        settle(figure)
     return figure
 
 

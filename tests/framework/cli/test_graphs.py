@@ -183,3 +183,31 @@ def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_
     assert said.status == 2
     assert "signals.nc is a folder, where a file is to be written" in said.err
     assert (out / "signals.nc" / "deep").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("stranger", "reason"),
+    [
+        ("pendulum/notes.txt", "the folder pendulum holds no results; move it, or name another"),
+        ("pendulum", "pendulum is a file, where a folder is to be made; move it, or name another"),
+    ],
+)
+def test_force_asks_before_the_run_whether_what_it_would_replace_is_ours(
+    dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stranger: str, reason: str
+) -> None:
+    (tmp_path / "o" / stranger).parent.mkdir(parents=True)
+    (tmp_path / "o" / stranger).write_text("precious")
+    monkeypatch.setattr("dmframe.graph.graph.Graph.run", lambda *_, **__: pytest.fail("it ran"))
+    said = dmframe("run", "pendulum", "arm2_joint", *SHORT, "--out", "o", "--force")
+    assert (said.status, said.err) == (2, f"dmframe: o: {reason}\n")
+    assert (tmp_path / "o" / stranger).read_text() == "precious"
+
+
+def test_force_replaces_the_folders_of_results_of_before(dmframe: Any, tmp_path: Path) -> None:
+    words = ("run", "pendulum", "arm2_joint", *SHORT, "--out", "o")
+    assert dmframe(*words).status == 0
+    (tmp_path / "o" / "beside").mkdir()
+    (tmp_path / "o" / "beside" / "notes.txt").write_text("mine")
+    assert dmframe(*words, "--set", "pendulum:dynamics.Gamma=7", "--force").status == 0
+    assert read_file(tmp_path / "o" / "pendulum" / "graph.yaml").data["blocks"]["dynamics"]["Gamma"] == 7
+    assert (tmp_path / "o" / "beside" / "notes.txt").read_text() == "mine"

@@ -58,6 +58,77 @@ def test_graphs_lists_every_packaged_graph_with_its_title(dmframe: Any) -> None:
         assert line.endswith(str(read_file(path).data["title"]))
 
 
+def test_graphs_tells_how_long_each_runs_and_its_clock(dmframe: Any) -> None:
+    lines = {line.split()[0]: line for line in dmframe("graphs").out.splitlines()}
+    assert "  200 s  8 ms  " in lines["ur10_fast"]
+    assert "30 s   continuous" in lines["pendulum"]
+
+
+def test_what_there_is_to_choose_from_can_be_read_by_a_program(dmframe: Any) -> None:
+    listed = {graph["name"]: graph for graph in json.loads(dmframe("graphs", "--json").out)}
+    assert list(listed) == list(graphs())
+    assert (listed["ur10_fast"]["duration"], listed["ur10_fast"]["clock"]) == (200.0, 0.008)
+    assert listed["pendulum"]["clock"] == "continuous"
+    kinds = {block["name"]: block["side"] for block in json.loads(dmframe("blocks", "--json").out)}
+    assert (kinds["pid_servo"], kinds["circle"]) == ("plant", "source")
+    assert {"name": "ur3", "description": "Universal Robots UR3, 6 revolute joints"} in json.loads(
+        dmframe("robots", "--json").out
+    )
+    refused = dmframe("blocks", "circle", "--json")
+    assert refused.err == "dmframe: --json: a block's page is text; leave the type out for a list\n"
+
+
+def test_one_robot_is_told_with_its_joints_masses_tool_source_and_known_errors(dmframe: Any) -> None:
+    page = dmframe("robots", "arm2").out
+    assert page.startswith("arm2: Planar arm with two revolute joints")
+    assert "tool, at (0.4, 0, 0) m in the last joint's frame" in page
+    assert "  joint2  revolute  -2.8 rad  2.8 rad  4 rad/s   50 N m   3.5 kg\n" in page
+    assert "source\n  Origin: written for dmframe." in page
+    assert page.endswith("known errors\n  None known. There is no friction and no rotor inertia.\n")
+    told = json.loads(dmframe("robots", "arm2", "--json").out)
+    assert [joint["mass"] for joint in told["joints"]] == [6.0, 3.5]  # as its SOURCE.md states them
+    assert dmframe("robots", "ur1").err == "dmframe: robot ur1: unknown robot; did you mean ur10?\n"
+
+
+def test_a_robot_of_ones_own_says_what_its_file_says(dmframe: Any, tmp_path: Path) -> None:
+    joint = '<parent link="base"/><child link="slide"/><axis xyz="1 0 0"/>'
+    body = '<inertial><mass value="2"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    text = f'<joint name="rail" type="prismatic">{joint}<limit lower="0" upper="1" velocity="2" effort="3"/></joint>'
+    (tmp_path / "own.urdf").write_text(
+        f'<robot name="own"><link name="base"/><link name="slide">{body}</link>{text}</robot>'
+    )
+    (tmp_path / "SOURCE.md").write_text("# of something else\n\nnot read\n")
+    page = dmframe("robots", "own.urdf").out
+    assert "  rail  prismatic  0 m    1 m    2 m/s     3 N     2 kg\n" in page
+    assert "not read" not in page
+
+
+@pytest.mark.parametrize(
+    ("words", "written"),
+    [
+        (("verify", "pendulum", "--report=~/p.json"), "p.json"),
+        (("draw", "pendulum", "--out=~/p.svg"), "p.svg"),
+        (("run", "pendulum", "--until=0.1", "--no-plots", "--out=~/p"), "p/summary.json"),
+        (("new", "pendulum", "~/p.yaml"), "p.yaml"),
+        (("regressor", "arm2", "--python=~/p.py"), "p.py"),
+    ],
+)
+def test_a_path_may_begin_at_home(
+    dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], written: str
+) -> None:
+    (tmp_path / "home").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert dmframe(*words).status == 0
+    assert (tmp_path / "home" / written).is_file()
+    assert not (tmp_path / "~").exists()
+
+
+def test_a_home_that_there_is_not_is_told(dmframe: Any) -> None:
+    said = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
+    expected = "~no_such_user/p.svg: expected a folder, found no home of that user; name it in full"
+    assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
+
+
 def test_new_copies_a_graph_letter_by_letter_and_says_what_to_do(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("new", "pendulum", "mine.yaml")
     assert (said.status, said.out) == (0, "wrote mine.yaml; try: dmframe run mine.yaml\n")

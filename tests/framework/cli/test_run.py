@@ -253,3 +253,8 @@ def test_graphs_of_any_name_lie_beside_their_figures(dmframe: Any, tmp_path: Pat
     held = {path.name: path.is_dir() for path in tmp_path.joinpath("mine").iterdir()}
     assert {name for name, folder in held.items() if folder} == {"error_png", "graph", "new_line", "Error_PNG_2"}
     assert {"error.png", "estimates_new_line.svg"} <= set(held)
+
+
+def test_an_engine_that_there_is_not_is_told_without_a_place_in_the_graph(dmframe: Any) -> None:
+    said = dmframe("run", "pendulum", *SHORT, "--engine", "fast")
+    assert (said.status, said.err) == (2, "dmframe: engine: expected auto, compiled, interpreted, found 'fast'\n")

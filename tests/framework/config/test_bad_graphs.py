@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from dmframe.config.experiment import Experiment, load_experiment, placed
+from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
 from dmframe.simulate import simulate
 

@@ -9,9 +9,10 @@ import pytest
 
 from dmframe.catalogue import graphs
 from dmframe.config.document import read_file
-from dmframe.config.experiment import load_experiment, placed
+from dmframe.config.experiment import load_experiment
 from dmframe.config.grammar import GraphFile
 from dmframe.config.overrides import overridden
+from dmframe.config.places import placed
 from dmframe.errors import DmframeError, Faults
 from dmframe.simulate import Solver, simulate
 

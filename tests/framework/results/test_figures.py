@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from dmframe.certify.along import along
 from dmframe.plotting import look, save, styled, thin
 from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
@@ -17,6 +18,7 @@ from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
 from dmframe.results.signal_figure import signal_figure
+from dmframe.results.storage_figure import storage_figure
 
 
 def drawn(name, run):
@@ -31,7 +33,7 @@ def drawn(name, run):
 def test_figures_lie_beside_the_data_as_png_of_200_dpi_and_as_small_well_formed_svg(tmp_path, ur10, kinematic):
     write_run(tmp_path / "out", [kinematic, ur10])
     files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()}
-    names = {"error", "path", "commands", "effort", "estimates_ur10_fast"}
+    names = {"error", "path", "commands", "effort", "storage_ur10_fast", "estimates_ur10_fast"}
     assert files == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
     for name in names:
         with Image.open(tmp_path / "out" / f"{name}.png") as picture:
@@ -137,6 +139,27 @@ def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
     assert last_lap(times, np.ones((times.size, 2))) == 0
 
 
+def test_a_path_that_only_crosses_the_point_where_it_ends_begins_no_lap_there(make_result):
+    times = np.arange(0, 10, 0.01)
+    eight = np.stack([np.sin(times), np.sin(2 * times)], axis=1)[: int(300 * np.pi) + 1]  # one eight and a half
+    begin = last_lap(times[: len(eight)], eight)
+    assert times[len(eight) - 1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)  # not half of it
+    there_and_back = make_result("pendulum", 30.0).recording  # through zero on its way, and at rest there in the end
+    assert last_lap(there_and_back.time, there_and_back["path.q_d"]) == 0
+    assert last_lap(times[:2], eight[:2]) == 0
+
+
+def test_errors_of_rounding_alone_are_drawn_as_zero(arm2):
+    run = arm2.recording
+    states = {**run.states, "arm.q": run["path.q_d"] + np.array([1e-17, 1e-4])}
+    first, second, norm = error_figure({"one": replace(run, states=states)}).axes
+    assert first.get_yticks().tolist() == [0.0]
+    assert second.get_ylim()[1] == pytest.approx(0.1, rel=0.2)
+    assert norm.get_yscale() == "log"
+    nothing = replace(run, states={**run.states, "arm.q": run["path.q_d"] + 1e-17})
+    assert [panel.get_yticks().tolist() for panel in error_figure({"none": nothing}).axes] == [[0.0]] * 3
+
+
 def test_deviations_are_magnified_by_round_numbers_and_never_reduced():
     assert magnification(0.3, 0.001) == 100
     assert magnification(0.3, 0.012) == 5
@@ -204,3 +227,40 @@ def test_a_run_of_two_instants_is_seen(ur10):
     )
     (line, *_) = error_figure({"short": short}).axes[0].get_lines()
     assert line.get_marker() == "o"
+
+
+def test_v_is_drawn_as_the_proof_states_it_with_its_largest_terms(arm2):
+    verdict = arm2.experiment.verify(arm2.recording.diagram)
+    proved = along(verdict.claim, arm2.recording, float(verdict.kappa.chosen))
+    above, below = storage_figure("arm2", arm2).axes
+    (V,) = above.get_lines()
+    np.testing.assert_allclose(V.get_ydata(), proved.V[np.isin(arm2.time, V.get_xdata())], rtol=1e-12)
+    assert V.get_xdata()[[0, -1]].tolist() == arm2.time[[0, -1]].tolist()
+    names = ["w_I − K_I/K_P (inverse)", "w − 1/K_⋆ (inverse)", "i + q_c − q_r (inverse)", "â_d − a_d (dynamics)"]
+    assert {text.get_text() for text in below.get_legend().get_texts()} == {*names, "σ (arm)", "q − q_d (task)"}
+
+
+def test_a_graph_of_which_nothing_would_be_proved_has_no_figure_of_v(kinematic, make_result, pendulum, monkeypatch):
+    assert storage_figure("no certificate", kinematic) is None
+    unpaid = make_result("pendulum", 0.1, "inverse.K_c=0.1", "inverse.tie=position")
+    assert unpaid.experiment.verify(unpaid.recording.diagram).outcome == "not_applicable"
+    assert storage_figure("a condition fails", unpaid) is None
+    states = {label: rows for label, rows in pendulum.recording.states.items() if label != "servo.q_c"}
+    partly = replace(pendulum, recording=replace(pendulum.recording, states=states))
+    assert storage_figure("a state was not kept", partly) is None
+    assert storage_figure("all is well", pendulum) is not None
+    monkeypatch.setattr("dmframe.certify.unproved.MOST", 3)
+    assert storage_figure("too large to be decided on the way", pendulum) is None
+
+
+def test_v_of_a_run_that_diverged_is_drawn_up_to_there(arm2, blow_up):
+    figure = storage_figure("wild", replace(arm2, recording=blow_up(arm2.recording, 0.3)))
+    assert figure.axes[0].get_title(loc="left") == "wild (diverged at 0.3 s)"
+    assert figure.axes[0].get_ylim()[1] < 10
+
+
+def test_no_label_of_a_panel_leaves_the_page(pendulum):
+    figure = error_figure({"pendulum": pendulum.recording})
+    with styled():
+        figure.draw_without_rendering()
+    assert all(panel.yaxis.label.get_window_extent().x0 >= 0 for panel in figure.axes)

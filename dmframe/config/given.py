@@ -1,0 +1,90 @@
+"""A graph, or a value of one, that a program gives: read into the same nodes as a file's text."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from numbers import Number
+from typing import Any
+
+import numpy as np
+
+from dmframe.config.document import (
+    DEEPEST,
+    MOST_BYTES,
+    MOST_NODES,
+    UNPRINTABLE,
+    Document,
+    Node,
+    Steps,
+    mapping_of,
+    unreadable,
+)
+from dmframe.errors import DocumentError, ValueFault
+from dmframe.units import shorten
+
+
+def document_of(data: Mapping[Any, Any], name: str) -> Document:
+    """A graph given as data, with NumPy's arrays and numbers where it likes; `name` is what messages call it.
+
+    Raises `DocumentError` for what no graph file could say, and `ValueFault` for a number that is not finite.
+    """
+    root = node_of(data, ())
+    if not isinstance(root.value, dict) or not root.value:
+        raise DocumentError("expected a graph, found no keys; a graph begins with dmframe: 1", location=name)
+    return Document(name, mapping_of(root), root)
+
+
+def node_of(value: Any, path: Steps, said: str = "") -> Node:
+    """A value that a program gives, as if a file had said it.
+
+    Raises `DocumentError` for what no file could say, and `ValueFault` for a number that is not finite.
+    """
+    where = ".".join(map(str, path)) or "graph"
+    if len(path) > DEEPEST:
+        raise DocumentError(f"nested deeper than {DEEPEST} levels; a graph needs about four", location=said)
+    if isinstance(value, np.ndarray | np.generic | range) or hasattr(value, "__array__"):  # pandas' and xarray's, too
+        array = np.asarray(value)
+        if array.dtype.kind in "mM":
+            raise DocumentError(f"{where}: expected numbers, found dates or spans of time", location=said)
+        if array.size > MOST_NODES:
+            raise DocumentError(f"{where}: expected at most {MOST_NODES} numbers, found {array.size}", location=said)
+        value = array.tolist()
+    if isinstance(value, Number) and not isinstance(value, int | float | complex):  # a Fraction, a Decimal
+        value = float(value)  # type: ignore[arg-type]  # Number itself promises no __float__
+    if isinstance(value, Mapping):
+        entries = dict[str, tuple[Node, Node]]()
+        for key, item in value.items():
+            if not isinstance(key, str):
+                raise DocumentError(f"{where}: a key is a text, found {shorten(repr(key), 30)}", location=said)
+            _check_letters(key, where, said)
+            entries[key] = (Node(0, 0, key, said=said), node_of(item, (*path, key), said))
+        return Node(0, 0, entries, 1 + sum(node.size for _, node in entries.values()), said)
+    if isinstance(value, list | tuple):
+        if len(value) > MOST_NODES:
+            raise DocumentError(f"{where}: expected at most {MOST_NODES} values, found {len(value)}", location=said)
+        items = [node_of(item, (*path, place), said) for place, item in enumerate(value)]
+        return Node(0, 0, items, 1 + sum(node.size for node in items), said)
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueFault(f"{where}: expected a finite number, found {value}", path=path, location=said)
+    if isinstance(value, os.PathLike):
+        value = os.fsdecode(value)
+    if isinstance(value, str):
+        _check_letters(value, where, said)
+    if isinstance(value, int) and abs(value) > 10**400:
+        raise ValueFault(
+            f"{where}: expected a finite number, found one of hundreds of digits", path=path, location=said
+        )
+    if value is None or isinstance(value, str | int | float):
+        return Node(0, 0, value, said=said)
+    raise DocumentError(
+        f"{where}: expected a number, a text, a list or keys with values, found {type(value).__name__}", location=said
+    )
+
+
+def _check_letters(text: str, where: str, said: str) -> None:
+    if len(text) > MOST_BYTES:
+        raise DocumentError(f"{where}: expected a short text, found one of {len(text)} letters", location=said)
+    if strange := UNPRINTABLE.search(text):
+        raise DocumentError(f"{where}: {unreadable(strange.group())}", location=said)

@@ -1,0 +1,101 @@
+"""A robot as a page, and as plain data: its joints with limits and masses, its tool, and what is known to be wrong."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Mapping
+from typing import Any, Final
+
+from dmframe.columns import columns
+from dmframe.graph.pages import page_width
+from dmframe.robot.library import RobotSource, find_robot, load
+from dmframe.units import plain
+
+UNITS: Final[Mapping[str, Mapping[str, str]]] = {
+    "revolute": {"lower": "rad", "upper": "rad", "velocity": "rad/s", "effort": "N m"},
+    "prismatic": {"lower": "m", "upper": "m", "velocity": "m/s", "effort": "N"},
+}
+SECTIONS: Final = {"source": "", "known_errors": "Known errors"}
+"""What is quoted of a robot's SOURCE.md: what stands before its first section, and one of the sections."""
+
+
+def robot_data(name: str) -> dict[str, Any]:
+    """A robot as a graph gets it that says its name alone; limits that it does not state are None.
+
+    Raises what `dmframe.robot.library.load` does.
+    """
+    source, chain = find_robot(name), load(name)
+    frame = source.tool if isinstance(source.tool, str) else None
+    joints = [
+        {
+            "name": joint.name,
+            "kind": joint.kind,
+            **{key: value if math.isfinite(value := getattr(joint, key)) else None for key in UNITS[joint.kind]},
+            "mass": float(body[0]),
+        }
+        for joint, body in zip(chain.joints, chain.inertia, strict=True)
+    ]
+    return {
+        "name": chain.name,
+        "description": source.description,
+        "urdf": str(source.urdf),
+        "axes": chain.axes,
+        "tool": {"frame": frame, "offset": [float(length) for length in chain.tool]},
+        "held": dict(source.hold),
+        "joints": joints,
+        **_said(source),
+    }
+
+
+def robot_page(name: str) -> str:
+    """`robot_data` for a terminal."""
+    data = robot_data(name)
+    offset = ", ".join(f"{length:.4g}" for length in data["tool"]["offset"])
+    facts = [
+        ("model", data["urdf"]),
+        ("task", f"coordinates {data['axes']} of the tool"),
+        ("tool", f"{data['tool']['frame'] or 'a point'}, at ({offset}) m in the last joint's frame"),
+        ("held", ", ".join(f"{joint} at {plain(angle, 'rad')}" for joint, angle in data["held"].items()) or "no joint"),
+        ("mass", f"{plain(sum(joint['mass'] for joint in data['joints']), 'kg')} moves"),
+    ]
+    heads = ("name", "kind", "lower", "upper", "velocity", "effort", "mass")
+    rows = [
+        (
+            joint["name"],
+            joint["kind"],
+            *(
+                "none" if joint[key] is None else f"{joint[key]:.4g} {unit}"
+                for key, unit in UNITS[joint["kind"]].items()
+            ),
+            f"{joint['mass']:.4g} kg",
+        )
+        for joint in data["joints"]
+    ]
+    parts = [
+        f"{data['name']}: {data['description']}".rstrip(": "),
+        columns(facts),
+        f"joints\n{columns([heads, *rows])}",
+    ]
+    parts += [f"{key.replace('_', ' ')}\n{_wrapped(data[key])}" for key in SECTIONS if data[key]]
+    return "\n\n".join(parts)
+
+
+def _said(source: RobotSource) -> dict[str, str | None]:
+    """What its package says of a robot, by the keys of `SECTIONS`; None where it says nothing."""
+    file = None if source.folder is None or not source.description else source.folder / "SOURCE.md"
+    if file is None or not file.is_file():
+        return dict.fromkeys(SECTIONS)
+    first, *others = re.split(r"^## (.*)\n", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    texts = {"": re.sub(r"\A# .*\n", "", first), **dict(zip(others[::2], others[1::2], strict=True))}
+    return {key: texts[head].strip().replace("`", "") if head in texts else None for key, head in SECTIONS.items()}
+
+
+def _wrapped(text: str) -> str:
+    """Paragraphs and list items, each wrapped."""
+    items = re.split(r"\n\n|\n(?=- )", text)
+    return "\n".join(
+        textwrap.fill(" ".join(item.split()), page_width(), initial_indent="  ", subsequent_indent="    ")
+        for item in items
+    )

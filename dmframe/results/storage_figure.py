@@ -1,0 +1,67 @@
+"""V of a run, and what it is the sum of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dmframe.certify.along import Along
+from dmframe.errors import DmframeError
+from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
+from dmframe.results.drawn_runs import told
+from dmframe.simulate import Recording
+
+if TYPE_CHECKING:
+    from dmframe.results.run import Run
+
+CURVES = 6
+"""Terms of V that are shown, the largest ones."""
+
+FAINT = 1e-9
+"""Of the largest value of a term: what is smaller lies below the panel."""
+
+
+def storage_figure(name: str, run: Run) -> Any:
+    """V and its largest terms over time, as the blocks' certificates claim it; None where they claim nothing.
+
+    That dV/dt is what they claim is for `verify` to prove: the figure only shows V.
+    """
+    from dmframe.certify.unproved import unproved_along
+
+    recording = run.recording
+    try:
+        intervals = run.experiment.intervals(recording.diagram)
+    except DmframeError:  # a run does without them
+        return None
+    found = unproved_along(recording, intervals, run.experiment.start)
+    if found is None:
+        return None
+    names = [f"{term.drawn} ({verbatim(term.block)})" for term in found.terms]
+    return storage_picture(found, names, recording, title=told(name, recording))
+
+
+def storage_picture(found: Along, names: Sequence[str], run: Recording, title: str = "") -> Any:
+    """V above, its largest terms below on a logarithmic axis, each under its name."""
+    diverged = run.divergence is not None
+    tops = [span(tame(term.values), diverged)[1] for term in found.terms]
+    largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
+    with page(6.6, 3.9) as figure:
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=[1.0, 1.3])
+        draw_curve(above, found.time, found.V, 800, color="#1a1a1a")
+        frame(above, [(tame(found.V), diverged)])
+        above.set_ylabel("$V$")
+        above.set_title(title, loc="left")
+        for place, k in enumerate(largest):
+            values = np.maximum(tame(found.terms[k].values), 1e-300)
+            draw_curve(below, found.time, values, 600, label=names[k], **look(place))
+        below.set_yscale("log")
+        top = max(tops, default=0.0)
+        if top > 0:
+            below.set_ylim(top * FAINT, top * 3)
+        below.set_ylabel("terms of $V$")
+        below.set_xlabel("time [s]")
+        above.set_xlim(0, float(found.time[-1]))
+        below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
+    return figure
