@@ -1,4 +1,4 @@
-r"""Laws by which an estimate is adapted, and what each adds to dS/dt; an option of every adapting block.
+r"""Laws by which an estimate is adapted, and what each adds to dS/dt; options of every `dmframe.block.AdaptingBlock`.
 
 A block's estimate :math:`\hat\theta` of a constant :math:`\theta` is driven by an error s, through a gradient:
 
@@ -88,22 +88,6 @@ from dmframe.certificate import (
 )
 from dmframe.linalg import metric, solve_spd, square, times
 from dmframe.naming import named
-from dmframe.parameter import Positive
-
-
-def Leak() -> Any:
-    """The parameter `leak`: a rate, or none."""
-    return Positive("", "1/s", default=None)
-
-
-def ErrorLeak(unit: str = "") -> Any:
-    """The parameter `error_leak`: a rate a unit of the error, or none."""
-    return Positive("", unit, default=None)
-
-
-def DeadZone(shape: str, unit: str = "") -> Any:
-    """The parameter `dead_zone`: the width, of the error's shape and unit, or none."""
-    return Positive(shape, unit, default=None)
 
 
 @final
@@ -147,12 +131,6 @@ class Estimate:
         return Square(self.error, self.weight)
 
 
-def start_of(state: str, p: Any, nominal: SX) -> SX:
-    """Where an estimate starts: where the parameter of its name says, else at the model's."""
-    key = f"{state}_0"
-    return getattr(p, key) if key in p else nominal
-
-
 @final
 @dataclass(frozen=True)
 class Adaptation:
@@ -161,6 +139,11 @@ class Adaptation:
     leak: SX | None
     error_leak: SX | None
     width: SX | None
+
+    @property
+    def plain(self) -> bool:
+        """Is it the gradient law?"""
+        return self.leak is None and self.error_leak is None and self.width is None
 
     def drive(self, error: SX) -> SX:
         """What the gradient takes for the error: what it has beyond the dead zone."""
@@ -294,4 +277,4 @@ def _by(term: Dissipated | Bounded, error: SX) -> NormSquare:
     return NormSquare(term.vector, term.weight, error)
 
 
-__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation", "start_of"]
+__all__ = ["Adaptation", "Estimate", "Fit", "Terms", "adaptation"]

@@ -158,7 +158,7 @@ def _start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -
     seen = view(claim.diagram, block, claim.truths)
     try:
         with told_by(block, "start()"):
-            said = model.block.start(seen.u, seen.p, seen.truth).get(state)
+            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
     except BlockError:  # a start that no run could take; the run says so
         return [None] * size
     if said is None:
