@@ -78,12 +78,16 @@ class IndirectAdaptation(AdaptingBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        error, spent = self.error(u, x, p), Square(self.error(u, x, p))
-        if "dead_zone" in p:  # the error times what it has beyond its width
-            spent = Lemma(p.dead_zone, error, ca.DM.zeros(error.shape[0]), p.dead_zone, "beyond")
+        error = self.error(u, x, p)
         return Certificate(
             estimates={"a_d_hat": TrueValue(truth.a_d)},
-            dissipation=(spent,),
+            dissipation=(self._spent(error, p),),
             supply=ca.dot(self.driven(error, p), error - u.Y_d @ (x.a_d_hat - truth.a_d)),
             truth={"direct": 0},
         )
+
+    def _spent(self, error: SX, p: Signals) -> Square | Lemma:
+        """The error times what it has beyond its dead zone."""
+        if "dead_zone" not in p:
+            return Square(error)
+        return Lemma(p.dead_zone, error, ca.DM.zeros(error.shape[0]), p.dead_zone, "beyond")

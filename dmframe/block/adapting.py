@@ -20,7 +20,7 @@ from dmframe.block.names import type_name
 from dmframe.certificate import SX, Certificate, TrueValue
 from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
 from dmframe.linalg import metric, times
-from dmframe.naming import reading
+from dmframe.naming import named, reading
 from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
 from dmframe.port import ANY, Adapted, State
 from dmframe.units import rate_over
@@ -117,7 +117,7 @@ class AdaptingBlock(AbstractBlock):
             return plain
         present = [item for item in self.estimates if item.name in x]
         _hold("certificate() says what is estimated by", plain.estimates, present, owner_of(u))
-        weighed = {item.name: _weighed(item, plain.estimates[item.name], p) for item in present}
+        weighed = {item.name: self._weighed(item, plain.estimates[item.name], p) for item in present}
         whole, law, nominal = with_estimates(replace(plain, estimates=weighed), x), adaptation(p), self.nominal(u, p)
         estimates = {
             name: Estimate(getattr(x, name), true.value, _start(name, nominal, p), true.weight)
@@ -142,7 +142,7 @@ class AdaptingBlock(AbstractBlock):
         if said is not None:
             return said
         if self.driven_by in stated.outputs:
-            return stated.outputs[self.driven_by]
+            return named(self.driven_by, stated.outputs[self.driven_by])
         return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
 
     def _fits(self, u: Signals, x: Signals, p: Signals) -> dict[str, Fit]:
@@ -151,17 +151,24 @@ class AdaptingBlock(AbstractBlock):
             return {}
         if "R" not in p:
             raise MissingError(f"{type_name(type(self))}: forgetting needs R, the weight of what is to be forgotten")
-        found, fits = dict(self.fits(u, x, p)), dict[str, Fit]()
-        for item in self.estimates:
-            if item.name in found and "forgetting" in p:
-                for name in ("leak", "error_leak", f"{item.name}_box", f"{item.name}_ball"):
-                    if name in p:
-                        raise ValueFault(
-                            f"{type_name(type(self))}: expected no {name} beside forgetting: it acts in the metric of "
-                            f"{item.gain}, and V's is then that of P"
-                        )
-                found[item.name] = replace(found[item.name], forgetting=p.forgetting, state=getattr(x, item.memory))
-        return found | fits
+        fits = dict(self.fits(u, x, p))
+        for item in self.estimates if "forgetting" in p else ():
+            for name in ("leak", "error_leak", f"{item.name}_box", f"{item.name}_ball"):
+                if name in p:
+                    raise ValueFault(
+                        f"{type_name(type(self))}: expected no {name} beside forgetting: it acts in the metric of "
+                        f"{item.gain}, and V's is then that of P"
+                    )
+            if item.name in fits:
+                fits[item.name] = replace(fits[item.name], forgetting=p.forgetting, state=getattr(x, item.memory))
+        return fits
+
+    def _weighed(self, item: Adapted, true: TrueValue, p: Signals) -> TrueValue:
+        """With its whole weight in V, the inverse of the gain in it."""
+        gain, weight = getattr(p, item.gain), true.weight
+        if isinstance(weight, int) and weight == 1:
+            return replace(true, weight=metric(gain))
+        return replace(true, weight=weight / gain if gain.is_column() else weight * metric(gain))
 
     def _robust(
         self,
@@ -182,7 +189,7 @@ class AdaptingBlock(AbstractBlock):
         return found + law.idle(error, self._effect(u, x, p, error, stated))
 
     def _effect(self, u: Signals, x: Signals, p: Signals, error: SX, stated: Mapping[str, TrueValue]) -> SX:
-        """b of s'b, what the errors of the estimates do to the loop: the transpose of the direction, of them."""
+        """What the errors of the estimates do to the loop, b of s'b: the direction's transpose, of them."""
         s = type(error).sym("s", *error.shape)
         with reading(None):  # a name would stand for an expression in s
             directions = self.direction(u, x, p, s)
@@ -223,16 +230,15 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
     """What each of those parameters is, in words."""
     if not issubclass(block, AdaptingBlock):
         return {}
-    by = block.driven_by
-    said = {
+    sets = {
         "box": "Interval onto which the estimate is projected.",
-        "ball": "Instead of the box, the ball onto which the estimate is projected; with a list for the radius, an "
-        "ellipsoid.",
-        "leak": "A pull of each estimate back to where it starts, absent unless given.",
-        "error_leak": f"The same in proportion to the size of {by}, absent unless given.",
-        "dead_zone": f"A width of {by} below which nothing adapts, absent unless given.",
+        "ball": "Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.",
     }
-    return {name: said.get(name) or said[name.rpartition("_")[2]] for name in _options(block)}
+    robust = (
+        f"Robust laws, each absent unless given: a pull back to the start; one in proportion to {block.driven_by}; no "
+        f"adaptation while {block.driven_by} is below this width. See `dmframe.adaptation`."
+    )
+    return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
 def _taken(block: type[AdaptingBlock]) -> Iterator[str]:
@@ -258,11 +264,3 @@ def _start(name: str, nominal: Mapping[str, SX], p: Signals) -> SX:
     """Where an estimate starts."""
     key = f"{name}_0"
     return getattr(p, key) if key in p else nominal.get(name, 0)
-
-
-def _weighed(item: Adapted, true: TrueValue, p: Signals) -> TrueValue:
-    """With the whole weight in V, the inverse of the gain in it."""
-    gain = getattr(p, item.gain)
-    if isinstance(true.weight, int):
-        return replace(true, weight=metric(gain) if true.weight == 1 else true.weight * metric(gain))
-    return replace(true, weight=true.weight / gain if gain.is_column() else true.weight * metric(gain))

@@ -49,8 +49,8 @@ def malformed(block: type[AbstractBlock]) -> Iterator[str]:
         yield f"expected its side to be a Side, found {_short(block.side)}"
     if not isinstance(block.uses_robot, bool):
         yield f"expected uses_robot to be True or False, found {_short(block.uses_robot)}"
-    if not isinstance(getattr(block, "driven_by", ""), str):
-        yield f"expected driven_by to be the name of an input or output, found {_short(block.driven_by)}"
+    if not isinstance(by := getattr(block, "driven_by", ""), str):
+        yield f"expected driven_by to be the name of an input or output, found {_short(by)}"
     yield from _mistyped(block)
 
 
@@ -132,9 +132,11 @@ def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
         yield f"is driven by {driven_by}, which is no input and no output; {nearest(driven_by, signals[1:])}"
     for item in block.estimates:
         if item.gain not in numbers:
-            yield f"the gain of the estimate {item.name} is {item.gain or 'none'}, no parameter; {nearest(item.gain, numbers)}"
+            near = nearest(item.gain, numbers)
+            yield f"the gain of the estimate {item.name} is {item.gain or 'none'}, which is no parameter; {near}"
         if item.nominal and item.nominal not in inputs:
-            yield f"the estimate {item.name} starts at {item.nominal}, which is no input; {nearest(item.nominal, inputs)}"
+            near = nearest(item.nominal, inputs)
+            yield f"the estimate {item.name} starts at {item.nominal}, which is no input; {near}"
 
 
 def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:

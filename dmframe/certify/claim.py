@@ -272,16 +272,13 @@ class Field:
 
     def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
         r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""
-        own = symbols_in([projection.state])
-        squares = [square for square in certificate.storage if symbols_in([square.vector, square.weight]) & own]
-        if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
-            (square,) = squares
-            slope = ca.jacobian(square.vector, projection.state)
-            if slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
-                return ca.dot(times(square.weight, square.vector), projection.correction)
+        own, estimate = symbols_in([projection.state]), certificate.estimates.get(projection.of)
+        held = [term for term in certificate.storage if symbols_in(term.pieces) & own]
+        if estimate is not None and len(held) == 1 and not symbols_in([estimate.weight]) & own:
+            return ca.dot(times(estimate.weight, projection.state - estimate.value), projection.correction)
         raise NotApplicableError(
             f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
-            "projection lemma needs"
+            f"projection lemma needs; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}} alone"
         )
 
 

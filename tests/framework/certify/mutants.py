@@ -370,7 +370,8 @@ def share(scope: str, everywhere: bool, first: int, last: int) -> list[tuple[str
 
 def all_mutants(*, certificates: bool, library: bool) -> Iterator[Mutant]:
     for kind, block in known_blocks().items():
-        yield from block_mutants(kind, block)
+        for method in ("equations", "direction", "error", "fits"):
+            yield from block_mutants(kind, block, method)
         if certificates:
             helpers = [name for name, item in vars(block).items() if isinstance(item, FunctionType)]
             for method in ("certificate", *(name for name in helpers if name.startswith("_") and "model" not in name)):
