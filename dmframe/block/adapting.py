@@ -49,7 +49,8 @@ class AdaptingBlock(AbstractBlock):
         """Make the states of the estimates, and the parameters of the options."""
         from dmframe.block.contract import malformed  # which needs the classes of this package
 
-        raise_all([BlockError(f"{cls.__name__}: {text}") for text in (*malformed(cls), *_taken(cls))])
+        faults = [*malformed(cls)] or _taken(cls)
+        raise_all([BlockError(f"{cls.__name__}: {text}") for text in faults])
         before = () if "states" in vars(cls) else [state for base in cls.__mro__[1:] for state in _made(base)]
         cls.states = (*(state for state in cls.states if state not in before), *_made(cls))
         fields = cls.model_fields
