@@ -97,9 +97,11 @@ class Terms:
 
     dissipation: tuple[Dissipated, ...] = ()
     excess: tuple[Bounded, ...] = ()
+    storage: tuple[Stored, ...] = ()
 
     def __add__(self, other: Terms) -> Terms:
-        return Terms(self.dissipation + other.dissipation, self.excess + other.excess)
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Terms(*(mine + theirs for mine, theirs in pairs))
 
 
 @final
@@ -230,16 +232,12 @@ class Fit:
             return {}
         return {state: gathered(self._memory, self.regressor, self.by, self.forgetting)}
 
-    def storage(self, estimate: Estimate, c: SX) -> tuple[Stored, ...]:
-        """What V holds more than the estimate's own square, whose weight is c over Gamma."""
-        return () if self.forgetting is None else (self._gathered(estimate, c),)
-
-    def dissipation(self, estimate: Estimate, c: SX) -> tuple[Dissipated, ...]:
-        """What the fit spends, c being a constant."""
+    def terms(self, estimate: Estimate, c: SX) -> Terms:
+        """What V holds more than the estimate's own square, whose weight is c over Gamma, and what the fit spends."""
         if self.forgetting is None:
-            return (Square(self.error, c * self.by),)
-        spent = Square(self.error, c * self.by / 2)
-        return (spent, self._gathered(estimate, c * self.forgetting / 2))
+            return Terms((Square(self.error, c * self.by),))
+        spent = Square(self.error, c * self.by / 2), self._gathered(estimate, c * self.forgetting / 2)
+        return Terms(spent, storage=(self._gathered(estimate, c),))
 
     @property
     def _memory(self) -> SX:

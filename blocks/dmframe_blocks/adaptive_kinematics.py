@@ -101,9 +101,9 @@ class AdaptiveKinematics(AdaptingBlock):
         """(1)."""
         return Equations(outputs={"J_hat": p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat))})
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2), e_k being the error."""
-        return {"a_k_hat": self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ error}
+    def direction(self, u: Signals, x: Signals, p: Signals, e_k: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_k_hat": self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ e_k}
 
     def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
         """(5) and (6): the position's prediction error, which is linear in the estimate."""

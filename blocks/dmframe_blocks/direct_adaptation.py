@@ -67,9 +67,9 @@ class DirectAdaptation(AdaptingBlock):
         """(1)."""
         return Equations(outputs={"a_d_hat": x.a_d_hat, "epsilon": solve_spd(u.M_hat, u.s_star)})
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2), epsilon being the error."""
-        return {"a_d_hat": -u.Y_d.T @ error}
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_d_hat": -u.Y_d.T @ epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

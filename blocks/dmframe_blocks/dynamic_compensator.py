@@ -69,9 +69,9 @@ class DynamicCompensator(AdaptingBlock):
         """(1)."""
         return Equations(outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat})
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2), sigma being the error."""
-        return {"a_d_hat": -(u.Y_d.T @ error + u.Y_f.T @ u.e_f)}
+    def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_d_hat": -(u.Y_d.T @ sigma + u.Y_f.T @ u.e_f)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

@@ -63,9 +63,9 @@ class FilteredAdaptation(AdaptingBlock):
         """What (1) moves."""
         return Equations(outputs={"a_d_hat": x.a_d_hat})
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(1), e_f being the error."""
-        return {"a_d_hat": -u.Y_f.T @ error}
+    def direction(self, u: Signals, x: Signals, p: Signals, e_f: SX) -> Mapping[str, SX]:
+        """(1), but for the gain."""
+        return {"a_d_hat": -u.Y_f.T @ e_f}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3)."""

@@ -72,9 +72,9 @@ class IndirectAdaptation(AdaptingBlock):
         """(1), before a dead zone, inside which everything that reads epsilon stands still."""
         return u.Y_d @ x.a_d_hat - u.tau_d
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2), epsilon being the error."""
-        return {"a_d_hat": -u.Y_d.T @ error}
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_d_hat": -u.Y_d.T @ epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

@@ -113,11 +113,11 @@ class PiInverse(AdaptingBlock):
             rates={"q_r": u.dq_r},
         )
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2) and (3), sigma being the error."""
+    def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
+        """(2) and (3), but for the gains."""
         return {
-            "w": -(u.tau_dc * error + u.tau_f * u.e_f),
-            "w_I": (u.q_c - x.q_r) * error - u.q_f * u.e_f,
+            "w": -(u.tau_dc * sigma + u.tau_f * u.e_f),
+            "w_I": (u.q_c - x.q_r) * sigma - u.q_f * u.e_f,
         }
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:

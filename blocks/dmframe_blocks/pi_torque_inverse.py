@@ -91,11 +91,11 @@ class PiTorqueInverse(AdaptingBlock):
             outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d, "w": x.w, "w_I": x.w_I},
         )
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2) and (3), epsilon being the error."""
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2) and (3), but for the gains."""
         return {
-            "w": -(u.tau_d * error + u.tau_f * u.e_f),
-            "w_I": -((u.q - u.q_c) * error + u.q_f * u.e_f),
+            "w": -(u.tau_d * epsilon + u.tau_f * u.e_f),
+            "w_I": -((u.q - u.q_c) * epsilon + u.q_f * u.e_f),
         }
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:

@@ -142,10 +142,10 @@ class PidInverse(AdaptingBlock):
             },
         )
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(3) to (5), sigma being the error."""
+    def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
+        """(3) to (5), but for the gains."""
         _, q_r, _ = self._reference(u, x, p)
-        return {"w": -u.tau_dc * error, "w_P": (u.q_c - q_r) * error, "w_I": x.z * error}
+        return {"w": -u.tau_dc * sigma, "w_P": (u.q_c - q_r) * sigma, "w_I": x.z * sigma}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The reference starts at the measured pose."""

@@ -91,9 +91,9 @@ class PidTorqueInverse(AdaptingBlock):
             rates={"z": u.q_c - u.q},
         )
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """(2) to (4), epsilon being the error."""
-        return {"w": -u.tau_d * error, "w_P": (u.q_c - u.q) * error, "w_I": x.z * error}
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2) to (4), but for the gains."""
+        return {"w": -u.tau_d * epsilon, "w_P": (u.q_c - u.q) * epsilon, "w_I": x.z * epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""

@@ -7,14 +7,14 @@ statement come the states, the parameters of the options, the rates and starts, 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, ClassVar, Final, final
 
 import casadi as ca
 from pydantic.fields import FieldInfo
 
-from dmframe.adaptation import Adaptation, Estimate, Fit, Terms, adaptation
+from dmframe.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
 from dmframe.block.names import type_name
 from dmframe.certificate import SX, Certificate, TrueValue
@@ -49,8 +49,9 @@ class AdaptingBlock(AbstractBlock):
         """Make the states of the estimates, and the parameters of the options."""
         from dmframe.block.contract import malformed  # which needs the classes of this package
 
-        faults = [*malformed(cls)] or _taken(cls)
-        raise_all([BlockError(f"{cls.__name__}: {text}") for text in faults])
+        raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
+        for name in _options(cls).keys() & inspect.get_annotations(cls):
+            raise BlockError(f"{cls.__name__}: declares the parameter {name}, which it is given; leave it out")
         before = () if "states" in vars(cls) else [state for base in cls.__mro__[1:] for state in _made(base)]
         cls.states = (*(state for state in cls.states if state not in before), *_made(cls))
         fields = cls.model_fields
@@ -64,8 +65,11 @@ class AdaptingBlock(AbstractBlock):
         del u, x, p
         return None
 
-    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
-        """In which direction the error moves each estimate; with a dead zone it has to be linear in the error."""
+    def direction(self, u: Signals, x: Signals, p: Signals, error: SX, /) -> Mapping[str, SX]:
+        """In which direction the error moves each estimate; with a dead zone it has to be linear in the error.
+
+        The rate of an estimate is its gain times this, less the leaks.
+        """
         del u, x, p, error
         return {}
 
@@ -118,24 +122,19 @@ class AdaptingBlock(AbstractBlock):
             return plain
         present = [item for item in self.estimates if item.name in x]
         _hold("certificate() says what is estimated by", plain.estimates, present, owner_of(u))
-        weighed = {item.name: self._weighed(item, plain.estimates[item.name], p) for item in present}
-        whole, law, nominal = with_estimates(replace(plain, estimates=weighed), x), adaptation(p), self.nominal(u, p)
-        estimates = {
-            name: Estimate(getattr(x, name), true.value, _start(name, nominal, p), true.weight)
-            for name, true in weighed.items()
-        }
-        fits = [(fit, estimates[name], plain.estimates[name].weight) for name, fit in self._fits(u, x, p).items()]
-        robust = self._robust(law, u, x, p, plain.estimates, list(estimates.values()))
-        return replace(
-            whole,
-            storage=(*whole.storage, *(term for fit, of, c in fits for term in fit.storage(of, c))),
-            dissipation=(
-                *whole.dissipation,
-                *(term for fit, of, c in fits for term in fit.dissipation(of, c)),
-                *robust.dissipation,
-            ),
-            excess=(*whole.excess, *robust.excess),
-        )
+        law, fits, nominal, added = adaptation(p), self._fits(u, x, p), self.nominal(u, p), Terms()
+        weighed, estimates = dict[str, TrueValue](), list[Estimate]()
+        for name, true in ((item.name, plain.estimates[item.name]) for item in present):
+            weighed[name] = self._weighed(name, true, p)
+            estimates.append(Estimate(getattr(x, name), true.value, _start(name, nominal, p), weighed[name].weight))
+            added += fits[name].terms(estimates[-1], true.weight) if name in fits else Terms()
+        if not law.plain:
+            error = self._error(u, x, p, self.equations(u, x, p))
+            added += law.terms(estimates, error)
+            if law.width is not None and not self.ignores_at_source:
+                added += law.idle(error, self._effect(u, x, p, error, plain.estimates))
+        whole = with_estimates(replace(plain, estimates=weighed), x)
+        return replace(whole, **{role: getattr(whole, role) + terms for role, terms in vars(added).items()})
 
     def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
         """The error that drives the adaptation; nothing, zero, of a block that names none."""
@@ -164,30 +163,12 @@ class AdaptingBlock(AbstractBlock):
                 fits[item.name] = replace(fits[item.name], forgetting=p.forgetting, state=getattr(x, item.memory))
         return fits
 
-    def _weighed(self, item: Adapted, true: TrueValue, p: Signals) -> TrueValue:
-        """With its whole weight in V, the inverse of the gain in it."""
-        gain, weight = getattr(p, item.gain), true.weight
+    def _weighed(self, name: str, true: TrueValue, p: Signals) -> TrueValue:
+        """With the whole weight in V, the inverse of the gain in it."""
+        gain, weight = next(getattr(p, item.gain) for item in self.estimates if item.name == name), true.weight
         if isinstance(weight, int) and weight == 1:
             return replace(true, weight=metric(gain))
         return replace(true, weight=weight / gain if gain.is_column() else weight * metric(gain))
-
-    def _robust(
-        self,
-        law: Adaptation,
-        u: Signals,
-        x: Signals,
-        p: Signals,
-        stated: Mapping[str, TrueValue],
-        estimates: list[Estimate],
-    ) -> Terms:
-        """What leaks spend and leave, and what a dead zone leaves."""
-        if law.plain:
-            return Terms()
-        error = self._error(u, x, p, self.equations(u, x, p))
-        found = law.terms(estimates, error)
-        if law.width is None or self.ignores_at_source:
-            return found
-        return found + law.idle(error, self._effect(u, x, p, error, stated))
 
     def _effect(self, u: Signals, x: Signals, p: Signals, error: SX, stated: Mapping[str, TrueValue]) -> SX:
         """What the errors of the estimates do to the loop, b of s'b: the direction's transpose, of them."""
@@ -217,14 +198,15 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
     for item in block.estimates:
         found |= {f"{item.name}_box": (Box, Interval(item.shape, item.unit))} if item.box else {}
         found |= {f"{item.name}_ball": (Ball, Around(item.shape, item.unit))} if item.ball else {}
-    for error in (*block.inputs, *block.outputs):
-        if error.name == block.driven_by:
-            unit = "" if error.unit == ANY else error.unit
-            found["leak"] = (Scalar | None, Positive("", "1/s", default=None))
-            found["error_leak"] = (Scalar | None, Positive("", rate_over(unit) if unit else "", default=None))
-            found["dead_zone"] = (Diagonal | None, Positive(error.shape, unit, default=None))
-            break
-    return found
+    error = next((port for port in (*block.inputs, *block.outputs) if port.name == block.driven_by), None)
+    if error is None:
+        return found
+    unit = "" if error.unit == ANY else error.unit
+    return found | {
+        "leak": (Scalar | None, Positive("", "1/s", default=None)),
+        "error_leak": (Scalar | None, Positive("", rate_over(unit) if unit else "", default=None)),
+        "dead_zone": (Diagonal | None, Positive(error.shape, unit, default=None)),
+    }
 
 
 def options_said(block: type[AbstractBlock]) -> dict[str, str]:
@@ -242,22 +224,14 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
-def _taken(block: type[AdaptingBlock]) -> Iterator[str]:
-    """Parameters that a class declares although it is given them."""
-    own = inspect.get_annotations(block)
-    yield from (
-        f"declares the parameter {name}, which it is given; leave it out" for name in _options(block) if name in own
-    )
-
-
 def _hold(what: str, names: Iterable[str], estimates: Iterable[Adapted], owner: str) -> None:
-    """Hold the names of a method to the estimates that the block declares."""
+    """Hold the names that a method gives to the estimates that the block declares."""
     known = {item.name: item for item in estimates}
     for name in names:
         if name not in known:
             raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")
-    for name in known:
-        if name not in names and not known[name].optional:
+    for name, item in known.items():
+        if name not in names and not item.optional:
             raise BlockError(f"{owner}: {what} {', '.join(names) or 'nothing'}, and leaves out the estimate {name}")
 
 
