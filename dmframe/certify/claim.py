@@ -276,9 +276,10 @@ class Field:
         held = [term for term in certificate.storage if symbols_in(term.pieces) & own]
         if estimate is not None and len(held) == 1 and not symbols_in([estimate.weight]) & own:
             return ca.dot(times(estimate.weight, projection.state - estimate.value), projection.correction)
+        hint = f"; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}}" if estimate is None else ""
         raise NotApplicableError(
             f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
-            f"projection lemma needs; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}} alone"
+            f"projection lemma needs{hint}"
         )
 
 

@@ -329,7 +329,7 @@ def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
     verdict = proof(Minimal(w_box=(0, 1), says="storage"))
     assert verdict.outcome == "not_applicable"
     assert "learner.w is projected, but is not stored as one square of its error" in verdict.reason
-    assert "say what it estimates by estimates={'w': TrueValue(...)} alone" in verdict.reason
+    assert "say what it estimates by estimates={'w': TrueValue(...)}" in verdict.reason
     assert proof(Minimal(says="storage")).outcome == "proved"
 
 
