@@ -1,4 +1,4 @@
-r"""Laws by which an estimate is adapted, and what each adds to dS/dt; an option of every adapting block.
+r"""Laws by which an estimate is adapted, and what each adds to dS/dt; options of every `dmframe.block.AdaptingBlock`.
 
 A block's estimate :math:`\hat\theta` of a constant :math:`\theta` is driven by an error s, through a gradient:
 
@@ -88,22 +88,6 @@ from dmframe.certificate import (
 )
 from dmframe.linalg import metric, solve_spd, square, times
 from dmframe.naming import named
-from dmframe.parameter import Positive
-
-
-def Leak() -> Any:
-    """The parameter `leak`: a rate, or none."""
-    return Positive("", "1/s", default=None)
-
-
-def ErrorLeak(unit: str = "") -> Any:
-    """The parameter `error_leak`: a rate a unit of the error, or none."""
-    return Positive("", unit, default=None)
-
-
-def DeadZone(shape: str, unit: str = "") -> Any:
-    """The parameter `dead_zone`: the width, of the error's shape and unit, or none."""
-    return Positive(shape, unit, default=None)
 
 
 @final
@@ -113,9 +97,11 @@ class Terms:
 
     dissipation: tuple[Dissipated, ...] = ()
     excess: tuple[Bounded, ...] = ()
+    storage: tuple[Stored, ...] = ()
 
     def __add__(self, other: Terms) -> Terms:
-        return Terms(self.dissipation + other.dissipation, self.excess + other.excess)
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Terms(*(mine + theirs for mine, theirs in pairs))
 
 
 @final
@@ -147,12 +133,6 @@ class Estimate:
         return Square(self.error, self.weight)
 
 
-def start_of(state: str, p: Any, nominal: SX) -> SX:
-    """Where an estimate starts: where the parameter of its name says, else at the model's."""
-    key = f"{state}_0"
-    return getattr(p, key) if key in p else nominal
-
-
 @final
 @dataclass(frozen=True)
 class Adaptation:
@@ -161,6 +141,11 @@ class Adaptation:
     leak: SX | None
     error_leak: SX | None
     width: SX | None
+
+    @property
+    def plain(self) -> bool:
+        """Is it the gradient law?"""
+        return self.leak is None and self.error_leak is None and self.width is None
 
     def drive(self, error: SX) -> SX:
         """What the gradient takes for the error: what it has beyond the dead zone."""
@@ -247,16 +232,12 @@ class Fit:
             return {}
         return {state: gathered(self._memory, self.regressor, self.by, self.forgetting)}
 
-    def storage(self, estimate: Estimate, c: SX) -> tuple[Stored, ...]:
-        """What V holds more than the estimate's own square, whose weight is c over Gamma."""
-        return () if self.forgetting is None else (self._gathered(estimate, c),)
-
-    def dissipation(self, estimate: Estimate, c: SX) -> tuple[Dissipated, ...]:
-        """What the fit spends, c being a constant."""
+    def terms(self, estimate: Estimate, c: SX) -> Terms:
+        """What V holds more than the estimate's own square, whose weight is c over Gamma, and what the fit spends."""
         if self.forgetting is None:
-            return (Square(self.error, c * self.by),)
-        spent = Square(self.error, c * self.by / 2)
-        return (spent, self._gathered(estimate, c * self.forgetting / 2))
+            return Terms((Square(self.error, c * self.by),))
+        spent = Square(self.error, c * self.by / 2), self._gathered(estimate, c * self.forgetting / 2)
+        return Terms(spent, storage=(self._gathered(estimate, c),))
 
     @property
     def _memory(self) -> SX:
@@ -294,4 +275,4 @@ def _by(term: Dissipated | Bounded, error: SX) -> NormSquare:
     return NormSquare(term.vector, term.weight, error)
 
 
-__all__ = ["Adaptation", "DeadZone", "ErrorLeak", "Estimate", "Fit", "Leak", "Terms", "adaptation", "start_of"]
+__all__ = ["Adaptation", "Estimate", "Fit", "Terms", "adaptation"]

@@ -109,6 +109,35 @@ class Driven:
 
 
 @final
+@dataclass(frozen=True, eq=False)
+class TrueValue:
+    r"""What a state estimates, and what V weighs its error with: S holds :math:`\tfrac12 |\theta - \theta_{true}|_W^2`.
+
+    Parameters
+    ----------
+    value
+        The true value, a column; no function of the state.
+    weight
+        W; of an `dmframe.block.AdaptingBlock`, a column or a scalar that stands beside the inverse of the gain.
+    """
+
+    value: SX
+    weight: SX = 1
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.value, self.weight
+
+    def with_pieces(self, pieces: Sequence[SX]) -> TrueValue:
+        """The same of other expressions."""
+        return TrueValue(*pieces)
+
+
+@final
 @dataclass(frozen=True)
 class Certificate:
     """One block's part of the Lyapunov function.
@@ -135,6 +164,8 @@ class Certificate:
         leaves behind. A claim with one is proved up to a bounded residual.
     driven
         Signals that stay bounded although V does not weigh them.
+    estimates
+        The block's states that are estimates, with what they estimate. Their squares are added to the storage.
     """
 
     storage: tuple[Stored, ...] = ()
@@ -146,6 +177,7 @@ class Certificate:
     truth: Mapping[str, SX] = field(default_factory=dict)
     excess: tuple[Bounded, ...] = ()
     driven: tuple[Driven, ...] = ()
+    estimates: Mapping[str, TrueValue] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -153,7 +185,7 @@ class Certificate:
     @property
     def pieces(self) -> list[SX]:
         """All its expressions."""
-        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven)
+        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven, *self.estimates.values())
         consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
         pieces = (piece for term in terms for piece in term.pieces)
         return [ca.SX(piece) for piece in (*pieces, self.supply, *consumed, *self.pays)]
@@ -170,6 +202,7 @@ class Certificate:
             dissipation=tuple(rebuilt(term) for term in self.dissipation),
             excess=tuple(rebuilt(term) for term in self.excess),
             driven=tuple(rebuilt(term) for term in self.driven),
+            estimates={name: rebuilt(term) for name, term in self.estimates.items()},
             supply=next(done),
             consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
             pays=tuple(done),
@@ -197,6 +230,7 @@ __all__ = [
     "NormSquare",
     "Square",
     "Stored",
+    "TrueValue",
     "beyond",
     "clip",
     "gathered",

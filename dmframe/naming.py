@@ -100,8 +100,8 @@ _reading: ContextVar[Naming | None] = ContextVar("naming", default=None)
 
 
 @contextmanager
-def reading(naming: Naming) -> Iterator[None]:
-    """Within, `named` gives names."""
+def reading(naming: Naming | None) -> Iterator[None]:
+    """Within, `named` gives names; with None it gives none."""
     token = _reading.set(naming)
     try:
         yield

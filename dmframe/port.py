@@ -121,6 +121,45 @@ class Element(NamedTuple):
     unit: str = ""
 
 
+@final
+@dataclass(frozen=True, slots=True)
+class Adapted:
+    """An estimate: a state that an `dmframe.block.AdaptingBlock` adapts.
+
+    It starts at the parameter of its name, if the block has one, else where `AdaptingBlock.nominal` says, or at zero.
+
+    Parameters
+    ----------
+    name, shape, unit, optional
+        As of a `State`.
+    gain
+        The parameter that is its adaptation gain. V weighs its error with the inverse.
+    nominal
+        The input at which it starts where no parameter says.
+    box, ball
+        Whether it may be projected onto an interval, and onto a ball: the parameters ``w_box`` and ``w_ball`` of w.
+    memory
+        The state that gathers what a fit with forgetting has seen.
+    """
+
+    name: str
+    shape: str = ""
+    unit: str = ""
+    gain: str = ""
+    nominal: str = ""
+    box: bool = True
+    ball: bool = False
+    memory: str = ""
+    optional: bool = False
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """The state, and its memory."""
+        box, ball = f"{self.name}_box" * self.box, f"{self.name}_ball" * self.ball
+        own = State(self.name, self.shape, self.unit, box, ball, self.gain, optional=self.optional)
+        return (own, State(self.memory, f"{self.shape} {self.shape}", optional=True)) if self.memory else (own,)
+
+
 ANY = "*"
 """The unit of an input that takes any unit: an error that drives an adaptation, say."""
 

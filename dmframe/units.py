@@ -98,6 +98,19 @@ def plain(value: float, unit: str, digits: int = 3) -> str:
     return f"{float(rounded.scaleb(-power)):.{max(digits, 6)}g} {_PREFIXES[power]}{unit}".rstrip()
 
 
+def rate_over(unit: str) -> str:
+    """The unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
+    powers = Counter[str]()
+    powers.subtract(_factors(unit))
+    powers["s"] -= 1
+    above, below = (
+        [f"{name}^{sign * power}" if sign * power > 1 else name for name, power in powers.items() if sign * power > 0]
+        for sign in (1, -1)
+    )
+    under = below[0] if len(below) == 1 else f"({' '.join(below)})"
+    return (" ".join(above) or "1" * bool(below)) + f"/{under}" * bool(below)
+
+
 def shorten(text: str, most: int = 60) -> str:
     """Cut a text that a message quotes: what a file holds may be long."""
     return text if len(text) <= most else text[:most] + "..."

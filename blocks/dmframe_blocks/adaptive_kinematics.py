@@ -7,18 +7,16 @@ from typing import Any, ClassVar, Final, Literal, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Fit, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate
-from dmframe.errors import MissingError, ValueFault
-from dmframe.linalg import metric, times
+from dmframe.adaptation import Fit
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, TrueValue
 from dmframe.naming import operation
-from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, Positive, PositiveDefinite, Real, Scalar
-from dmframe.port import Element, Port, State
+from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
+from dmframe.port import Adapted, Element, Port
 
 
 @final
-class AdaptiveKinematics(AbstractBlock):
+class AdaptiveKinematics(AdaptingBlock):
     r"""Estimates link and tool offsets from the tool's measured position, and gives the Jacobian with them.
 
     .. math::
@@ -60,11 +58,6 @@ class AdaptiveKinematics(AbstractBlock):
         Error of the estimate at the start.
     a_k_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep the Jacobian's rank.
-    a_k_hat_ball : [centre, radius]
-        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
-    leak, error_leak, dead_zone : 1/s; 1/(m s); (m,), m; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to e_k; no adaptation
-        while e_k is below this width. See `dmframe.adaptation`.
     R : diagonal (m,), 1/s, > 0
         Composite adaptation, absent unless given: weight of the position's prediction error. Larger learns faster;
         sampled with period T it needs Gamma_k R T, times the number of translations adapted, well below 2.
@@ -90,20 +83,13 @@ class AdaptiveKinematics(AbstractBlock):
         Port("x", "m", "m"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("J_hat", "m n", "m/rad", full_rank=True),)
-    states: ClassVar[tuple[State, ...]] = (
-        State("a_k_hat", "h", "m", box="a_k_hat_box", ball="a_k_hat_ball", gain="Gamma_k"),
-        State("G_k", "h h", "", optional=True),
-    )
+    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_k_hat", "h", "m", gain="Gamma_k", ball=True, memory="G_k"),)
+    driven_by: ClassVar[str] = "e_k"
     truth: ClassVar[tuple[Port, ...]] = (Port("dx", "m", "m/s"), Port("task_weight"))
 
     Gamma_k: Gain = PositiveDefinite("h")
     adapt: Literal["all", "links", "tool"] = "all"
     start_error: Diagonal = Real("h", "m", default=0.0)
-    a_k_hat_box: Box = Interval("h", "m")
-    a_k_hat_ball: Ball = Around("h", "m")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak("1/(m s)")
-    dead_zone: Diagonal | None = DeadZone("m", "m")
     R: Diagonal | None = Positive("m", "1/s", default=None)
     forgetting: Scalar | None = Positive("", "1/s", default=None)
 
@@ -114,57 +100,30 @@ class AdaptiveKinematics(AbstractBlock):
         return {"h": [Element(f"{place} {axis}", "m") for place in places for axis in "xyz"]}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2), or (1), (5) and (6)."""
-        J_hat, law, fit = p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat)), adaptation(p), self._fit(u, x, p)
-        gradient = self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ law.drive(u.e_k)
-        gradient = times(p.Gamma_k, gradient) if fit is None else fit.gained(p.Gamma_k, gradient - fit.gradient)
-        return Equations(
-            outputs={"J_hat": J_hat},
-            rates={
-                "a_k_hat": law.rate(gradient, x.a_k_hat, self._start(p), u.e_k),
-                **(fit.rates("G_k") if fit else {}),
-            },
-        )
+        """(1)."""
+        return Equations(outputs={"J_hat": p.robot.jacobian(u.q, self._with(p.robot, x.a_k_hat))})
 
-    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+    def direction(self, u: Signals, x: Signals, p: Signals, e_k: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_k_hat": self._columns(p.robot.kinematic_regressor(u.q, u.dq)).T @ e_k}
+
+    def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
+        """(5) and (6): the position's prediction error, which is linear in the estimate."""
+        x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
+        return {"a_k_hat": Fit(x_hat - u.x, self._columns(p.robot.position_regressor(u.q)), p.R)}
+
+    def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
         """The true translations, wrong by `start_error`."""
-        return {"a_k_hat": self._start(p)}
+        return {"a_k_hat": self._adapted(p.robot.a_k) + p.start_error}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """(3) and (4), or (7) and (8)."""
-        law, alpha, fit = adaptation(p), truth.task_weight, self._fit(u, x, p)
-        a_k = Estimate(x.a_k_hat, self._adapted(p.robot.a_k), self._start(p), alpha * metric(p.Gamma_k))
+        """(3) and (4); with a fit (7) and (8)."""
         dx_err = self.equations(u, x, p).outputs["J_hat"] @ u.dq - truth.dx
-        robust = law.terms([a_k], u.e_k) + law.idle(u.e_k, -alpha * dx_err)
         return Certificate(
-            storage=(a_k.storage, *(fit.storage(a_k, alpha) if fit else ())),
-            dissipation=(*(fit.dissipation(a_k, alpha) if fit else ()), *robust.dissipation),
-            excess=robust.excess,
-            supply=alpha * ca.dot(u.e_k, dx_err),
+            estimates={"a_k_hat": TrueValue(self._adapted(p.robot.a_k), truth.task_weight)},
+            supply=truth.task_weight * ca.dot(u.e_k, dx_err),
             task=True,
         )
-
-    def _fit(self, u: Signals, x: Signals, p: Signals) -> Fit | None:
-        """The position's prediction error, which is linear in the estimate."""
-        if self.R is None:
-            if self.forgetting is not None:
-                raise MissingError("adaptive_kinematics: forgetting needs R, the weight of what is to be forgotten")
-            return None
-        others = ("leak", "error_leak", "a_k_hat_box", "a_k_hat_ball")
-        beside = [name for name in others if getattr(self, name) is not None]
-        if self.forgetting is not None and beside:
-            raise ValueFault(
-                f"adaptive_kinematics: expected no {beside[0]} beside forgetting: it acts in the metric of "
-                "Gamma_k, and V's is then that of P"
-            )
-        x_hat = p.robot.position(u.q, self._with(p.robot, x.a_k_hat))
-        W_k = self._columns(p.robot.position_regressor(u.q))
-        forgetting, G_k = (None, None) if self.forgetting is None else (p.forgetting, x.G_k)
-        return Fit(x_hat - u.x, W_k, p.R, forgetting, G_k)
-
-    def _start(self, p: Signals) -> SX:
-        """The true translations, wrong by `start_error`."""
-        return self._adapted(p.robot.a_k) + p.start_error
 
     def _columns(self, regressor: SX) -> SX:
         """Those of the parameters that are adapted."""

@@ -7,16 +7,15 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition
-from dmframe.linalg import metric, solve_spd, times
-from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Scalar
-from dmframe.port import Port, State
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Assumption, Certificate, Condition, TrueValue
+from dmframe.linalg import solve_spd
+from dmframe.parameter import Gain, PositiveDefinite
+from dmframe.port import Adapted, Port
 
 
 @final
-class DirectAdaptation(AbstractBlock):
+class DirectAdaptation(AdaptingBlock):
     r"""Adaptive computed torque: the tracking error, seen through the estimated mass matrix, drives the estimates.
 
     .. math::
@@ -37,11 +36,6 @@ class DirectAdaptation(AbstractBlock):
         Adaptation gain.
     a_d_hat_box : [lower, upper]
         Interval onto which the estimate is projected, to keep M-hat invertible.
-    a_d_hat_ball : [centre, radius]
-        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
-    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), rad^2/(N m s^3); > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
-        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -61,42 +55,28 @@ class DirectAdaptation(AbstractBlock):
         Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
-    states: ClassVar[tuple[State, ...]] = (
-        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    driven_by: ClassVar[str] = "epsilon"
 
     Gamma: Gain = PositiveDefinite("p")
-    a_d_hat_box: Box = Interval("p")
-    a_d_hat_ball: Ball = Around("p")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak()
-    dead_zone: Diagonal | None = DeadZone("n", "rad^2/(N m s^3)")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
-        law, epsilon = adaptation(p), solve_spd(u.M_hat, u.s_star)
-        gradient = -times(p.Gamma, u.Y_d.T @ law.drive(epsilon))
-        return Equations(
-            outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={"a_d_hat": law.rate(gradient, x.a_d_hat, u.a_d_nominal, epsilon)},
-        )
+        """(1)."""
+        return Equations(outputs={"a_d_hat": x.a_d_hat, "epsilon": solve_spd(u.M_hat, u.s_star)})
 
-    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The nominal model."""
-        return {"a_d_hat": u.a_d_nominal}
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_d_hat": -u.Y_d.T @ epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        law, epsilon = adaptation(p), self.equations(u, x, p).outputs["epsilon"]
-        effect = u.Y_d @ (x.a_d_hat - truth.a_d)
-        a_d = Estimate(x.a_d_hat, truth.a_d, u.a_d_nominal, metric(p.Gamma))
-        robust = law.terms([a_d], epsilon) + law.idle(epsilon, effect)
+        epsilon = self.equations(u, x, p).outputs["epsilon"]
         return Certificate(
-            storage=(a_d.storage,),
-            dissipation=robust.dissipation,
-            excess=robust.excess,
-            supply=-ca.dot(epsilon, effect),
+            estimates={"a_d_hat": TrueValue(truth.a_d)},
+            supply=-ca.dot(epsilon, u.Y_d @ (x.a_d_hat - truth.a_d)),
             truth={"direct": 1},
         )
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Driven, Square
+from dmframe.certificate import SX, Certificate, Driven, Square, TrueValue
 from dmframe.errors import ValueFault
 from dmframe.naming import derivative, named
 from dmframe.parameter import Diagonal, Positive, Scalar
@@ -146,13 +146,13 @@ class FilteredRegressor(AbstractBlock):
         error = self._error(Y_f, u, x)
         offset = truth.K * truth.K_I * (truth.i - u.q + u.q_c)
         h = Y_f @ truth.a_d + truth.K * truth.K_I * x.q_f - K_star * x.v_f
-        explained, learned = K_star * error, tuple[Square, ...]()
+        explained, learned = K_star * error, dict[str, TrueValue]()
         if not self.bias:
-            b_err = x.b_hat - offset / K_star
-            h, explained = h + offset, explained - K_star * b_err
-            learned = (Square(b_err, K_star / p.Gamma_b),)
+            h, explained = h + offset, explained - K_star * (x.b_hat - offset / K_star)
+            learned["b_hat"] = TrueValue(offset / K_star, K_star / p.Gamma_b)
         return Certificate(
-            storage=(Square(h, p.weight / (p.bandwidth * K_star)), *learned),
+            storage=(Square(h, p.weight / (p.bandwidth * K_star)),),
+            estimates=learned,
             dissipation=(
                 Square(error, p.weight * K_star / 2),
                 Square(error - h / K_star, p.weight * K_star / 2),

@@ -7,16 +7,14 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation, start_of
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Lemma, Square
-from dmframe.linalg import metric, times
-from dmframe.parameter import Around, Ball, Box, Diagonal, Gain, Interval, PositiveDefinite, Real, Scalar
-from dmframe.port import Port, State
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Lemma, Square, TrueValue
+from dmframe.parameter import Diagonal, Gain, PositiveDefinite, Real
+from dmframe.port import Adapted, Port
 
 
 @final
-class IndirectAdaptation(AbstractBlock):
+class IndirectAdaptation(AdaptingBlock):
     r"""Fits the dynamics to what the torque did, whatever the torque law.
 
     .. math::
@@ -37,13 +35,6 @@ class IndirectAdaptation(AbstractBlock):
         Adaptation gain.
     a_d_hat : (p,)
         The estimate at the start; left out, the robot's nominal model if `regressor` hands it out, else zero.
-    a_d_hat_box : [lower, upper]
-        Interval onto which the estimate is projected.
-    a_d_hat_ball : [centre, radius]
-        Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.
-    leak, error_leak, dead_zone : 1/s; 1/(N m s); (n,), N m; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
-        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -63,51 +54,40 @@ class IndirectAdaptation(AbstractBlock):
         Port("a_d_nominal", "p", "", optional=True),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "N m"))
-    states: ClassVar[tuple[State, ...]] = (
-        State("a_d_hat", "p", "", box="a_d_hat_box", ball="a_d_hat_ball", gain="Gamma"),
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("a_d_hat", "p", gain="Gamma", nominal="a_d_nominal", ball=True),
     )
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+    driven_by: ClassVar[str] = "epsilon"
+    ignores_at_source: ClassVar[bool] = True
 
     Gamma: Gain = PositiveDefinite("p")
     a_d_hat: Diagonal | None = Real("p", default=None)
-    a_d_hat_box: Box = Interval("p")
-    a_d_hat_ball: Ball = Around("p")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak("1/(N m s)")
-    dead_zone: Diagonal | None = DeadZone("n", "N m")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) and (2)."""
-        law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
-        epsilon = law.drive(error)
-        return Equations(
-            outputs={"a_d_hat": x.a_d_hat, "epsilon": epsilon},
-            rates={
-                "a_d_hat": law.rate(
-                    -times(p.Gamma, u.Y_d.T @ epsilon), x.a_d_hat, start_of("a_d_hat", p, u.a_d_nominal), error
-                )
-            },
-        )
+        """(1)."""
+        return Equations(outputs={"a_d_hat": x.a_d_hat, "epsilon": self.driven(self.error(u, x, p), p)})
 
-    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """The nominal model, or zero."""
-        return {"a_d_hat": u.a_d_nominal}
+    def error(self, u: Signals, x: Signals, p: Signals) -> SX:
+        """(1), before a dead zone, inside which everything that reads epsilon stands still."""
+        return u.Y_d @ x.a_d_hat - u.tau_d
+
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_d_hat": -u.Y_d.T @ epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        law, error = adaptation(p), u.Y_d @ x.a_d_hat - u.tau_d
-        epsilon = law.drive(error)
-        a_d = Estimate(x.a_d_hat, truth.a_d, start_of("a_d_hat", p, u.a_d_nominal), metric(p.Gamma))
-        robust = law.terms([a_d], error)
-        spent = Square(error) if law.width is None else self._beyond(error, law.width)
+        error = self.error(u, x, p)
         return Certificate(
-            storage=(a_d.storage,),
-            dissipation=(spent, *robust.dissipation),
-            excess=robust.excess,
-            supply=ca.dot(epsilon, error - u.Y_d @ (x.a_d_hat - truth.a_d)),
+            estimates={"a_d_hat": TrueValue(truth.a_d)},
+            dissipation=(self._spent(error, p),),
+            supply=ca.dot(self.driven(error, p), error - u.Y_d @ (x.a_d_hat - truth.a_d)),
             truth={"direct": 0},
         )
 
-    def _beyond(self, error: SX, width: SX) -> Lemma:
-        """The error times what it has beyond its dead zone: everything that reads epsilon stands still inside."""
-        return Lemma(width, error, ca.DM.zeros(error.shape[0]), width, "beyond")
+    def _spent(self, error: SX, p: Signals) -> Square | Lemma:
+        """The error times what it has beyond its dead zone."""
+        if "dead_zone" not in p:
+            return Square(error)
+        return Lemma(p.dead_zone, error, ca.DM.zeros(error.shape[0]), p.dead_zone, "beyond")

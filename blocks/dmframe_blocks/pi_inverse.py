@@ -7,16 +7,15 @@ from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, Condition, Driven, Inequality, Square
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Assumption, Certificate, Condition, Driven, Inequality, Square, TrueValue
 from dmframe.naming import named
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Access, Port, State
+from dmframe.parameter import Diagonal, Positive, Real
+from dmframe.port import Access, Adapted, Port, State
 
 
 @final
-class PiInverse(AbstractBlock):
+class PiInverse(AdaptingBlock):
     r"""Turns a reference velocity and a torque into the velocity command of a PI servo that nobody can open.
 
     .. math::
@@ -52,9 +51,6 @@ class PiInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected; a known range only helps.
-    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
-        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -82,11 +78,12 @@ class PiInverse(AbstractBlock):
         Port("w", "n", "rad/(N m s)"),
         Port("w_I", "n", "1/s"),
     )
-    states: ClassVar[tuple[State, ...]] = (
-        State("q_r", "n", "rad"),
-        State("w", "n", "rad/(N m s)", box="w_box"),
-        State("w_I", "n", "1/s", box="w_I_box"),
+    states: ClassVar[tuple[State, ...]] = (State("q_r", "n", "rad"),)
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
+        Adapted("w_I", "n", "1/s", gain="Lambda_I"),
     )
+    driven_by: ClassVar[str] = "sigma"
     truth: ClassVar[tuple[Port, ...]] = (
         Port("K", "n", "N m/V"),
         Port("K_P", "n", "V s/rad"),
@@ -101,31 +98,27 @@ class PiInverse(AbstractBlock):
     Lambda_I: Diagonal = Positive("n", "1/(rad^2 s)")
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_I: Diagonal = Real("n", "1/s", default=0.0)
-    w_box: Box = Interval("n", "rad/(N m s)")
-    w_I_box: Box = Interval("n", "1/s")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak("1/rad")
-    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1), (2) and (3)."""
-        dq_ref, law = u.dq_r, adaptation(p)
-        sigma = u.dq - dq_ref
-        drive = law.drive(sigma)
+        """(1)."""
+        dq_ref = u.dq_r
         return Equations(
             outputs={
                 "dq_c": dq_ref + x.w_I * x.q_r + x.w * u.tau_dc - x.w_I * u.q_c,
                 "dq_ref": dq_ref,
-                "sigma": sigma,
+                "sigma": u.dq - dq_ref,
                 "w": x.w,
                 "w_I": x.w_I,
             },
-            rates={
-                "q_r": u.dq_r,
-                "w": law.rate(-p.Lambda * (u.tau_dc * drive + u.tau_f * u.e_f), x.w, p.w_0, sigma),
-                "w_I": law.rate(p.Lambda_I * ((u.q_c - x.q_r) * drive - u.q_f * u.e_f), x.w_I, p.w_I_0, sigma),
-            },
+            rates={"q_r": u.dq_r},
         )
+
+    def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
+        """(2) and (3), but for the gains."""
+        return {
+            "w": -(u.tau_dc * sigma + u.tau_f * u.e_f),
+            "w_I": (u.q_c - x.q_r) * sigma - u.q_f * u.e_f,
+        }
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The reference starts at the measured pose."""
@@ -136,16 +129,12 @@ class PiInverse(AbstractBlock):
         K_star = named("K_star", truth.K * truth.K_P)
         sigma = named("sigma", u.dq - u.dq_r)
         e, h = truth.i + u.q_c - x.q_r, u.q_c - x.q_r
-        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_I = Estimate(x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
-        effect = K_star * (w.error * u.tau_dc - w_I.error * h)
-        filtered = K_star * (w.error * u.tau_f + w_I.error * u.q_f)
-        law = adaptation(p)
-        robust = law.terms([w, w_I], sigma) + law.idle(sigma, effect)
+        w, w_I = TrueValue(1 / K_star, K_star), TrueValue(truth.K_I / truth.K_P, K_star)
+        filtered = K_star * ((x.w - w.value) * u.tau_f + (x.w_I - w_I.value) * u.q_f)
         return Certificate(
-            storage=(Square(e, truth.K * truth.K_I), w.storage, w_I.storage),
-            dissipation=(Square(sigma, K_star + truth.B), *robust.dissipation),
-            excess=robust.excess,
+            storage=(Square(e, truth.K * truth.K_I),),
+            estimates={"w": w, "w_I": w_I},
+            dissipation=(Square(sigma, K_star + truth.B),),
             pays=(1,),
             supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma) - ca.dot(u.e_f, filtered),
             driven=(

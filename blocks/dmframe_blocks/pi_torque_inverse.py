@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, Condition, Driven, Inequality
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Assumption, Certificate, Condition, Driven, Inequality, TrueValue
 from dmframe.naming import named
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Access, Port, State
+from dmframe.parameter import Diagonal, Positive, Real
+from dmframe.port import Access, Adapted, Port
 
 
 @final
-class PiTorqueInverse(AbstractBlock):
+class PiTorqueInverse(AdaptingBlock):
     r"""Turns a torque into the velocity command of a PI servo that nobody can open.
 
     .. math::
@@ -43,9 +43,6 @@ class PiTorqueInverse(AbstractBlock):
         The estimates at the start.
     w_box, w_I_box : [lower, upper]
         Intervals onto which the estimates are projected; a lower end of w_I_box above zero keeps the command stable.
-    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
-        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -71,10 +68,11 @@ class PiTorqueInverse(AbstractBlock):
         Port("w", "n", "rad/(N m s)"),
         Port("w_I", "n", "1/s"),
     )
-    states: ClassVar[tuple[State, ...]] = (
-        State("w", "n", "rad/(N m s)", box="w_box"),
-        State("w_I", "n", "1/s", box="w_I_box"),
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
+        Adapted("w_I", "n", "1/s", gain="Lambda_I"),
     )
+    driven_by: ClassVar[str] = "epsilon"
     truth: ClassVar[tuple[Port, ...]] = (
         Port("K", "n", "N m/V"),
         Port("K_P", "n", "V s/rad"),
@@ -86,39 +84,29 @@ class PiTorqueInverse(AbstractBlock):
     Lambda_I: Diagonal = Positive("n")
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_I: Diagonal = Real("n", "1/s", default=0.0)
-    w_box: Box = Interval("n", "rad/(N m s)")
-    w_I_box: Box = Interval("n", "1/s")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak()
-    dead_zone: Diagonal | None = DeadZone("n")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1), (2) and (3)."""
-        law = adaptation(p)
-        epsilon = law.drive(u.epsilon)
+        """(1)."""
         return Equations(
             outputs={"dq_c": u.dq + x.w_I * (u.q - u.q_c) + x.w * u.tau_d, "w": x.w, "w_I": x.w_I},
-            rates={
-                "w": law.rate(-p.Lambda * (u.tau_d * epsilon + u.tau_f * u.e_f), x.w, p.w_0, u.epsilon),
-                "w_I": law.rate(-p.Lambda_I * ((u.q - u.q_c) * epsilon + u.q_f * u.e_f), x.w_I, p.w_I_0, u.epsilon),
-            },
         )
+
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2) and (3), but for the gains."""
+        return {
+            "w": -(u.tau_d * epsilon + u.tau_f * u.e_f),
+            "w_I": -((u.q - u.q_c) * epsilon + u.q_f * u.e_f),
+        }
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(4) and (5)."""
         K_star = named("K_star", truth.K * truth.K_P)
-        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_I = Estimate(x.w_I, truth.K_I / truth.K_P, p.w_I_0, K_star / p.Lambda_I)
-        w_err, w_I_err = w.value - w.truth, w_I.value - w_I.truth
+        w, w_I = TrueValue(1 / K_star, K_star), TrueValue(truth.K_I / truth.K_P, K_star)
+        w_err, w_I_err = x.w - w.value, x.w_I - w_I.value
         effect = K_star * (w_err * u.tau_d + w_I_err * (u.q - u.q_c))
         filtered = K_star * (w_err * u.tau_f + w_I_err * u.q_f)
-        law = adaptation(p)
-        robust = law.terms([w, w_I], u.epsilon)
-        robust += law.idle(u.epsilon, effect)
         return Certificate(
-            storage=(w.storage, w_I.storage),
-            dissipation=robust.dissipation,
-            excess=robust.excess,
+            estimates={"w": w, "w_I": w_I},
             supply=-ca.dot(u.epsilon, effect) - ca.dot(u.e_f, filtered),
             driven=(Driven((u.q_c - u.q,), ((-x.w_I,),), (u.q_c - u.q,), self._otherwise(p)),),
             truth={"tau_bias": truth.K * truth.K_I * (truth.i - u.q + u.q_c)},

@@ -7,16 +7,25 @@ from typing import ClassVar, Literal, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Driven, Inequality, Square
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import (
+    SX,
+    Assumption,
+    Certificate,
+    CommonLyapunov,
+    Condition,
+    Driven,
+    Inequality,
+    Square,
+    TrueValue,
+)
 from dmframe.naming import named
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Access, Port, State
+from dmframe.parameter import Diagonal, Positive, Real
+from dmframe.port import Access, Adapted, Port, State
 
 
 @final
-class PidInverse(AbstractBlock):
+class PidInverse(AdaptingBlock):
     r"""Turns a reference velocity and a torque into the velocity command of a PID servo that nobody can open.
 
     With :math:`e = q - q_r` and :math:`\dot z = q_c - q_r`, products element by element:
@@ -65,11 +74,6 @@ class PidInverse(AbstractBlock):
         Adaptation gains of the ratios w_P and w_I.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
         The estimates at the start.
-    w_box, w_P_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected.
-    leak, error_leak, dead_zone : 1/s; 1/rad; (n,), rad/s; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to sigma; no adaptation
-        while sigma is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -96,10 +100,13 @@ class PidInverse(AbstractBlock):
         State("q_r", "n", "rad", optional=True),
         State("q_tie", "n", "rad", optional=True),
         State("z", "n", "rad s"),
-        State("w", "n", "rad/(N m s)", box="w_box"),
-        State("w_P", "n", "1/s", box="w_P_box"),
-        State("w_I", "n", "1/s^2", box="w_I_box"),
     )
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
+        Adapted("w_P", "n", "1/s", gain="Lambda_P"),
+        Adapted("w_I", "n", "1/s^2", gain="Lambda_I"),
+    )
+    driven_by: ClassVar[str] = "sigma"
     truth: ClassVar[tuple[Port, ...]] = (
         Port("K", "n", "N m/V"),
         Port("K_D", "n", "V s/rad"),
@@ -119,32 +126,26 @@ class PidInverse(AbstractBlock):
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_P: Diagonal = Real("n", "1/s", default=0.0)
     w_I: Diagonal = Real("n", "1/s^2", default=0.0)
-    w_box: Box = Interval("n", "rad/(N m s)")
-    w_P_box: Box = Interval("n", "1/s")
-    w_I_box: Box = Interval("n", "1/s^2")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak("1/rad")
-    dead_zone: Diagonal | None = DeadZone("n", "rad/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (5)."""
+        """(1) and (2)."""
         name, q_r, dq_ref = self._reference(u, x, p)
-        sigma, law = u.dq - dq_ref, adaptation(p)
-        drive = law.drive(sigma)
         return Equations(
             outputs={
                 "dq_c": dq_ref + x.w_P * q_r + x.w * u.tau_dc - x.w_P * u.q_c - x.w_I * x.z,
                 "dq_ref": dq_ref,
-                "sigma": sigma,
+                "sigma": u.dq - dq_ref,
             },
             rates={
                 name: u.dq_r if self.tie == "velocity" else u.dq_r + p.K_c * (u.q - x.q_tie),
                 "z": u.q_c - q_r,
-                "w": law.rate(-p.Lambda * u.tau_dc * drive, x.w, p.w_0, sigma),
-                "w_P": law.rate(p.Lambda_P * (u.q_c - q_r) * drive, x.w_P, p.w_P_0, sigma),
-                "w_I": law.rate(p.Lambda_I * x.z * drive, x.w_I, p.w_I_0, sigma),
             },
         )
+
+    def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
+        """(3) to (5), but for the gains."""
+        _, q_r, _ = self._reference(u, x, p)
+        return {"w": -u.tau_dc * sigma, "w_P": (u.q_c - q_r) * sigma, "w_I": x.z * sigma}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The reference starts at the measured pose."""
@@ -157,22 +158,17 @@ class PidInverse(AbstractBlock):
         _, q_r, dq_ref = self._reference(u, x, p)
         e, sigma, h = u.q - q_r, named("sigma", u.dq - dq_ref), u.q_c - q_r
         s = named("s", u.dq - u.dq_r) if self.tie == "velocity" else sigma - p.K_c * e
-        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_P = Estimate(x.w_P, K_P / K_D, p.w_P_0, K_star / p.Lambda_P)
-        w_I = Estimate(x.w_I, K_I / K_D, p.w_I_0, K_star / p.Lambda_I)
-        effect = K_star * (w.error * u.tau_dc - w_P.error * h - w_I.error * x.z)
-        law = adaptation(p)
-        robust = law.terms([w, w_P, w_I], sigma) + law.idle(sigma, effect)
         return Certificate(
             storage=(
                 Square(e + p.K_c * (truth.i + x.z), K * K_I / p.K_c),
                 Square(e, K * M_bar + K * p.K_c * K_D + p.K_c * B),
-                w.storage,
-                w_P.storage,
-                w_I.storage,
             ),
-            dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c), *robust.dissipation),
-            excess=robust.excess,
+            estimates={
+                "w": TrueValue(1 / K_star, K_star),
+                "w_P": TrueValue(K_P / K_D, K_star),
+                "w_I": TrueValue(K_I / K_D, K_star),
+            },
+            dissipation=(Square(s, K_star + B), Square(e, K * M_bar * p.K_c)),
             pays=(1,) if self.tie == "velocity" else (1, p.K_c),
             supply=-ca.dot(sigma, K * truth.u - u.tau_dc - B * sigma),
             driven=(

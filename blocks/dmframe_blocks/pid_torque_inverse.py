@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar, final
 
 import casadi as ca
 
-from dmframe.adaptation import DeadZone, ErrorLeak, Estimate, Leak, adaptation
-from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Assumption, Certificate, CommonLyapunov, Condition, Driven
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Assumption, Certificate, CommonLyapunov, Condition, Driven, TrueValue
 from dmframe.naming import named
-from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar
-from dmframe.port import Access, Port, State
+from dmframe.parameter import Diagonal, Positive, Real
+from dmframe.port import Access, Adapted, Port, State
 
 
 @final
-class PidTorqueInverse(AbstractBlock):
+class PidTorqueInverse(AdaptingBlock):
     r"""Turns a torque into the command of a PID servo that nobody can open.
 
     With :math:`z = \int (q_c - q)`, products element by element; :math:`\epsilon` drives the adaptation:
@@ -44,11 +44,6 @@ class PidTorqueInverse(AbstractBlock):
         Adaptation gains of w, w_P and w_I.
     w, w_P, w_I : (n,), rad/(N m s), 1/s, 1/s^2
         The estimates at the start.
-    w_box, w_P_box, w_I_box : [lower, upper]
-        Intervals onto which the estimates are projected.
-    leak, error_leak, dead_zone : 1/s; a rate a unit of the error; (n,), of its unit; > 0
-        Robust laws, each absent unless given: a pull back to the start; one in proportion to epsilon; no adaptation
-        while epsilon is below this width. See `dmframe.adaptation`.
 
     Notes
     -----
@@ -67,12 +62,13 @@ class PidTorqueInverse(AbstractBlock):
         Port("epsilon", "n", "*"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
-    states: ClassVar[tuple[State, ...]] = (
-        State("z", "n", "rad s"),
-        State("w", "n", "rad/(N m s)", box="w_box"),
-        State("w_P", "n", "1/s", box="w_P_box"),
-        State("w_I", "n", "1/s^2", box="w_I_box"),
+    states: ClassVar[tuple[State, ...]] = (State("z", "n", "rad s"),)
+    estimates: ClassVar[tuple[Adapted, ...]] = (
+        Adapted("w", "n", "rad/(N m s)", gain="Lambda"),
+        Adapted("w_P", "n", "1/s", gain="Lambda_P"),
+        Adapted("w_I", "n", "1/s^2", gain="Lambda_I"),
     )
+    driven_by: ClassVar[str] = "epsilon"
     truth: ClassVar[tuple[Port, ...]] = (
         Port("K", "n", "N m/V"),
         Port("K_D", "n", "V s/rad"),
@@ -87,43 +83,26 @@ class PidTorqueInverse(AbstractBlock):
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_P: Diagonal = Real("n", "1/s", default=0.0)
     w_I: Diagonal = Real("n", "1/s^2", default=0.0)
-    w_box: Box = Interval("n", "rad/(N m s)")
-    w_P_box: Box = Interval("n", "1/s")
-    w_I_box: Box = Interval("n", "1/s^2")
-    leak: Scalar | None = Leak()
-    error_leak: Scalar | None = ErrorLeak()
-    dead_zone: Diagonal | None = DeadZone("n")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (4)."""
-        law = adaptation(p)
-        epsilon = law.drive(u.epsilon)
+        """(1)."""
         return Equations(
             outputs={"dq_c": u.dq + x.w_P * (u.q - u.q_c) - x.w_I * x.z + x.w * u.tau_d},
-            rates={
-                "z": u.q_c - u.q,
-                "w": law.rate(-p.Lambda * u.tau_d * epsilon, x.w, p.w_0, u.epsilon),
-                "w_P": law.rate(p.Lambda_P * (u.q_c - u.q) * epsilon, x.w_P, p.w_P_0, u.epsilon),
-                "w_I": law.rate(p.Lambda_I * x.z * epsilon, x.w_I, p.w_I_0, u.epsilon),
-            },
+            rates={"z": u.q_c - u.q},
         )
+
+    def direction(self, u: Signals, x: Signals, p: Signals, epsilon: SX) -> Mapping[str, SX]:
+        """(2) to (4), but for the gains."""
+        return {"w": -u.tau_d * epsilon, "w_P": (u.q_c - u.q) * epsilon, "w_I": x.z * epsilon}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""
         K_star = named("K_star", truth.K * truth.K_D)
-        w = Estimate(x.w, 1 / K_star, p.w_0, K_star / p.Lambda)
-        w_P = Estimate(x.w_P, truth.K_P / truth.K_D, p.w_P_0, K_star / p.Lambda_P)
-        w_I = Estimate(x.w_I, truth.K_I / truth.K_D, p.w_I_0, K_star / p.Lambda_I)
-        off = (w_P.value - w_P.truth) * (u.q - u.q_c) - (w_I.value - w_I.truth) * x.z
-        effect = K_star * ((w.value - w.truth) * u.tau_d + off)
-        law = adaptation(p)
-        robust = law.terms([w, w_P, w_I], u.epsilon)
-        robust += law.idle(u.epsilon, effect)
+        w, w_P, w_I = (TrueValue(value, K_star) for value in (1 / K_star, truth.K_P / truth.K_D, truth.K_I / truth.K_D))
+        off = (x.w_P - w_P.value) * (u.q - u.q_c) - (x.w_I - w_I.value) * x.z
         return Certificate(
-            storage=(w.storage, w_P.storage, w_I.storage),
-            dissipation=robust.dissipation,
-            excess=robust.excess,
-            supply=-ca.dot(u.epsilon, effect),
+            estimates={"w": w, "w_P": w_P, "w_I": w_I},
+            supply=-ca.dot(u.epsilon, K_star * ((x.w - w.value) * u.tau_d + off)),
             driven=(Driven((x.z, u.q_c - u.q), ((0, 1), (-x.w_I, -x.w_P)), (x.z, u.q_c - u.q), self._otherwise(p)),),
             truth={"tau_bias": truth.K * truth.K_I * (truth.i + x.z)},
         )

@@ -7,20 +7,21 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, final
 
+import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from dmframe import notebook
 from dmframe.block.faults import parameter_faults
 from dmframe.block.names import type_name
-from dmframe.certificate import SX, Certificate, Condition
+from dmframe.certificate import SX, Certificate, Condition, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import Element, Port, Side, State
+from dmframe.port import Adapted, Element, Port, Side, State
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -49,6 +50,11 @@ class Signals:
         return iter(self._values)
 
 
+def owner_of(signals: Signals) -> str:
+    """The name of the block whose signals they are."""
+    return signals._owner
+
+
 @final
 @dataclass(frozen=True)
 class Equations:
@@ -72,6 +78,18 @@ class Equations:
         return (*self.outputs.values(), *self.rates.values(), *self.next.values())
 
 
+def with_estimates(stated: Certificate, x: Signals) -> Certificate:
+    """A certificate with the squares of its estimates' errors in its storage."""
+    for name, true in stated.estimates.items():
+        if name not in x:
+            text = f"{owner_of(x)}: certificate() says what {name} estimates, which is none of its states"
+            raise BlockError(f"{text}; {nearest(name, x)}")
+        if isinstance(true.value, ca.SX | ca.MX) and ca.depends_on(true.value, getattr(x, name)):
+            raise BlockError(f"{owner_of(x)}: certificate() says that {name} estimates what moves with {name} itself")
+    squares = (Square(getattr(x, name) - true.value, true.weight) for name, true in stated.estimates.items())
+    return replace(stated, storage=(*stated.storage, *squares))
+
+
 class AbstractBlock(BaseModel):
     """The base of every block; a block is a final subclass in a file of its own.
 
@@ -88,6 +106,7 @@ class AbstractBlock(BaseModel):
     outputs: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[tuple[State, ...]] = ()
     truth: ClassVar[tuple[Port, ...]] = ()
+    estimates: ClassVar[tuple[Adapted, ...]] = ()
     uses_robot: ClassVar[bool] = False
     renamed: ClassVar[Mapping[str, str]] = {}
     """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
@@ -152,6 +171,19 @@ class AbstractBlock(BaseModel):
         """The inequalities that the block's proof needs."""
         del p, truth
         return ()
+
+    def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The equations that run: those stated, and what an `AdaptingBlock` adds to them. Nobody overrides it."""
+        return self.equations(u, x, p)
+
+    def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The same of the starts."""
+        return self.start(u, p, truth)
+
+    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
+        stated = self.certificate(u, x, p, truth)
+        return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated
 
     def evaluate(
         self, inputs: Mapping[str, Any] | None = None, states: Mapping[str, Any] | None = None, *, robot: Any = None

@@ -15,10 +15,16 @@ from dmframe.block.base import AbstractBlock
 from dmframe.block.names import names_of
 from dmframe.errors import DmframeError, UnitError, nearest
 from dmframe.parameter import read, specs
-from dmframe.port import DISTRIBUTIONS, TIME, Access, Port, Side, State
+from dmframe.port import DISTRIBUTIONS, TIME, Access, Adapted, Port, Side, State
 from dmframe.units import compatible, shorten
 
-_LISTS: Final[Mapping[str, type[Port | State]]] = {"inputs": Port, "outputs": Port, "states": State, "truth": Port}
+_LISTS: Final[Mapping[str, type[Port | State | Adapted]]] = {
+    "inputs": Port,
+    "outputs": Port,
+    "states": State,
+    "truth": Port,
+    "estimates": Adapted,
+}
 _KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "Access": Access}
 """What the fields of a port, a state and a parameter hold, by their annotations."""
 
@@ -43,6 +49,8 @@ def malformed(block: type[AbstractBlock]) -> Iterator[str]:
         yield f"expected its side to be a Side, found {_short(block.side)}"
     if not isinstance(block.uses_robot, bool):
         yield f"expected uses_robot to be True or False, found {_short(block.uses_robot)}"
+    if not isinstance(by := getattr(block, "driven_by", ""), str):
+        yield f"expected driven_by to be the name of an input or output, found {_short(by)}"
     yield from _mistyped(block)
 
 
@@ -116,6 +124,24 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
     yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
+    yield from _estimate_breaches(block)
+
+
+def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """What an adapting block declares of its estimates, and has not."""
+    if block.estimates and not hasattr(block, "driven_by"):
+        yield "declares estimates, and is no AdaptingBlock"
+    inputs, numbers = [port.name for port in block.inputs], specs(block)
+    signals = ["", *inputs, *(port.name for port in block.outputs)]
+    if (driven_by := getattr(block, "driven_by", "")) not in signals:
+        yield f"is driven by {driven_by}, which is no input and no output; {nearest(driven_by, signals[1:])}"
+    for item in block.estimates:
+        if item.gain not in numbers:
+            near = nearest(item.gain, numbers)
+            yield f"the gain of the estimate {item.name} is {item.gain or 'none'}, which is no parameter; {near}"
+        if item.nominal and item.nominal not in inputs:
+            near = nearest(item.nominal, inputs)
+            yield f"the estimate {item.name} starts at {item.nominal}, which is no input; {near}"
 
 
 def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from dmframe.certificate import SX
 from dmframe.errors import BlockError, nearest
 from dmframe.linalg import Inverted, inverting
 from dmframe.parameter import specs
-from dmframe.port import Port, State
+from dmframe.port import Adapted, Port, State
 
 SYMBOLIC: Final = RLock()
 """Held where expressions are made or read: CasADi counts their owners without regard to threads."""
@@ -53,6 +53,11 @@ class BlockModel:
     def moving(self) -> set[int]:
         """Identities of the scalar symbols of its inputs and states, which are all that is not constant in a run."""
         return symbols_in([*self.inputs.values(), *self.states.values()])
+
+    @property
+    def estimates(self) -> tuple[Adapted, ...]:
+        """The estimates that the block declares, without those that its options leave out."""
+        return tuple(item for item in self.block.estimates if item.name in self.states)
 
     def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
         """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
@@ -125,7 +130,7 @@ def model_block(
 def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
     """What a block's equations state, held to its declared ports and states."""
     with told_by(name, "equations()"):
-        stated = block.equations(*signals)
+        stated = block.composed_equations(*signals)
     if not isinstance(stated, Equations):
         raise BlockError(f"{name}: expected equations() to return Equations, found {type(stated).__name__}")
     sampled = [state for state in block.states if state.sampled]

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
+from dmframe.block.adapting import options_said
 from dmframe.block.base import AbstractBlock
 
 _SECTION: Final = re.compile(r"^([A-Z][A-Za-z ]+)\n-{3,}$", re.MULTILINE)
@@ -41,10 +42,16 @@ def about(block: type[AbstractBlock]) -> About:
     sections = dict(zip(pieces[1::2], pieces[2::2], strict=True))
     return About(
         summary=prose(pieces[0].partition("\n\n")[0]),
-        parameters=_parameters(sections.get("Parameters", "")),
+        parameters=_ordered(block, options_said(block) | _parameters(sections.get("Parameters", ""))),
         notes=prose(sections.get("Notes", "")),
         source=prose(sections.get("References", "")),
     )
+
+
+def _ordered(block: type[AbstractBlock], said: Mapping[str, str]) -> dict[str, str]:
+    """In the order of the block's parameters; what is said of others, last."""
+    order = dict.fromkeys((*block.model_fields, *said))
+    return {name: said[name] for name in order if name in said}
 
 
 def prose(text: str) -> str:

@@ -274,16 +274,14 @@ class Field:
 
     def _lemma(self, name: str, certificate: Certificate, projection: Projection) -> SX:
         r"""(theta - theta_true)' W c: the projection lemma, for an estimate whose error is stored as one square."""
-        own = symbols_in([projection.state])
-        squares = [square for square in certificate.storage if symbols_in([square.vector, square.weight]) & own]
-        if len(squares) == 1 and not symbols_in([squares[0].weight]) & own:
-            (square,) = squares
-            slope = ca.jacobian(square.vector, projection.state)
-            if slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero():
-                return ca.dot(times(square.weight, square.vector), projection.correction)
+        own, estimate = symbols_in([projection.state]), certificate.estimates.get(projection.of)
+        held = [term for term in certificate.storage if symbols_in(term.pieces) & own]
+        if estimate is not None and len(held) == 1 and not symbols_in([estimate.weight]) & own:
+            return ca.dot(times(estimate.weight, projection.state - estimate.value), projection.correction)
+        hint = f"; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}}" if estimate is None else ""
         raise NotApplicableError(
             f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
-            "projection lemma needs"
+            f"projection lemma needs{hint}"
         )
 
 
@@ -330,7 +328,7 @@ def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certifica
         del diagram.resolver.faults[known:]
         raise NotApplicableError(f"{name}: {faults[0].text}")
     with told_by(name, "certificate()"):
-        certificate = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
+        certificate = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
     if certificate is not None and not isinstance(certificate, Certificate):
         raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
     if certificate is not None:

@@ -42,7 +42,7 @@ def _start_of(claim: Claim, block: str, memory: SX) -> list[list[Fraction]] | No
     """G at the start; None where it depends on more than its block's own states and their given numbers."""
     model, seen = claim.diagram.models[block], view(claim.diagram, block, claim.truths)
     with told_by(block, "start()"):
-        said = model.block.start(seen.u, seen.p, seen.truth)
+        said = model.block.composed_start(seen.u, seen.p, seen.truth)
     if set(said) & set(model.states) - set(model.values):
         return None
     own = [np.broadcast_to(model.values.get(name, 0.0), leaf.shape) for name, leaf in model.states.items()]

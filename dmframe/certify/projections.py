@@ -23,7 +23,7 @@ import numpy as np
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Square
+from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
@@ -64,25 +64,22 @@ def projection_conditions(
 
 def _needed(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
     for projection in claim.loop.projections:
-        for square in _stored(claim, projection):
-            truth = -ca.substitute(square.vector, projection.state, ca.SX.zeros(projection.state.shape[0]))
+        estimate = _estimated(claim, projection)
+        if estimate is not None:
+            truth = estimate.value + ca.SX.zeros(projection.state.shape[0])
             yield from _inside(projection, truth, numbers)
             yield from _still(projection.name, truth, numbers)
-            askew = projection.set.askew(square.weight)
+            askew = projection.set.askew(estimate.weight)
             if not askew.is_zero():
                 yield _normal(projection.name, askew, numbers)
         yield from _starts(projection, numbers, start)
         yield check_law(projection, claim.loop)
 
 
-def _stored(claim: Claim, projection: Projection) -> Iterator[Square]:
-    """The square of V that holds the projected state's error; none where V does not hold it."""
-    own = symbols_in([projection.state])
-    for part in claim.parts:
-        if part.block == projection.block:
-            for term in part.certificate.storage:
-                if isinstance(term, Square) and symbols_in([term.vector]) & own:
-                    yield term
+def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
+    """What the projected state estimates; None where V does not hold it."""
+    found = (part.certificate.estimates for part in claim.parts if part.block == projection.block)
+    return next(found, {}).get(projection.of)
 
 
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
@@ -158,7 +155,7 @@ def _start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -
     seen = view(claim.diagram, block, claim.truths)
     try:
         with told_by(block, "start()"):
-            said = model.block.start(seen.u, seen.p, seen.truth).get(state)
+            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
     except BlockError:  # a start that no run could take; the run says so
         return [None] * size
     if said is None:

@@ -1,46 +1,40 @@
-"""What each estimate estimates, as numbers: read off the certificates."""
+"""What each estimate estimates, as numbers: what the blocks declare, and what their certificates say."""
 
 from __future__ import annotations
 
 import casadi as ca
 import numpy as np
 
-from dmframe.block.model import symbols_in
-from dmframe.certificate import Certificate
+from dmframe.certificate import SX
 from dmframe.certify.claim import certificates_of
 from dmframe.certify.form import NotApplicableError
-from dmframe.diagram import ClosedLoop, Diagram, Variable
+from dmframe.diagram import ClosedLoop, Diagram
 
 
-def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
-    """What each estimate estimates, by state label, at the diagram's own parameters.
+def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
+    """The estimates, by state label, each with what it estimates at the diagram's own parameters.
 
-    A state is an estimate if its block stores the square of its difference from an expression in parameters alone.
-    Empty for a diagram that claims nothing.
+    None stands for a true value that is no function of parameters alone, and for all of a diagram that claims nothing.
     """
-    loop = diagram.loop
+    found = dict[str, np.ndarray | None]()
+    for name, model in diagram.models.items():
+        found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
     try:
-        certificates = [certificate.mapped(loop.joined) for certificate in certificates_of(diagram)[0].values()]
+        certificates = certificates_of(diagram)[0]
     except NotApplicableError:
-        return {}
-    found = dict[str, np.ndarray]()
-    for variable in loop.controller:
-        for certificate in certificates:
-            truth = _truth(variable, certificate, loop)
-            if truth is not None:
-                found[variable.label] = truth
+        return found
+    for name, certificate in certificates.items():
+        for state, true in certificate.estimates.items():
+            value = ca.SX(true.value) + ca.SX.zeros(*diagram.models[name].states[state].shape)
+            found[f"{name}.{state}"] = _number(diagram.loop, value)
     return found
 
 
-def _truth(variable: Variable, certificate: Certificate, loop: ClosedLoop) -> np.ndarray | None:
-    own = symbols_in([variable.symbol])
-    for square in certificate.storage:
-        if not own & symbols_in([square.vector]):
-            continue
-        slope = ca.jacobian(square.vector, variable.symbol)
-        rest = -ca.substitute(ca.SX(square.vector), variable.symbol, ca.SX.zeros(*variable.symbol.shape))
-        unit = slope.is_square() and slope.is_constant() and ca.DM(slope - ca.SX.eye(slope.shape[0])).is_zero()
-        function = ca.Function("truth", [loop.p], [ca.densify(rest)], {"allow_free": True})
-        if unit and not function.has_free():
-            return np.asarray(function(loop.p_values).full().ravel())
-    return None
+def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
+    """What each estimate estimates, of those of which it is known."""
+    return {label: value for label, value in estimates_of(diagram).items() if value is not None}
+
+
+def _number(loop: ClosedLoop, value: SX) -> np.ndarray | None:
+    function = ca.Function("truth", [loop.p], [ca.densify(*loop.joined([value]))], {"allow_free": True})
+    return None if function.has_free() else np.asarray(function(loop.p_values).full().ravel())

@@ -84,7 +84,7 @@ def _known(claim: Claim, block: str) -> Mapping[str, SX]:
     seen = view(claim.diagram, block, claim.truths)
     naming = Naming(lambda name, shape: ca.SX.sym(name, *shape), {})
     with reading(naming):
-        claim.diagram.blocks[block].certificate(seen.u, seen.x, seen.p, seen.truth)
+        claim.diagram.blocks[block].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
     known = {name: getattr(part, name) for part in (seen.truth, seen.p) for name in part if name != "robot"}
     for name in set(seen.truth) & set(seen.p):  # which of the two is meant?
         del known[name]

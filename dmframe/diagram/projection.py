@@ -117,6 +117,11 @@ class Projection:
         return self.name.partition(".")[0]
 
     @property
+    def of(self) -> str:
+        """The state's name in its block."""
+        return self.name.partition(".")[2]
+
+    @property
     def kind(self) -> str:
         """``box`` or ``ball``."""
         return type(self.set).__name__.lower()

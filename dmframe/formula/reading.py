@@ -127,7 +127,7 @@ class Reading:
         """The block's equations on these symbols."""
         u, x, p, _ = signs.signals(self.name, ())
         with reading(signs.naming), told_at(self.name, self.model.block):
-            stated = self.model.block.equations(u, x, p)
+            stated = self.model.block.composed_equations(u, x, p)
         return Equations(
             *({name: signs.as_kind(value) for name, value in part.items()} for part in (stated.outputs, stated.rates))
         )
@@ -135,7 +135,7 @@ class Reading:
     def certificate(self, signs: Signs, truths: Sequence[str]) -> Certificate | None:
         """The block's certificate on these symbols, with the truths that there are."""
         with reading(signs.naming), told_at(self.name, self.model.block):
-            stated = self.model.block.certificate(*signs.signals(self.name, truths))
+            stated = self.model.block.composed_certificate(*signs.signals(self.name, truths))
         return _as_kind(stated, signs.as_kind) if isinstance(stated, Certificate) else None
 
     def values(self, signs: Signs, seed: int) -> dict[str, Any]:
@@ -282,6 +282,7 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         pays=tuple(map(convert, stated.pays)),
         driven=terms("driven"),
         truth={name: convert(value) for name, value in stated.truth.items()},
+        estimates={},
     )
 
 

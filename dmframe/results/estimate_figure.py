@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.certify.true_values import true_values
+from dmframe.certify.true_values import estimates_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.formula.names import unicode_name
 from dmframe.plotting import (
@@ -38,19 +38,17 @@ def estimate_figure(name: str, run: Recording) -> Any:
     Of many elements those that move most are named, the others stay grey, and those that never move are left out. The
     true values, which the controller does not know, stand beside the names, and as marks where a panel reaches them.
     """
-    shown = [
-        variable for variable in run.diagram.loop.controller if is_estimate(variable) and variable.label in run.states
-    ]
+    truths = estimates_of(run.diagram)
+    shown = [item for item in run.diagram.loop.controller if item.label in truths and item.label in run.states]
     if not shown:
         return None
-    truths = true_values(run.diagram)
     with styled():
         heights = [1.9 if variable.symbol.numel() > NAMED else 1.15 for variable in shown]
         figure = new_figure(WIDTH, 0.6 + sum(heights))
         panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
         most = max(200, min(2000, POINTS // sum(variable.symbol.numel() for variable in shown)))
         for place, (axes, variable) in enumerate(zip(panels, shown, strict=True)):
-            truth = truths.get(variable.label)
+            truth = truths[variable.label]
             repeated = truth is None and any(other.shape == variable.shape for other in shown[:place])
             _panel(axes, run, variable, most, truth, legend=not repeated)
         mark_divergence(panels, {name: run})
@@ -58,12 +56,6 @@ def estimate_figure(name: str, run: Recording) -> Any:
         panels[0].set_title(told(name, run), loc="left")
         settle(figure)
     return figure
-
-
-def is_estimate(variable: Variable) -> bool:
-    """Columns named ``..._hat``, and the servo's scales w, w_P, w_I."""
-    name = variable.name
-    return variable.symbol.is_column() and (name.endswith("_hat") or name == "w" or name.startswith("w_"))
 
 
 def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.ndarray | None, *, legend: bool) -> None:

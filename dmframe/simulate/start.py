@@ -240,7 +240,7 @@ def _said(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
 def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
     seen, states = view(diagram, block), diagram.models[block].states
     with told_by(block, "start()"):
-        said = diagram.blocks[block].start(seen.u, seen.p, seen.truth)
+        said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
     if not isinstance(said, Mapping):
         raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
     for name in states.keys() & said.keys():

@@ -12,10 +12,12 @@ from dmframe.diagram import Diagram
 
 
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
-    """The class with `functions` under the names that its equations and its certificate call."""
+    """The class with `functions` under the names that its methods call, and those that compose its law."""
     members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and no law in prose."}
-    for name in ("equations", "certificate"):
-        method = vars(block)[name]
+    for name in ("equations", "certificate", "composed_equations", "_weighed"):
+        method = getattr(block, name, None)
+        if method is None:
+            continue
         members[name] = FunctionType(method.__code__, {**method.__globals__, **functions}, name, method.__defaults__)
     return type(block)(block.__name__, (block,), members)
 

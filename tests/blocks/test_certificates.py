@@ -61,7 +61,7 @@ def certificates(diagram: Diagram) -> dict[str, Certificate]:
     found, known = dict[str, Certificate](), dict[str, Any]()
     for name in sorted(diagram.blocks, key=lambda name: name not in ("arm", "model")):
         seen = view(diagram, name, known)
-        said = diagram.blocks[name].certificate(seen.u, seen.x, seen.p, seen.truth)
+        said = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
         if said is not None:
             found[name] = said
             known[name] = said.truth

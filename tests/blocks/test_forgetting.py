@@ -128,6 +128,7 @@ def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_wo
             task=True,
             excess=stated.excess,
             truth=stated.truth,
+            estimates=stated.estimates,
         )
 
     monkeypatch.setattr(AdaptiveKinematics, "certificate", lying)
@@ -137,15 +138,13 @@ def test_a_memory_that_does_not_move_as_its_term_says_is_refuted_though_dv_dt_wo
 
 
 def test_negative_weights_of_what_is_gathered_fail_their_conditions(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = AdaptiveKinematics._fit
+    right = AdaptiveKinematics.fits
     assert not check_docstring(AdaptiveKinematics)  # read before the fault, which it would tell of, comes in
 
-    def unlearning(self: Any, *signals: Any) -> Fit:
-        fit = right(self, *signals)
-        assert fit is not None
-        return replace(fit, by=-fit.by)
+    def unlearning(self: Any, *signals: Any) -> dict[str, Fit]:
+        return {name: replace(fit, by=-fit.by) for name, fit in right(self, *signals).items()}
 
-    monkeypatch.setattr(AdaptiveKinematics, "_fit", unlearning)
+    monkeypatch.setattr(AdaptiveKinematics, "fits", unlearning)
     verdict = proof(TOOL)
     assert verdict.outcome == "not_applicable"
     assert "weight of what G gathers for |a_k_hat - tool(a_k)|_G^2 in V >= 0" in verdict.reason

@@ -92,6 +92,14 @@ def test_a_dead_zone_at_the_source_of_the_prediction_error_leaves_no_residual() 
     ]
 
 
+@pytest.mark.parametrize("option", ["error_leak", "dead_zone"])
+def test_a_filtered_prediction_error_takes_each_law_too(option: str) -> None:
+    verdict = proof("torque_indirect_filtered_pi", f"adaptation.a_d_hat={START}", f"adaptation.{option}=0.02")
+    assert verdict.outcome == "proved", verdict.reason
+    assert {bound.block for bound in verdict.bounds} == {"adaptation"}
+    assert all(control.refuted for control in verdict.controls)
+
+
 START = "[6, 1.2, 0, 0, 0.01, 0, 0.36, 0, 0, 0.36, 3.5, 0.6, 0, 0, 0.004, 0, 0.15, 0, 0, 0.15, 1, 1, 0, 0]"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.prose import about
 from dmframe.catalogue import block_types, graphs
 from dmframe.config.experiment import load_experiment
 from dmframe.parameter import specs
@@ -69,7 +70,7 @@ def test_a_blocks_page_has_its_parameters_and_source(name: str) -> None:
     page = inspect.getdoc(kind) or ""
     parameters = page.partition("Parameters\n----------\n")[2].partition("\n\n")[0]
     for field in kind.model_fields:
-        assert re.search(rf"^(\w+, )*{field}(, \w+)* : ", parameters, re.MULTILINE), f"{field} is not documented"
+        assert about(kind).parameters.get(field), f"{field} is not documented"
     assert parameters.startswith("None") == (not kind.model_fields)
     assert "References\n----------\n" in page or kind.side is Side.SOURCE, "a source, or a trajectory that needs none"
 
@@ -78,7 +79,8 @@ def test_a_blocks_page_has_its_parameters_and_source(name: str) -> None:
 def test_a_blocks_equations_are_numbered_as_its_methods_cite_them(name: str) -> None:
     kind = BLOCKS[name]
     known = set(re.findall(r"\\tag\{(\d+)\}", inspect.getdoc(kind) or ""))
-    for method in (kind.equations, kind.certificate, kind.conditions):
+    laws = [getattr(kind, name) for name in ("direction", "error", "fits") if hasattr(kind, name)]
+    for method in (kind.equations, kind.certificate, kind.conditions, *laws):
         cited = set(re.findall(r"\((\d+)\)", method.__doc__ or ""))
         assert cited <= known, f"{method.__name__} cites {cited - known}"
     assert not known or "(1)" in (kind.equations.__doc__ or "")

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmframe.errors import UnitError, ValueFault
-from dmframe.units import compatible, plain, to_unit
+from dmframe.units import compatible, plain, rate_over, to_unit
 
 HOW = "write it like N m s/rad or m/s^2: spaces multiply, everything after the one slash divides"
 CHOICES = "choose from %, A, Hz, J, N, V, W, deg, h, kg, m, min, mm, ms, rad, rpm, s, turn"
@@ -177,3 +177,19 @@ def test_a_quantity_is_shown_with_three_digits_and_a_prefix_that_reads_well(valu
 @given(st.floats(1e-6, 1e6), st.sampled_from(["s", "m", "rad/s", "N m s/rad", "m/s^2", "V"]))
 def test_what_is_shown_can_be_read_again(value: float, unit: str) -> None:
     assert to_unit(plain(value, unit, digits=6), unit) == pytest.approx(value, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate"),
+    [
+        ("m", "1/(m s)"),
+        ("rad/s", "1/rad"),
+        ("N m", "1/(N m s)"),
+        ("rad^2/(N m s^3)", "N m s^2/rad^2"),
+        ("s", "1/s^2"),
+        ("1/s", ""),
+    ],
+)
+def test_a_rate_over_a_quantity_has_the_unit_that_divides_it_by_the_second(unit: str, rate: str) -> None:
+    assert rate_over(unit) == rate
+    assert compatible(f"{rate or '1'}", f"1/(({unit}) s)")

@@ -189,17 +189,22 @@ def _compiled(tree: ast.Module, original: Callable[..., Any]) -> FunctionType:
 FUTURE = __import__("__future__").annotations.compiler_flag
 
 
-def block_mutants(kind: str, block: type[AbstractBlock], method: str = "equations") -> Iterator[Mutant]:
-    """All single faults of one method of a block."""
-    function = vars(block).get(method)
-    if function is None:
-        return
+LAW = ("equations", "direction")
+"""The methods by which a block states its law, and its law alone."""
+SHARED = ("error", "fits")
+"""Methods of which both the law and the certificate are made, as of those whose names begin with ``_``."""
+
+
+def block_mutants(kind: str, block: type[AbstractBlock], methods: Sequence[str] = LAW) -> Iterator[Mutant]:
+    """All single faults of some methods of a block."""
     shapes = {"u": {port.name: port.shape for port in block.inputs}}
     shapes["x"] = {state.name: state.shape for state in block.states}
     numbers = {name: spec.shape for name, spec in specs(block).items() if spec.form != "box"}
     shapes["p"] = {name: shape for name, shape in numbers.items() if name not in shapes["x"]}
     shapes["truth"] = {port.name: port.shape for port in block.truth}
-    yield from mutants_of(function, kind, shapes)
+    for method in methods:
+        if method in vars(block):
+            yield from mutants_of(vars(block)[method], kind, shapes)
 
 
 def mutated_block(block: type[AbstractBlock], mutant: Mutant) -> type[AbstractBlock]:
@@ -373,9 +378,10 @@ def all_mutants(*, certificates: bool, library: bool) -> Iterator[Mutant]:
         yield from block_mutants(kind, block)
         if certificates:
             helpers = [name for name, item in vars(block).items() if isinstance(item, FunctionType)]
-            for method in ("certificate", *(name for name in helpers if name.startswith("_") and "model" not in name)):
+            private = [name for name in helpers if name.startswith("_") and "model" not in name]
+            for method in ("certificate", *SHARED, *private):
                 if not method.startswith("__"):
-                    yield from block_mutants(kind, block, method)
+                    yield from block_mutants(kind, block, (method,))
     if library:
         for which in LIBRARY:
             yield from library_mutants(which)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -48,6 +49,7 @@ def lying(block: type[AbstractBlock], how: str, factor: float = 1.0) -> type[Abs
             consumes=honest.consumes,
             pays=honest.pays,
             truth=honest.truth,
+            estimates=honest.estimates,
         )
 
     return type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
@@ -126,7 +128,7 @@ def test_a_false_statement_of_how_sigma_is_composed_is_refuted_and_blamed() -> N
     def certificate(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         honest = block.certificate(self, u, x, p, truth)
         assert honest is not None
-        return Certificate(honest.storage, honest.dissipation, honest.supply, pays=(ca.SX(1), 2 * p.K_c))
+        return replace(honest, pays=(ca.SX(1), 2 * p.K_c), driven=())
 
     liar = type(block)(block.__name__, (block,), {"__module__": block.__module__, "certificate": certificate})
     verdict = verify(diagram_with("PID", {"pid_inverse": liar}))

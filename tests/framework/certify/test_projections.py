@@ -13,7 +13,7 @@ import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import graphs
-from dmframe.certificate import SX, Certificate, Square
+from dmframe.certificate import SX, Certificate, Square, TrueValue
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.projection_laws import check_law
@@ -78,7 +78,7 @@ class Learner(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         error = x.w - truth.theta
-        return Certificate(storage=(Square(error, 1 / p.Gamma),), supply=-ca.dot(u.x, error))
+        return Certificate(estimates={"w": TrueValue(truth.theta, 1 / p.Gamma)}, supply=-ca.dot(u.x, error))
 
 
 class Started(Learner):

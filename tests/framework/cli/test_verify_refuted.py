@@ -11,7 +11,7 @@ import pytest
 from dmframe.catalogue import graphs
 
 LIAR = '''
-from dmframe.certificate import Certificate, Square
+from dmframe.certificate import Certificate, TrueValue
 from dmframe_blocks.dynamic_compensator import DynamicCompensator
 
 
@@ -20,8 +20,8 @@ class Liar(DynamicCompensator):
 
     def certificate(self, u, x, p, truth):
         honest = super().certificate(u, x, p, truth)
-        (own,) = honest.storage
-        return Certificate((Square(own.vector, 2 * own.weight),), (), honest.supply)
+        twice = {name: TrueValue(own.value, 2 * own.weight) for name, own in honest.estimates.items()}
+        return Certificate(estimates=twice, supply=honest.supply)
 '''
 
 

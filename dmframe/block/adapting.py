@@ -1,0 +1,241 @@
+"""A block that adapts estimates: it states the plain law, and the options of `dmframe.adaptation` are composed onto it.
+
+It declares its estimates and what drives them, and states the direction in which that error moves each. From the one
+statement come the states, the parameters of the options, the rates and starts, and what the certificate gains.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, ClassVar, Final, final
+
+import casadi as ca
+from pydantic.fields import FieldInfo
+
+from dmframe.adaptation import Estimate, Fit, Terms, adaptation
+from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
+from dmframe.block.names import type_name
+from dmframe.certificate import SX, Certificate, TrueValue
+from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
+from dmframe.linalg import metric, times
+from dmframe.naming import named, reading
+from dmframe.parameter import Around, Ball, Box, Diagonal, Interval, Positive, Scalar
+from dmframe.port import ANY, Adapted, State
+from dmframe.units import rate_over
+
+FITTED: Final = ("R", "forgetting")
+"""The parameters of a fit, which a block that offers one declares itself: R has the size of its prediction error."""
+
+
+class AdaptingBlock(AbstractBlock):
+    """The base of every block that adapts.
+
+    `equations` and `certificate` state the plain law: without the rates of the estimates, which are their gains times
+    their `direction`, and without their squares, for which the certificate says by ``estimates={...}`` what is
+    estimated. `driven_by` names the input or output that drives them, and so the size and unit of the error; a block
+    that leaves it out takes no leak and no dead zone.
+    """
+
+    driven_by: ClassVar[str] = ""
+    ignores_at_source: ClassVar[bool] = False
+    """Whether the error that it hands out is `driven`: all that hears it stands still inside the dead zone. Its
+    certificate then says itself what is spent, and nothing is left over.
+    """
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Make the states of the estimates, and the parameters of the options."""
+        from dmframe.block.contract import malformed  # which needs the classes of this package
+
+        raise_all([BlockError(f"{cls.__name__}: {text}") for text in malformed(cls)])
+        for name in _options(cls).keys() & inspect.get_annotations(cls):
+            raise BlockError(f"{cls.__name__}: declares the parameter {name}, which it is given; leave it out")
+        before = () if "states" in vars(cls) else [state for base in cls.__mro__[1:] for state in _made(base)]
+        cls.states = (*(state for state in cls.states if state not in before), *_made(cls))
+        fields = cls.model_fields
+        given = {name: fields.pop(name) for name in FITTED if name in fields}
+        fields |= {name: FieldInfo.from_annotated_attribute(*made) for name, made in _options(cls).items()} | given
+        cls.model_rebuild(force=True, raise_errors=False)
+        super().__pydantic_init_subclass__(**kwargs)
+
+    def error(self, u: Signals, x: Signals, p: Signals) -> SX | None:
+        """What drives the adaptation, before any dead zone; None for the signal that `driven_by` names."""
+        del u, x, p
+        return None
+
+    def direction(self, u: Signals, x: Signals, p: Signals, error: SX, /) -> Mapping[str, SX]:
+        """In which direction the error moves each estimate; with a dead zone it has to be linear in the error.
+
+        The rate of an estimate is its gain times this, less the leaks.
+        """
+        del u, x, p, error
+        return {}
+
+    def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
+        """Where estimates start of which no parameter says it; the others start at zero."""
+        del p
+        return {item.name: getattr(u, item.nominal) for item in self.estimates if item.nominal}
+
+    def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
+        """The prediction errors that estimates fit beside the error; asked for where R is given."""
+        del u, x, p
+        return {}
+
+    def driven(self, error: SX, p: Signals) -> SX:
+        """What an error has beyond the dead zone."""
+        return adaptation(p).drive(error)
+
+    @final
+    def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The plain equations, and the rates of the estimates."""
+        stated = self.equations(u, x, p)
+        if not isinstance(stated, Equations):
+            return stated
+        law, error = adaptation(p), self._error(u, x, p, stated)
+        directions = self.direction(u, x, p, law.drive(error))
+        for name in directions.keys() & stated.rates.keys():
+            raise BlockError(
+                f"{owner_of(u)}: equations() state the rate of {name}, which direction() moves; leave it out"
+            )
+        _hold("direction() moves", directions, self.estimates, owner_of(u))
+        fits, nominal, rates = self._fits(u, x, p), self.nominal(u, p), dict(stated.rates)
+        for item in self.estimates:
+            if item.name in directions:
+                gain, direction, fit = getattr(p, item.gain), directions[item.name], fits.get(item.name)
+                moved = fit.gained(gain, direction - fit.gradient) if fit else times(gain, direction)
+                rates[item.name] = law.rate(moved, getattr(x, item.name), _start(item.name, nominal, p), error)
+                rates |= fit.rates(item.memory) if fit else {}
+        return replace(stated, rates=rates)
+
+    @final
+    def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """The plain starts, and those of the estimates."""
+        return {**self.start(u, p, truth), **self.nominal(u, p)}
+
+    @final
+    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """The plain certificate, with the squares of the estimates, and with what the options spend and leave."""
+        plain = self.certificate(u, x, p, truth)
+        if not isinstance(plain, Certificate):
+            return plain
+        present = [item for item in self.estimates if item.name in x]
+        _hold("certificate() says what is estimated by", plain.estimates, present, owner_of(u))
+        law, fits, nominal, added = adaptation(p), self._fits(u, x, p), self.nominal(u, p), Terms()
+        weighed, estimates = dict[str, TrueValue](), list[Estimate]()
+        for name, true in ((item.name, plain.estimates[item.name]) for item in present):
+            weighed[name] = self._weighed(name, true, p)
+            estimates.append(Estimate(getattr(x, name), true.value, _start(name, nominal, p), weighed[name].weight))
+            added += fits[name].terms(estimates[-1], true.weight) if name in fits else Terms()
+        if not law.plain:
+            error = self._error(u, x, p, self.equations(u, x, p))
+            added += law.terms(estimates, error)
+            if law.width is not None and not self.ignores_at_source:
+                added += law.idle(error, self._effect(u, x, p, error, plain.estimates))
+        whole = with_estimates(replace(plain, estimates=weighed), x)
+        return replace(whole, **{role: getattr(whole, role) + terms for role, terms in vars(added).items()})
+
+    def _error(self, u: Signals, x: Signals, p: Signals, stated: Equations) -> SX:
+        """The error that drives the adaptation; nothing, zero, of a block that names none."""
+        said = self.error(u, x, p)
+        if said is not None:
+            return said
+        if self.driven_by in stated.outputs:
+            return named(self.driven_by, stated.outputs[self.driven_by])
+        return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
+
+    def _fits(self, u: Signals, x: Signals, p: Signals) -> dict[str, Fit]:
+        """The fits that the parameters choose."""
+        if type(self).fits is AdaptingBlock.fits or not any(name in p for name in FITTED):
+            return {}
+        if "R" not in p:
+            raise MissingError(f"{type_name(type(self))}: forgetting needs R, the weight of what is to be forgotten")
+        fits = dict(self.fits(u, x, p))
+        for item in self.estimates if "forgetting" in p else ():
+            for name in ("leak", "error_leak", f"{item.name}_box", f"{item.name}_ball"):
+                if name in p:
+                    raise ValueFault(
+                        f"{type_name(type(self))}: expected no {name} beside forgetting: it acts in the metric of "
+                        f"{item.gain}, and V's is then that of P"
+                    )
+            if item.name in fits:
+                fits[item.name] = replace(fits[item.name], forgetting=p.forgetting, state=getattr(x, item.memory))
+        return fits
+
+    def _weighed(self, name: str, true: TrueValue, p: Signals) -> TrueValue:
+        """With the whole weight in V, the inverse of the gain in it."""
+        gain, weight = next(getattr(p, item.gain) for item in self.estimates if item.name == name), true.weight
+        if isinstance(weight, int) and weight == 1:
+            return replace(true, weight=metric(gain))
+        return replace(true, weight=weight / gain if gain.is_column() else weight * metric(gain))
+
+    def _effect(self, u: Signals, x: Signals, p: Signals, error: SX, stated: Mapping[str, TrueValue]) -> SX:
+        """What the errors of the estimates do to the loop, b of s'b: the direction's transpose, of them."""
+        s = type(error).sym("s", *error.shape)
+        with reading(None):  # a name would stand for an expression in s
+            directions = self.direction(u, x, p, s)
+        effect = sum(
+            ca.jtimes(-direction, s, stated[name].weight * (getattr(x, name) - stated[name].value), True)
+            for name, direction in directions.items()
+        )
+        if ca.depends_on(effect, s):
+            raise BlockError(
+                f"{owner_of(u)}: direction() is not linear in {self.driven_by}, so that nobody knows what a dead zone "
+                "leaves; state it linear, or leave dead_zone out"
+            )
+        return effect
+
+
+def _made(block: type) -> list[State]:
+    """The states of a class's own estimates, or of those that it inherits."""
+    return [state for item in getattr(block, "estimates", ()) for state in item.states]
+
+
+def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
+    """The parameters that an adapting block is given: annotations and fields by name."""
+    found = dict[str, tuple[Any, Any]]()
+    for item in block.estimates:
+        found |= {f"{item.name}_box": (Box, Interval(item.shape, item.unit))} if item.box else {}
+        found |= {f"{item.name}_ball": (Ball, Around(item.shape, item.unit))} if item.ball else {}
+    error = next((port for port in (*block.inputs, *block.outputs) if port.name == block.driven_by), None)
+    if error is None:
+        return found
+    unit = "" if error.unit == ANY else error.unit
+    return found | {
+        "leak": (Scalar | None, Positive("", "1/s", default=None)),
+        "error_leak": (Scalar | None, Positive("", rate_over(unit) if unit else "", default=None)),
+        "dead_zone": (Diagonal | None, Positive(error.shape, unit, default=None)),
+    }
+
+
+def options_said(block: type[AbstractBlock]) -> dict[str, str]:
+    """What each of those parameters is, in words."""
+    if not issubclass(block, AdaptingBlock):
+        return {}
+    sets = {
+        "box": "Interval onto which the estimate is projected.",
+        "ball": "Instead of the box, the ball onto which it is projected; with a list for the radius, an ellipsoid.",
+    }
+    robust = (
+        f"Robust laws, each absent unless given: a pull back to the start; one in proportion to {block.driven_by}; no "
+        f"adaptation while {block.driven_by} is below this width. See `dmframe.adaptation`."
+    )
+    return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
+
+
+def _hold(what: str, names: Iterable[str], estimates: Iterable[Adapted], owner: str) -> None:
+    """Hold the names that a method gives to the estimates that the block declares."""
+    known = {item.name: item for item in estimates}
+    for name in names:
+        if name not in known:
+            raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")
+    for name, item in known.items():
+        if name not in names and not item.optional:
+            raise BlockError(f"{owner}: {what} {', '.join(names) or 'nothing'}, and leaves out the estimate {name}")
+
+
+def _start(name: str, nominal: Mapping[str, SX], p: Signals) -> SX:
+    """Where an estimate starts."""
+    key = f"{name}_0"
+    return getattr(p, key) if key in p else nominal.get(name, 0)

@@ -1,0 +1,362 @@
+"""What a block declares of its estimates: what is made of it, and that a lie in it is refused or told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from dmframe.block import AbstractBlock, AdaptingBlock, Equations, Signals
+from dmframe.block.prose import about
+from dmframe.catalogue import block_types
+from dmframe.certificate import SX, Certificate, Square, TrueValue
+from dmframe.certify import Verdict, verify
+from dmframe.certify.true_values import estimates_of, true_values
+from dmframe.config.schema import json_schema
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError, DmframeError
+from dmframe.parameter import Box, Diagonal, Interval, Positive, Real, Scalar, specs
+from dmframe.port import Access, Adapted, Port, Side, State
+from dmframe.results.estimate_figure import estimate_figure
+from dmframe.simulate import simulate, start_state
+
+Ports = ClassVar[tuple[Port, ...]]
+States = ClassVar[tuple[State, ...]]
+Estimates = ClassVar[tuple[Adapted, ...]]
+
+
+class Drift(AbstractBlock):
+    """dx = -x + (w - theta)."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: Ports = (Port("w", "n", "m"),)
+    outputs: Ports = (Port("x", "n", "m/s", Access.MEASURED), Port("theta", "n", "m"))
+    states: States = (State("x", "n", "m/s"),)
+    theta: Diagonal = Real("n", "m")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"x": x.x, "theta": p.theta}, rates={"x": -x.x + u.w - p.theta})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(x.x),), dissipation=(Square(x.x),), supply=ca.dot(x.x, u.w - p.theta))
+
+
+class Learner(AdaptingBlock):
+    """dw = -Gamma x: all that there is to state."""
+
+    inputs: Ports = (Port("x", "n", "m/s"), Port("w_nominal", "n", "m", optional=True))
+    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
+    truth: Ports = (Port("theta", "n", "m"),)
+    estimates: Estimates = (Adapted("w", "n", "m", gain="Gamma", nominal="w_nominal", ball=True),)
+    driven_by: ClassVar[str] = "x"
+    Gamma: Diagonal = Positive("n", "1/s", default=2.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"w": x.w})
+
+    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
+        return {"w": -error}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(estimates={"w": TrueValue(truth.theta)}, supply=-ca.dot(u.x, x.w - truth.theta))
+
+
+class Started(Learner):
+    """The same, with a start of its own."""
+
+    w: Diagonal | None = Real("n", "m", default=None)
+
+
+class Nominal(AbstractBlock):
+    """Hands out where the estimate starts."""
+
+    outputs: Ports = (Port("w_nominal", "n", "m"),)
+    at: Diagonal = Real("n", "m", default=0.3)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"w_nominal": p.at})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate()
+
+
+def diagram(learner: AbstractBlock, **more: AbstractBlock) -> Diagram:
+    return Diagram.build({**more, "learner": learner, "plant": Drift(theta=[0.5, 0.8])})
+
+
+def proof(learner: AbstractBlock, **more: AbstractBlock) -> Verdict:
+    return verify(diagram(learner, **more), trials=1)
+
+
+def test_the_parameters_of_the_options_are_made_of_the_declaration() -> None:
+    made = {name: (spec.shape, spec.unit, spec.form) for name, spec in specs(Learner).items()}
+    assert list(made) == ["Gamma", "w_box", "w_ball", "leak", "error_leak", "dead_zone"]
+    assert made["w_box"] == ("n", "m", "box")
+    assert made["w_ball"] == ("n", "m", "ball")
+    assert made["leak"] == ("", "1/s", "diagonal")
+    assert made["error_leak"] == ("", "1/m", "diagonal")
+    assert made["dead_zone"] == ("n", "m/s", "diagonal")
+    assert [state.name for state in Started.states] == ["w"]
+    assert Started(w=0.1, dead_zone="20 mm/s").model_dump()["dead_zone"] == 0.02
+    with pytest.raises(DmframeError, match=r"learner\.leek: unknown parameter of learner; did you mean leak\?"):
+        Learner(leek=1)
+
+
+def test_the_composed_rate_is_the_textbooks() -> None:
+    x, w, start, gain = np.array([0.5, -0.03]), np.array([2.0, 1.0]), np.array([0.2, 0.4]), np.array([2.0, 3.0])
+    block = Started(Gamma=list(gain), w=list(start), leak=0.3, error_leak=0.7, dead_zone=0.1)
+    rate = block.evaluate({"x": x}, {"w": w}).rates["w"]
+    outside = np.sign(x) * np.maximum(np.abs(x) - 0.1, 0)
+    np.testing.assert_allclose(rate, -gain * outside - (0.3 + 0.7 * np.hypot(*x)) * (w - start), atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("learner", "nominal", "start"),
+    [(Started(w=0.1), True, 0.1), (Started(), True, 0.3), (Learner(), True, 0.3), (Learner(), False, 0.0)],
+)
+def test_an_estimate_starts_where_its_parameter_says_else_at_its_nominal_else_at_zero(
+    learner: AbstractBlock, nominal: bool, start: float
+) -> None:
+    built = diagram(learner, **({"nominal": Nominal()} if nominal else {}))
+    assert start_state(built, {})[:2] == pytest.approx([start, start])
+    pulled = diagram(
+        type(learner)(**{**learner.model_dump(), "leak": 1.0}), **({"nominal": Nominal()} if nominal else {})
+    )
+    run = simulate(pulled, 1e-3, clock=1e-3, start={"learner.w": [1.0, 1.0]})
+    np.testing.assert_allclose(run["learner.w"][1], 1 - 1e-3 * (1 - start), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"leak": 0.1}, {"error_leak": 0.2}, {"dead_zone": 0.1}, {"leak": 0.1, "dead_zone": 0.1, "w_ball": (0, 2)}],
+)
+def test_what_the_options_add_to_the_certificate_is_proved(options: dict[str, Any]) -> None:
+    verdict = proof(Started(w=0.1, **options))
+    assert verdict.outcome == "proved", verdict.reason
+    assert len(verdict.bounds) == len(options.keys() & {"leak", "error_leak", "dead_zone"})
+    assert all(control.refuted for control in verdict.controls)
+
+
+def test_an_effect_that_is_not_the_transpose_of_the_direction_is_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = AdaptingBlock._effect
+    monkeypatch.setattr(AdaptingBlock, "_effect", lambda *given: 2 * right(*given))
+    verdict = proof(Learner(dead_zone=0.1))
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert verdict.refutation.blame == ("learner",)
+
+
+def says(told: Callable[[Signals, Signals], dict[str, TrueValue]]) -> AdaptingBlock:
+    """The learner, which says something else of what it estimates."""
+
+    class Liar(Learner):
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            return Certificate(estimates=told(x, truth), supply=-ca.dot(u.x, x.w - truth.theta))
+
+    return Liar()
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        lambda x, truth: {"w": TrueValue(truth.theta + 1)},
+        lambda x, truth: {"w": TrueValue(2 * truth.theta)},
+        lambda x, truth: {"w": TrueValue(truth.theta, 2)},
+        lambda x, truth: {"w": TrueValue(truth.theta, ca.SX([1, 3]))},
+    ],
+)
+def test_a_true_value_or_a_weight_that_is_not_that_of_the_law_is_refuted(told: Any) -> None:
+    verdict = proof(says(told))
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert verdict.refutation.blame == ("learner",)
+
+
+@pytest.mark.parametrize(
+    ("told", "text"),
+    [
+        (
+            lambda x, truth: {"w": TrueValue(truth.theta), "v": TrueValue(0)},
+            "learner: certificate() says what is estimated by v, which is none of its estimates; choose from w",
+        ),
+        (
+            lambda x, truth: {},
+            "learner: certificate() says what is estimated by nothing, and leaves out the estimate w",
+        ),
+        (
+            lambda x, truth: {"w": TrueValue(truth.theta + 0.1 * x.w)},
+            "learner: certificate() says that w estimates what moves with w itself",
+        ),
+        (
+            lambda x, truth: {"w": truth.theta},
+            "Certificate: expected estimates['w'] to be a TrueValue, found an SX",
+        ),
+    ],
+)
+def test_a_certificate_that_does_not_say_what_each_estimate_estimates_is_told(told: Any, text: str) -> None:
+    verdict = proof(says(told))
+    assert verdict.outcome == "not_applicable"
+    assert text in verdict.reason
+
+
+def moves(law: Callable[[Signals, SX], dict[str, SX]], **stated: Any) -> type[AdaptingBlock]:
+    """The learner with another law, whose certificate is that of the gradient with it."""
+
+    class Moves(Learner):
+        def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
+            return law(u, error)
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"w": x.w}, rates=stated)
+
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+            return Certificate(
+                estimates={"w": TrueValue(truth.theta)},
+                supply=ca.dot(law(u, u.x)["w"], x.w - truth.theta),
+            )
+
+    return Moves
+
+
+@pytest.mark.parametrize(
+    ("law", "text"),
+    [
+        (
+            lambda u, error: {"w": -error, "v": error},
+            "learner: direction() moves v, which is none of its estimates; choose from w",
+        ),
+        (lambda u, error: {}, "learner: direction() moves nothing, and leaves out the estimate w"),
+    ],
+)
+def test_a_direction_of_something_else_is_told(law: Any, text: str) -> None:
+    with pytest.raises(BlockError) as fault:
+        diagram(moves(law)())
+    assert text in str(fault.value)
+
+
+def test_a_rate_that_is_stated_beside_its_direction_is_told() -> None:
+    with pytest.raises(BlockError, match=r"equations\(\) state the rate of w, which direction\(\) moves; leave it out"):
+        diagram(moves(lambda u, error: {"w": -error}, w=ca.SX(0))())
+
+
+def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_told() -> None:
+    cubic = moves(lambda u, error: {"w": -error - error**3})
+    verdict = proof(cubic(dead_zone=0.1))
+    assert verdict.outcome == "not_applicable"
+    assert "learner: direction() is not linear in x, so that nobody knows what a dead zone leaves" in verdict.reason
+    assert "linear" not in proof(cubic()).reason
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"estimates": (Adapted("w", "n", "m", gain="Gama"),)},
+            "the gain of the estimate w is Gama, which is no parameter; did you mean Gamma?",
+        ),
+        (
+            {"estimates": (Adapted("w", "n", "m"),)},
+            "the gain of the estimate w is none, which is no parameter; choose from",
+        ),
+        (
+            {"estimates": (Adapted("w", "n", "m", gain="Gamma", nominal="w_nom"),)},
+            "the estimate w starts at w_nom, which is no input; did you mean w_nominal?",
+        ),
+        ({"driven_by": "y"}, "is driven by y, which is no input and no output; choose from"),
+        ({"states": (State("w", "n", "m"),)}, "declares the state w twice"),
+    ],
+)
+def test_a_declaration_of_what_the_block_lacks_is_told(changes: dict[str, Any], text: str) -> None:
+    kind = type("Lying", (Learner,), {"__module__": __name__, "__annotations__": {}, **changes})
+    assert any(text in str(fault) for fault in kind.contract("learner"))
+
+
+def test_what_is_declared_of_another_kind_is_told_when_the_class_is_made() -> None:
+    with pytest.raises(BlockError, match=r"Wrong: expected estimates to be a tuple of Adapteds, found .*; a comma"):
+        type("Wrong", (Learner,), {"__module__": __name__, "estimates": Adapted("w", "n")})
+    with pytest.raises(BlockError, match=r"Wrong: expected driven_by to be the name of an input or output, found Port"):
+        type("Wrong", (Learner,), {"__module__": __name__, "driven_by": Port("x", "n")})
+
+
+def test_a_parameter_that_every_adapting_block_is_given_is_not_declared_again() -> None:
+    with pytest.raises(BlockError, match="Again: declares the parameter leak, which it is given; leave it out"):
+
+        class Again(Learner):
+            leak: Scalar = Positive("", "1/s", default=1.0)
+
+
+def test_estimates_of_a_block_that_does_not_adapt_are_told() -> None:
+    class Plain(Drift):
+        estimates: Estimates = (Adapted("x", "n", gain="theta"),)
+
+    assert any("declares estimates, and is no AdaptingBlock" in str(fault) for fault in Plain.contract("plain"))
+
+
+class Minimal(AbstractBlock):
+    """dw = -Gamma x, stated with all the rest; its certificate alone says what w estimates."""
+
+    inputs: Ports = (Port("x", "n", "m/s"),)
+    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
+    states: States = (State("w", "n", "m", box="w_box"), State("other_hat", "n"))
+    truth: Ports = (Port("theta", "n", "m"),)
+    Gamma: Diagonal = Positive("n", "1/s", default=2.0)
+    w_box: Box = Interval("n", "m")
+    says: str = "estimates"
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"w": x.w}, rates={"w": -p.Gamma * u.x, "other_hat": -x.other_hat})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        told: dict[str, Any] = {
+            "estimates": {"estimates": {"w": TrueValue(truth.theta, 1 / p.Gamma)}},
+            "storage": {"storage": (Square(x.w - truth.theta, 1 / p.Gamma),)},
+            "nothing": {"estimates": {"v": TrueValue(truth.theta)}},
+        }
+        return Certificate(**told[self.says], supply=-ca.dot(u.x, x.w - truth.theta))
+
+
+def test_a_block_of_its_own_law_says_what_it_estimates_in_its_certificate() -> None:
+    verdict = proof(Minimal(w_box=(0, 1)))
+    assert verdict.outcome == "proved", verdict.reason
+    assert "learner.w: true value inside the box" in [item.name for item in verdict.conditions]
+    np.testing.assert_allclose(true_values(diagram(Minimal()))["learner.w"], [0.5, 0.8])
+
+
+def test_a_projected_state_has_to_be_said_to_be_an_estimate() -> None:
+    verdict = proof(Minimal(w_box=(0, 1), says="storage"))
+    assert verdict.outcome == "not_applicable"
+    assert "learner.w is projected, but is not stored as one square of its error" in verdict.reason
+    assert "say what it estimates by estimates={'w': TrueValue(...)}" in verdict.reason
+    assert proof(Minimal(says="storage")).outcome == "proved"
+
+
+def test_an_estimate_that_is_no_state_is_told() -> None:
+    verdict = proof(Minimal(says="nothing"))
+    assert verdict.outcome == "not_applicable"
+    assert "learner: certificate() says what v estimates, which is none of its states; choose from" in verdict.reason
+
+
+def test_a_figure_of_estimates_shows_what_is_declared_and_guesses_nothing_from_names() -> None:
+    for learner in (Learner(), Minimal()):
+        built = diagram(learner)
+        assert {label: list(value) for label, value in estimates_of(built).items() if value is not None} == {
+            "learner.w": [0.5, 0.8]
+        }
+        figure = estimate_figure("toy", simulate(built, 0.1, clock=0.01))
+        (panel,) = figure.axes
+        assert panel.get_ylabel().startswith("w")
+
+
+def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_editor() -> None:
+    adapting = {name: kind for name, kind in block_types().items() if issubclass(kind, AdaptingBlock)}
+    assert len(adapting) == 9
+    schema = json_schema()["$defs"]
+    for name, kind in adapting.items():
+        for option in ("leak", "error_leak", "dead_zone"):
+            text = about(kind).parameters[option]
+            assert "Robust laws, each absent unless given" in text
+            assert kind.driven_by in text
+            assert "Robust laws" in schema[f"block_{name}"]["properties"][option]["description"]
