@@ -73,6 +73,9 @@ class _Text(_Plain):
     def rate(self, name: str) -> str:
         return f"d{name}/dt"
 
+    def after(self, name: str) -> str:
+        return f"{name}+"
+
     def fraction(self, value: Fraction) -> str:
         return _decimal(value)
 
@@ -109,6 +112,9 @@ class _Latex(Dialect):
 
     def rate(self, name: str) -> str:
         return latex_name(name, "dot")
+
+    def after(self, name: str) -> str:
+        return f"{latex_name(name)}^{{+}}"
 
     def fraction(self, value: Fraction) -> str:
         return str(value.numerator) if value.denominator == 1 else self._small(value)
@@ -196,6 +202,9 @@ class _Unicode(_Plain):
 
     def rate(self, name: str) -> str:
         return unicode_name(name, "dot")
+
+    def after(self, name: str) -> str:
+        return f"{unicode_name(name)}⁺"
 
     def fraction(self, value: Fraction) -> str:
         return _VULGAR.get(value) or _decimal(value)

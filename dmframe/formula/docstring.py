@@ -179,8 +179,7 @@ class _Trial:
         left = _name_of(item)
         if left is None:
             return False
-        bare = undotted(left[0])
-        return left[0] in self.point.computed or (bare is not None and bare in self.point.rates)
+        return left[0] in self.point.computed or self.point.moved(left[0]) is not None
 
     def _look(self, name: Symbol) -> Numbers | None:
         found = self.point.look(name)
@@ -235,8 +234,9 @@ class _Trial:
             return self._integral(name, item)
         if name in self.point.computed:
             return self._compared(self.point.computed[name], item.right, label)
-        if bare is not None and bare in self.point.rates:
-            return self._compared(self.point.rates[bare], item.right, label)
+        moved = self.point.moved(name)
+        if moved is not None:
+            return self._compared(moved, item.right, label)
         if not item.displayed:
             return _Verdict.SKIPPED, ""
         if self.point.look(name) is not None or name.start:

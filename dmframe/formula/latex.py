@@ -384,7 +384,7 @@ def _index(words: list[str]) -> list[str]:
 
 def said(symbol: Symbol) -> str:
     """A name for a message."""
-    text = "_".join([symbol.letter, *symbol.index])
+    text = "_".join([symbol.letter, *symbol.index]).replace("_^", "^")
     for accent in symbol.accents:
         text = rf"\{accent}{{{text}}}"
     return text

@@ -67,7 +67,8 @@ class PrintedLaw:
     name
         Of the block in its diagram.
     outputs, rates
-        Its equations; an output that is a state or a parameter as it stands is left out.
+        Its equations; an output that is a state or a parameter as it stands is left out. Rates come first, then the
+        sampled states one sample later.
     storage, dissipation, excess
         Terms of the certificate, in its order; S is half the sum of the first.
     driven
@@ -127,9 +128,9 @@ def _says_nothing(equation: Line) -> bool:
     return isinstance(equation.right.node, Name) and equation.left.latex == equation.right.latex
 
 
-def rate_of(name: str, shape: tree.Shape) -> Node:
-    """The time derivative of a state."""
-    return Rate(Name(name, shape), shape)
+def rate_of(name: str, shape: tree.Shape, *, sampled: bool = False) -> Node:
+    """The time derivative of a state, or its value one sample later."""
+    return Rate(Name(name, shape), shape, sampled)
 
 
 @final

@@ -176,10 +176,11 @@ class ReadBlock:
     def compare(self, *, near: bool = False) -> None:
         """Hold what was read to what runs; with `near` at the first points alone. Raises `BlockError`."""
         reading, signs = self.reading, self.signs
-        names = [f"the output {name}" for name in self.model.equations.outputs]
-        names += [f"the rate of {name}" for name in self.model.equations.rates]
-        stated = [self.stated.outputs.get(name) for name in self.model.equations.outputs]
-        stated += [self.stated.rates.get(name) for name in self.model.equations.rates]
+        runs, printed = self.model.equations, self.stated
+        names = [f"the output {name}" for name in runs.outputs]
+        names += [f"the {'next value' if name in runs.next else 'rate'} of {name}" for name in runs.moves]
+        stated = [printed.outputs.get(name) for name in runs.outputs]
+        stated += [printed.moves.get(name) for name in runs.moves]
         if None in [item if item is None else 0 for item in stated]:
             raise self._fault("equations", names[[item is None for item in stated].index(True)])
         pairs = [("equations", names, reading.of_signs(signs, stated), reading.of_running())]
@@ -312,8 +313,11 @@ class ReadBlock:
         self.names = names_of(nodes, self.signs.naming.taken)
         outputs = [(Name(name, node.shape), folded(node, self.names, name)) for name, node in nodes.items()]
         rates = [
-            (rate_of(name, runs.shape), self._folded(self.stated.rates[name], runs, scalars))
-            for name, runs in running.rates.items()
+            (
+                rate_of(name, runs.shape, sampled=name in running.next),
+                self._folded(self.stated.moves[name], runs, scalars),
+            )
+            for name, runs in running.moves.items()
         ]
         energy = Energy(
             self.certificate,

@@ -36,11 +36,14 @@ class Point:
         What the code computes of it, so that an equation can be held to it: outputs, S, names of parts.
     rates
         Of states, and of S.
+    after
+        Sampled states one sample later.
     """
 
     names: Mapping[Symbol, Numbers]
     computed: Mapping[Symbol, Numbers]
     rates: Mapping[Symbol, Numbers]
+    after: Mapping[Symbol, Numbers]
     read: ReadBlock
 
     def look(self, name: Symbol) -> Numbers | None:
@@ -48,8 +51,13 @@ class Point:
         for known in (self.computed, self.names):
             if name in known:
                 return known[name]
-        bare = undotted(name)
-        return self.rates.get(bare) if bare is not None else None
+        return self.moved(name)
+
+    def moved(self, name: Symbol) -> Numbers | None:
+        """The numbers of a dotted name, or of one with a plus above; None for another name, or of no state."""
+        bare, before = undotted(name), _before(name)
+        found = None if before is None else self.after.get(before)
+        return self.rates.get(bare) if found is None and bare is not None else found
 
     def call(self, name: Symbol, arguments: Sequence[Numbers]) -> Numbers | None:
         """A function of the robot, J(q)."""
@@ -86,6 +94,14 @@ def undotted(name: Symbol) -> Symbol | None:
     return replace(name, accents=(*name.accents[:-1], "dot")) if last == ("ddot",) else None
 
 
+def _before(name: Symbol) -> Symbol | None:
+    """The name of which this one is the value one sample later; None without a plus above.
+
+    A plus stands for a pseudo-inverse too, so that only the name of a sampled state is taken for one.
+    """
+    return replace(name, index=name.index[:-1]) if name.index[-1:] == ("^+",) else None
+
+
 def values_at(read: ReadBlock, seed: int, equations: Sequence[Stated]) -> dict[str, Any]:
     """One point; a matrix that the docstring inverts is symmetric and positive definite, as full gains are anyway."""
     values, gains = read.reading.values(read.signs, seed), full_gains(read.model.block, read.model.parameters)
@@ -108,19 +124,22 @@ def point_of(read: ReadBlock, values: Mapping[str, Any]) -> Point:
     names |= {symbol(name): np.zeros(read.model.inputs[name].shape) for name in read.reading.zero}
     definitions = read.signs.naming.definitions
     defined = read.reading.of_signs(read.signs, [expression for _, expression in definitions.values()]).at(values)
-    outputs, rates = read.model.equations.outputs, read.model.equations.rates
+    equations = read.model.equations
+    outputs, rates = equations.outputs, equations.rates
     run = read.reading.of_running().at(values)
     computed = dict(zip(map(symbol, definitions), defined, strict=True))
     computed |= {symbol(name): value for name, value in zip(outputs, run, strict=False)}
     truths = read.certificate.truth
     true = read.reading.of_signs(read.signs, list(truths.values())).at(values)
     computed |= {symbol(name): value for name, value in zip(truths, true, strict=True)}
-    moving = {symbol(name): value for name, value in zip(rates, run[len(outputs) :], strict=True)}
+    moves = run[len(outputs) :]
+    moving = {symbol(name): value for name, value in zip(rates, moves, strict=False)}
+    after = {symbol(name): value for name, value in zip(equations.next, moves[len(rates) :], strict=True)}
     stated = read.scalars
     if stated.storage or stated.dissipation:
         S, dS = read.reading.of_signs(read.scalar_signs, energies(stated)).at(values)
         computed, moving = {Symbol("S"): S, **computed}, {Symbol("S"): dS, **moving}
-    return Point(names, {key: value for key, value in computed.items() if key not in names}, moving, read)
+    return Point(names, {key: value for key, value in computed.items() if key not in names}, moving, after, read)
 
 
 def energies(stated: Certificate) -> list[Any]:

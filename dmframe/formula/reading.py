@@ -128,9 +128,8 @@ class Reading:
         u, x, p, _ = signs.signals(self.name, ())
         with reading(signs.naming), told_at(self.name, self.model.block):
             stated = self.model.block.composed_equations(u, x, p)
-        return Equations(
-            *({name: signs.as_kind(value) for name, value in part.items()} for part in (stated.outputs, stated.rates))
-        )
+        parts = (stated.outputs, stated.rates, stated.next)
+        return Equations(*({name: signs.as_kind(value) for name, value in part.items()} for part in parts))
 
     def certificate(self, signs: Signs, truths: Sequence[str]) -> Certificate | None:
         """The block's certificate on these symbols, with the truths that there are."""
@@ -161,13 +160,13 @@ class Reading:
         return Evaluated(symbols, signs.meant([signs.as_kind(item) for item in expressions]))
 
     def of_running(self) -> Evaluated:
-        """The outputs and the rates that run, to be had in numbers."""
+        """The outputs, rates and next values that run, to be had in numbers."""
         symbols = self.running_names()
         if self.functions is not None and self.model.robot is not None:
             symbols[_CONSTANTS] = self.functions.constants
         equations = self.model.equations
         gains = full_gains(self.model.block, self.model.parameters)
-        return Evaluated(symbols, [*equations.outputs.values(), *equations.rates.values()], self.zero, gains)
+        return Evaluated(symbols, equations.expressions, self.zero, gains)
 
     def exactly(self, first: Evaluated, second: Evaluated) -> tuple[Evaluated, Evaluated] | None:
         """Both in the same SX symbols; None for a block on a robot, whose dynamics hold for true rotations alone."""

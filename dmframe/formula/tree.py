@@ -178,10 +178,11 @@ class Relation:
 @final
 @dataclass(frozen=True)
 class Rate:
-    """The time derivative of a name."""
+    """The time derivative of a name; `sampled`, its value one sample later."""
 
     of: Name
     shape: Shape
+    sampled: bool = False
 
 
 @final

@@ -57,6 +57,10 @@ class Dialect(ABC):
         """The time derivative of a name."""
 
     @abstractmethod
+    def after(self, name: str) -> str:
+        """The value of a name one sample later."""
+
+    @abstractmethod
     def fraction(self, value: Fraction) -> str:
         """A positive number, as a factor or alone."""
 
@@ -149,7 +153,7 @@ class Dialect(ABC):
             case Equation(left, right):
                 return f"{self.write(left)} = {self.write(right)}", _SUM
             case Rate(of):
-                return self.rate(of.name), _ATOM
+                return self.after(of.name) if node.sampled else self.rate(of.name), _ATOM
             case Unprinted(names):
                 return self.unprinted([self.name(name) for name in names]), _SUM
 

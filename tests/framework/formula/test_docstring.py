@@ -10,6 +10,7 @@ import pytest
 
 from dmframe.catalogue import block_types
 from dmframe.errors import BlockError
+from dmframe.formula.alone import law_of_type
 from dmframe.formula.docstring import check_docstring, check_docstrings
 from dmframe.formula.laws import laws_of, read_blocks
 
@@ -195,6 +196,37 @@ def test_a_graph_with_a_block_whose_docstring_is_wrong_is_refused(tmp_path):
     assert laws_of(diagram)["spring"].rates[0].whole.text == "dq/dt = -2 q"
     with pytest.raises(BlockError, match=r"spring\.py:7: \\dot\{q\}: the docstring's law is not what the equations"):
         check_docstrings(read_blocks(diagram))
+
+
+DELAY = '''
+from typing import ClassVar
+from dmframe.block import *
+from dmframe.port import *
+class Delay(AbstractBlock):
+    r"""One sample late.
+
+    .. math:: u_{late} = x_{held}, \\quad x_{held}^+ = RIGHT
+    """
+    side: ClassVar = Side.PLANT
+    inputs: ClassVar = (Port("u", "n"),)
+    outputs: ClassVar = (Port("u_late", "n"),)
+    states: ClassVar = (State("x_held", "n", sampled=True),)
+    def equations(self, u, x, p): return Equations(outputs={"u_late": x.x_held}, next={"x_held": 3 * u.u})
+'''
+
+
+@pytest.mark.parametrize(("right", "faults"), [("3 u", []), ("u", [r"x_held^+: the docstring's law is not what"])])
+def test_a_sampled_states_next_value_prints_and_is_held_to_the_docstring(tmp_path, right, faults):
+    from dmframe.catalogue import find_block
+
+    tmp_path.joinpath("delay.py").write_text(DELAY.replace("RIGHT", right))
+    kind = find_block("delay.py:Delay", tmp_path)
+    (line,) = law_of_type(kind).rates
+    assert (line.whole.text, line.whole.unicode) == ("x_held+ = 3 u", "x_held⁺ = 3 u")
+    assert line.whole.latex == r"x_{\mathrm{held}}^{+} = 3 u"
+    found = [fault.text for fault in check_docstring(kind)]
+    assert len(found) == len(faults)
+    assert all(wanted in text for wanted, text in zip(faults, found, strict=True))
 
 
 LIAR = '''
