@@ -171,7 +171,7 @@ class Odd(AbstractBlock):
         (b"x = \x00", BlockError, "not readable as Python"),
         (b"a = " + b"(" * 5000, BlockError, "not readable as Python"),
         (b"class B(AbstractBlock):\n  inputs = Port('q')", BlockError, "a comma makes a tuple of one"),
-        (b"class B(AbstractBlock):\n  a: Literal[{}] = 1", BlockError, "mine.py: its declarations make no class: "),
+        (b"class B(AbstractBlock):\n  a: Literal[()] = 1", BlockError, "mine.py: its declarations make no class: "),
     ],
 )
 def test_a_file_that_cannot_be_read_is_told(source: bytes, kind: type[Exception], told: str) -> None:
