@@ -144,7 +144,7 @@ class Adaptation:
 
     @property
     def plain(self) -> bool:
-        """Is it the gradient law?"""
+        """True for the gradient law."""
         return self.leak is None and self.error_leak is None and self.width is None
 
     def drive(self, error: SX) -> SX:

@@ -32,7 +32,7 @@ def hidden_name() -> str:
 
 
 def is_hidden(name: str) -> bool:
-    """Is it one of `hidden_name`?"""
+    """True for one of `hidden_name`."""
     return name.startswith(".dmframe-") and name.endswith(".part")
 
 
@@ -79,7 +79,7 @@ def check_place(path: str | Path) -> None:
 
 
 def is_file(path: str | Path) -> bool:
-    """Is there a file that can be told to be one? Never raises, as `Path.is_file` does for a name that is too long."""
+    """True for a file that is there. Never raises, as `Path.is_file` does for a name that is too long."""
     try:
         return Path(path).is_file()
     except OSError:

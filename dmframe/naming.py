@@ -81,7 +81,7 @@ _DEEP: Final = 1000
 
 
 def same(first: Expression, second: Expression) -> bool:
-    """Are two expressions built alike? Equal ones that are built differently are not."""
+    """True for two expressions that are built alike; equal ones that are built differently are not."""
     one, other = expression_of(first), expression_of(second)
     return type(one) is type(other) and bool(ca.is_equal(one, other, _DEEP))
 

@@ -12,7 +12,7 @@ class Access(StrEnum):
     """Who may read an output.
 
     A closed robot hands out what it measures and takes what may be commanded; all else stays on its own side of the
-    wall between controller and plant.
+    line between controller and plant.
     """
 
     INTERNAL = "internal"

@@ -13,7 +13,7 @@ _MOST = 200
 
 
 def by_two(jobs: Sequence[Callable[[], None]]) -> None:
-    """Do jobs that write files and return nothing, in any order, here and in a copy of this process.
+    """Run jobs that write files and return nothing, in any order, here and in a copy of this process.
 
     One after another where the system has no copies that can be trusted, or one core. What fails in the copy is done
     again here, so that it is told as if there were none.

@@ -80,7 +80,7 @@ def to_unit(value: str | float, unit: str) -> float:
 
 
 def compatible(unit_a: str, unit_b: str) -> bool:
-    """Whether two units are the same but for their spelling: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
+    """True for two units that are the same but for their spelling: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
 
     Raises `UnitError` where either is no unit.
     """

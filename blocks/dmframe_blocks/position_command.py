@@ -18,7 +18,7 @@ class PositionCommand(AbstractBlock):
         q_t = q_c   \tag{1}
 
     On a clock it is held from one sample to the next: the robot gets a staircase. `position_interface` is its
-    counterpart below the wall.
+    counterpart in the plant.
 
     Parameters
     ----------

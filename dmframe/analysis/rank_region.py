@@ -290,7 +290,7 @@ def _middle(search: RankSearch, path: JointPath, asked: float) -> tuple[RankLoss
 
 
 def _inside(problem: RankProblem, half: Array, shape: Shape) -> bool | None:
-    """Whether the estimate starts in the set."""
+    """True where the estimate starts in the set."""
     if problem.estimate is None:
         return None
     away = np.abs(problem.estimate - problem.centre)

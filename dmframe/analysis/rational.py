@@ -96,7 +96,7 @@ def _clean(p: Array, *, strip: bool = False) -> Array:
 @final
 @dataclass(frozen=True)
 class Passivity:
-    """Whether a transfer function is positive real, that is passive: least Re H(jw), and where [rad/s]."""
+    """The test whether a transfer function is positive real, that is passive: least Re H(jw), and where [rad/s]."""
 
     holds: bool
     least: float

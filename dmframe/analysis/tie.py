@@ -117,7 +117,7 @@ class _Worst:
     c: Fraction
 
     def holds(self, k: Fraction) -> bool:
-        """Is M_bar >= 0 with this K_c? Above zero, it is so if k is not below the root."""
+        """True where M_bar >= 0 with this K_c: above zero, if k is not below the root."""
         return k > 0 and (self.a * k + self.b) * k >= self.c
 
     def root_rounded_up(self, digits: int) -> Fraction:

@@ -40,7 +40,7 @@ class AdaptingBlock(AbstractBlock):
 
     driven_by: ClassVar[str] = ""
     ignores_at_source: ClassVar[bool] = False
-    """Whether the error that it hands out is `driven`: all that hears it stands still inside the dead zone. Its
+    """True where the error that it hands out is `driven`: all that hears it stands still inside the dead zone. Its
     certificate then says itself what is spent, and nothing is left over.
     """
 

@@ -71,7 +71,7 @@ def symbols_in(expressions: Iterable[SX]) -> set[int]:
 
 
 def same_expression(one: SX, other: SX) -> bool:
-    """Are two expressions built alike, operation by operation and constant by constant, of the same symbols?"""
+    """True for two expressions that are built alike, operation by operation, of the same symbols and constants."""
     one, other = ca.densify(ca.SX(one)), ca.densify(ca.SX(other))
     return one.shape == other.shape and same_expressions([one], [other])
 

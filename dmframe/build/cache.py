@@ -35,7 +35,7 @@ STALE: Final = 3600.0
 _PART: Final = ".part-"
 
 Works = Callable[[Path], bool]
-"""Does a library do what it should? See `dmframe.build.trial`."""
+"""True for a library that does what it should; see `dmframe.build.trial`."""
 
 
 def cache_folder() -> Path:
@@ -137,7 +137,7 @@ def _ours(path: Path) -> bool:
 
 
 def _foreign(told: os.stat_result) -> bool:
-    """May others have written it?"""
+    """True for what others may have written."""
     return hasattr(os, "getuid") and bool(told.st_uid not in (os.getuid(), 0) or told.st_mode & 0o022)
 
 

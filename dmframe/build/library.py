@@ -49,7 +49,7 @@ def load(source: str, works: Works = lambda _: True) -> Loaded:
 
 
 def first_time(notice: str) -> bool:
-    """Has this process not told that yet?"""
+    """True for what this process has not told yet."""
     told = _told()
     fresh = notice not in told
     told.add(notice)

@@ -43,7 +43,7 @@ from dmframe.port import Side
 @final
 @dataclass(frozen=True)
 class Part:
-    """One block's part of the claim, in the leaves of the closed loop, the wall taken away."""
+    """One block's part of the claim, in the leaves of the closed loop, measured and commanded signals substituted."""
 
     block: str
     certificate: Certificate
@@ -117,7 +117,7 @@ class Claim:
 
     @property
     def cascaded(self) -> bool:
-        """Is there a cascade that the servo level pays for?"""
+        """True where there is a cascade that the servo level pays for."""
         return not bool(self.kappa.is_constant())
 
     def weight(self, part: Part) -> SX:

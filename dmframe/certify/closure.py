@@ -124,7 +124,7 @@ class Closure:
         ]
 
     def _corrected(self, expression: SX, seen: frozenset[str] = frozenset()) -> bool:
-        """Is each projection's correction in it bounded? It takes away what its nominal rate has too much."""
+        """True where each projection's correction in it is bounded: it takes away what a nominal rate has too much."""
         used = symbols_in([expression])
         for projection in self._claim.loop.projections:
             if projection.name in seen or not used & symbols_in([projection.correction]):
@@ -293,7 +293,7 @@ class Closure:
                     self._known.add(functional)
 
     def _follows(self, block: str, item: Driven) -> bool:
-        """Is the remainder bounded by now, and the linear part stable, or assumed to be?"""
+        """True where the remainder is bounded by now, and the linear part stable, or assumed to be."""
         if not all(self.bounds(list(self.remainders(item)))):
             return False
         holds = stable(item, self._numbers, self._claim)
@@ -314,7 +314,7 @@ class Closure:
 
 
 def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:
-    """Is this the column in which the direction is 1 and all others 0?"""
+    """True for the column in which the direction is 1 and all others 0."""
     return all(u is own or not u[column] for u in directions)
 
 

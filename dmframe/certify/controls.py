@@ -140,11 +140,11 @@ class _Point:
         raise ZeroDivision("a denominator vanishes at every random point")
 
     def refutes(self, gain: str | None, fault: int | None = None, value: int = 1) -> bool:
-        """Is the residual not zero with this gain changed, and this factor at this value?"""
+        """True where the residual is not zero with this gain changed, and this factor at this value."""
         return self._at(gain, fault, value)[0] != [0]
 
     def moves_otherwise(self, gain: str) -> bool:
-        """Does any rate of what V holds differ with this gain changed?"""
+        """True where a rate of what V holds differs with this gain changed."""
         return self._at(gain)[1] != self._moves
 
     def _at(self, gain: str | None, fault: int | None = None, value: int = 1) -> list[list[int]]:

@@ -56,7 +56,7 @@ def least_body_pivot(robot: Any) -> Fraction:
 
 
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:
-    """Is a weight, identically, the mass matrix of the diagram's robot at a state of its plant?"""
+    """True for a weight that is, identically, the mass matrix of the diagram's robot at a state of its plant."""
     symbols = symbols_of(claim)
     for q, robot in _poses(claim):
         if weight.shape == (robot.n, robot.n):

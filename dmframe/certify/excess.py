@@ -46,7 +46,7 @@ class Bound:
 
     @property
     def known(self) -> bool:
-        """Is there a bound?"""
+        """True where there is a bound."""
         return self.value is not None or self.constant
 
 
@@ -90,7 +90,7 @@ def _most(expression: SX, numbers: Numbers) -> float:
 
 
 def _stands_still(claim: Claim, expression: SX, symbols: Symbols) -> bool:
-    """Does it keep its value along every motion, identically?"""
+    """True for what keeps its value along every motion, identically."""
     rate = symbols.function("rate", [Field(claim.diagram).derivative(expression)])
     return bool(zero_test(rate, values=symbols.fixed).zero)
 

@@ -82,7 +82,7 @@ def _own_scale(part: Part) -> SX:
 
 
 def check_identity(claim: Claim, symbols: Symbols, *, trials: int, seed: int) -> ZeroTest:
-    """Does everything vanish that the claim says to be zero?
+    """The test whether everything vanishes that the claim says to be zero.
 
     Raises `ValueFault` where it is nowhere defined, such as with a Jacobian that never has full rank.
     """

@@ -103,7 +103,7 @@ def _with(term: Any, line: PrintedTerm, full: Callable[[str, SX], str]) -> Any:
 
 
 def _differ(one: SX, other: SX) -> bool:
-    """Are they different, in shape or somewhere? Those that cannot be compared count as different."""
+    """True for what differs, in shape or somewhere; what cannot be compared counts as different."""
     if one.shape != other.shape:
         return True
     if ca.is_equal(one, other, _DEEP):

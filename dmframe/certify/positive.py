@@ -21,14 +21,14 @@ class Signs:
         self._kept = list[object]()  # so that no identity is used twice
 
     def positive(self, square: Square) -> bool:
-        """Is the weight a positive constant, or the robot's mass matrix?"""
+        """True for a positive constant, and for the robot's mass matrix."""
         if id(square) not in self._known:
             self._kept.append(square)
             self._known[id(square)] = self._decide(square)
         return self._known[id(square)]
 
     def spends(self, term: Lemma) -> bool:
-        """Has every element of a lemma a positive weight?"""
+        """True for a lemma each element of which has a positive weight."""
         return self._least(term.weight)
 
     def _decide(self, square: Square) -> bool:

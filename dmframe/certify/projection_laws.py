@@ -44,7 +44,7 @@ Point = tuple[np.ndarray, np.ndarray]
 
 
 def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
-    """Does the law that a run takes obey the projection lemma, with this graph's set?"""
+    """That the law that a run takes obeys the projection lemma, with this graph's set."""
     text = "(estimate - true value)' W (correction) <= 0 in every branch, and no rate leads out"
     size = projection.state.numel()
     state, nominal = ca.SX.sym("state", size), ca.SX.sym("nominal", size)

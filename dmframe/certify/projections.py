@@ -83,7 +83,7 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
 
 
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
-    """Is the true value in the set?"""
+    """That the true value lies in the set, decided or assumed."""
     text = f"{projection.name}: true value inside the {projection.kind}"
     room, rest = _decidable(projection.set.room(truth), numbers)
     if room.numel():
@@ -133,7 +133,7 @@ def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
-    """Does the estimate start in the set? `dmframe.simulate.start` refuses a run that does not."""
+    """That the estimate starts in the set, decided or assumed. A run that does not is refused."""
     text = f"{projection.name}: starts inside the {projection.kind}"
     shown = INSIDE[projection.kind].format("start")
     start = _start(projection, numbers, given)

@@ -135,7 +135,7 @@ def _differentiated_of(part: Part) -> Iterator[tuple[str, SX]]:
 
 
 def jumps(expression: SX, still: set[int]) -> bool:
-    """Does an expression hold an operation that jumps, of anything but the symbols that stand still?"""
+    """True for an expression with an operation that jumps, of anything but the symbols that stand still."""
     symbols = ca.symvar(expression)
     function = ca.Function("jumps", [stack(symbols)], [ca.vec(ca.densify(expression))])
     if not JUMPS & codes(function):

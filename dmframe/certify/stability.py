@@ -1,4 +1,4 @@
-"""Is z'' + a z' + b z = 0 stable while a and b move anywhere in their boxes? One Lyapunov matrix, found and checked."""
+"""z'' + a z' + b z = 0 with a and b anywhere in their boxes: one Lyapunov matrix that shows it stable, found and checked."""
 
 from __future__ import annotations
 

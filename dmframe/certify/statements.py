@@ -284,7 +284,7 @@ def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
 
 
 def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
-    """Is all that V holds spent, or projected, so that V falls wherever it is large?"""
+    """True where all that V holds is spent, or projected, so that V falls wherever it is large."""
     if any(isinstance(term, Gathered) for part in claim.parts for term in part.certificate.storage):
         return False  # nothing shows that it is spent in proportion
     _, left = residual_bases(claim)
@@ -301,7 +301,7 @@ def _assumed(claim: Claim) -> Iterator[str]:
 
 
 def _is_projected(claim: Claim, square: Square) -> bool:
-    """Does it hold a projected estimate, and no other state?"""
+    """True where it holds a projected estimate, and no other state."""
     used = symbols_in([square.vector])
     variables = claim.loop.variables
     moving = {variable.label for variable in variables if used & symbols_in([variable.symbol])}
@@ -309,7 +309,7 @@ def _is_projected(claim: Claim, square: Square) -> bool:
 
 
 def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:
-    """Is the square's own vector dissipated, identically, with a positive weight?"""
+    """True for a square whose own vector is dissipated, identically, with a positive weight."""
     return any(
         signs.positive(term) and _same(square, term, symbols)
         for term in _spent_squares(claim)

@@ -80,7 +80,7 @@ def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
 
 
 def _of_source(diagram: Diagram, parameter: Parameter) -> bool:
-    """Does it only shape a trajectory? Those are free as a whole, and some bear the name of their parameter."""
+    """True for what only shapes a trajectory: those are free as a whole, and some bear the name of their parameter."""
     block = parameter.label.partition(".")[0]
     return block in diagram.blocks and diagram.blocks[block].side is Side.SOURCE
 

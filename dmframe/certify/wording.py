@@ -58,7 +58,7 @@ _UNCLEAR: Final = re.compile(r"/\s*[\w.]+\s+[\w(]")
 
 
 def _says(claim: Claim, block: str, condition: Inequality) -> bool:
-    """Are the author's words this very inequality, in parameters, truths and named parts of the block?"""
+    """True where the author's words are this very inequality, in parameters, truths and named parts of the block."""
     found = _RELATION.fullmatch(condition.name)
     if found is None or _UNCLEAR.search(condition.name):
         return False

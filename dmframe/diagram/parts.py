@@ -85,7 +85,7 @@ class Parts:
 
     @property
     def moved(self) -> bool:
-        """Do trajectories act on what is integrated, within a tick?"""
+        """True where trajectories act within a tick, on what is integrated."""
         return bool(self.rate.jac_sparsity(0, 2).nnz() > 0)
 
     @property

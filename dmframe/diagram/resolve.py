@@ -1,6 +1,6 @@
 """From wired blocks to one set of expressions: outputs, rates and derived time derivatives, each resolved on demand.
 
-Expressions stand in *leaves*: the states, the parameters, what crosses the wall between controller and plant, and the
+Expressions stand in *leaves*: the states, the parameters, what is measured and commanded, and the
 desired trajectories with their derivatives. The two sides meet only in `closed_loop`, so that the controller can be
 had alone, as code, and the trajectories can be left free, as a theorem does.
 """
@@ -159,7 +159,7 @@ class Resolver:
                 yield crossing.symbol, self._rate_across(end, wanted_by)
 
     def _rate_across(self, end: End, wanted_by: str) -> SX:
-        """The rate of a signal from across the wall: measured itself, or computed by a block that says it knows."""
+        """The rate of a signal of the other side: measured itself, or computed by a block that declares it."""
         block, port = end
         for other in self.models[block].block.outputs:
             if other.derivative_of == port and other.access is Access.MEASURED:
@@ -295,7 +295,7 @@ def loop_fault(ports: Sequence[str]) -> AlgebraicLoopError:
 
 
 def _is_zero(difference: SX) -> bool:
-    """Does it vanish identically?"""
+    """True where it vanishes identically."""
     if difference.is_zero():
         return True
     symbols = ca.veccat(ca.SX(0, 1), *ca.symvar(difference))

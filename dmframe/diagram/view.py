@@ -1,4 +1,4 @@
-"""A block's symbols as the whole diagram sees them: for its start and its certificate, which look behind the wall."""
+"""A block's symbols as the whole diagram sees them: for its start and its certificate, which may see the plant."""
 
 from __future__ import annotations
 

@@ -181,7 +181,7 @@ def check_truths(blocks: Mapping[str, AbstractBlock], outputs: Outputs) -> list[
 
 
 def same_unit(output: Port, reader: Port) -> bool:
-    """Can the reader take the output's numbers as they are?"""
+    """True where the reader can take the output's numbers as they are."""
     return reader.unit == ANY or compatible(output.unit, reader.unit)
 
 

@@ -170,7 +170,7 @@ def _labels(layout: Layout) -> Iterator[str]:
 
 
 def _last_before(layout: Layout, index: int) -> bool:
-    """Is this the column just left of the wall?"""
+    """True for the column just left of the wall."""
     assert layout.wall is not None  # the caller looked
     after = layout.spans[index + 1][0] if index + 1 < len(layout.spans) else float("inf")
     return layout.spans[index][1] < layout.wall < after

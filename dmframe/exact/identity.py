@@ -1,4 +1,4 @@
-"""Is an expression identically zero? Decided at random points of prime fields, with a bound on the error."""
+"""The test whether an expression is identically zero, at random points of prime fields, with a bound on the error."""
 
 from __future__ import annotations
 

@@ -138,7 +138,7 @@ class _Piece:
         return [value for output in self._tape.program.stored(values) for value in output]
 
     def _has_edge(self, k: int) -> bool:
-        """Is this a divisor that moves on the piece, or a function that ends somewhere?"""
+        """True for a divisor that moves on the piece, and for a function that ends somewhere."""
         node, exponent = self._tape.nodes[k], self._tape.exponent(k)
         if exponent is None and node.code not in DIVISIONS:
             return node.code in EDGES or node.code == ca.OP_ATAN2

@@ -175,7 +175,7 @@ class _Trial:
         return self.point.look(name) is None and undotted(name) is None and not name.start
 
     def is_computed(self, item: Stated) -> bool:
-        """Is its left side something that the block computes with these options?"""
+        """True where its left side is something that the block computes with these options."""
         left = _name_of(item)
         if left is None:
             return False

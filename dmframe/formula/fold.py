@@ -58,7 +58,7 @@ def _sum(total: Sum, names: Mapping[Node, Name], own: str) -> Node:
 
 
 def is_difference(node: Node) -> bool:
-    """Is it one name minus another, an error?"""
+    """True for one name minus another, an error."""
     if not isinstance(node, Sum) or len(node.terms) != 2:
         return False
     first, second = node.terms

@@ -124,7 +124,7 @@ def lines(equations: Sequence[tuple[Node, Node]]) -> tuple[Line, ...]:
 
 
 def _says_nothing(equation: Line) -> bool:
-    """Is it w = w, or the rate of q, which is called dq?"""
+    """True for w = w, and for the rate of q where that is called dq."""
     return isinstance(equation.right.node, Name) and equation.left.latex == equation.right.latex
 
 

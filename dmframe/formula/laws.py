@@ -170,7 +170,7 @@ class ReadBlock:
 
     @cached_property
     def turns(self) -> bool:
-        """Does what runs hold a switch?"""
+        """True where what runs holds a switch."""
         return self.reading.of_running().turns() is not None
 
     def compare(self, *, near: bool = False) -> None:

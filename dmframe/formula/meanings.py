@@ -77,7 +77,7 @@ class Point:
 
 
 def _is_inverted(name: str, equations: Sequence[Stated]) -> bool:
-    """Does an equation hold ``name^{-1}``?"""
+    """True where an equation holds ``name^{-1}``."""
     wanted = " ".join(_bare([*tokens(latex_name(name)), "^", "-", "1"]))
     return any(f" {wanted} " in f" {' '.join(_bare(item.right))} " for item in equations)
 

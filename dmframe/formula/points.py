@@ -73,7 +73,7 @@ class Draw:
 
 
 def differs(first: np.ndarray, second: np.ndarray) -> bool:
-    """Do numbers differ by more than rounding? What is not finite must not be so on both sides.
+    """True for numbers that differ by more than rounding; what is not finite must not be so on both sides.
 
     Each element is held to its own size: a large one beside it lends it no more than what rounding may leave.
     """
@@ -88,7 +88,7 @@ def differs(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
-    """Do numbers at one of the first points, where no terms are large, differ beyond all that rounding leaves there?"""
+    """True for numbers of one of the first points, where no terms are large, that differ beyond all rounding there."""
     if first.shape != second.shape:
         return True
     largest = np.max(np.abs(first[np.isfinite(first)]), initial=0.0)
@@ -96,7 +96,7 @@ def differs_near(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.ndarray, np.ndarray]]) -> bool:
-    """Is a difference what rounding leaves of large terms that cancel?
+    """True for a difference that rounding leaves of large terms that cancel.
 
     `moved` are the same numbers with all on which they depend moved by `jittered`. Where terms are large, both move
     then by more than rounding leaves of them; a difference beyond that is none of rounding, on whichever side it is.
@@ -163,7 +163,7 @@ _SWITCHES: Final = frozenset(code for code, operation in OPERATIONS.items() if o
 
 
 def _is_tiny(value: Any) -> bool:
-    """Is it the floor under a root of squares, which no point can be on both sides of?"""
+    """True for the floor under a root of squares, which no point can be on both sides of."""
     return bool(value.is_constant()) and 0 < abs(float(value)) < 1e-20
 
 
@@ -207,5 +207,5 @@ class Sides:
 
     @property
     def complete(self) -> bool:
-        """Has every switch been on both sides?"""
+        """True where every switch has been on both sides."""
         return self._plus is None or bool(np.all(self._plus & self._minus))

@@ -229,12 +229,12 @@ Node = (
 
 
 def is_scalar(node: Node) -> bool:
-    """Is it one number?"""
+    """True for one number."""
     return node.shape == SCALAR
 
 
 def is_column(node: Node) -> bool:
-    """Is it a column, or a number?"""
+    """True for a column, or a number."""
     return node.shape[1] == 1
 
 
@@ -388,7 +388,7 @@ def _plain(below: tuple[Node, ...]) -> bool:
 
 
 def _mixes(product: Product) -> bool:
-    """Is there a matrix in it, which mixes the elements of what stands right of it?"""
+    """True where it holds a matrix, which mixes the elements of what stands right of it."""
     return any(not is_column(factor) for factor in product.factors)
 
 

@@ -29,7 +29,7 @@ def where(lines: Iterable[Line]) -> tuple[tuple[str, str], ...]:
 
 
 def sizes_show(lines: Iterable[Line]) -> bool:
-    """Does a size of the robot show in the lines, as the place of an element?"""
+    """True where a size of the robot shows in the lines, as the place of an element."""
     return any(isinstance(node, Piece) for line in lines for node in _nodes(line.right.node))
 
 

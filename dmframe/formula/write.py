@@ -235,6 +235,6 @@ def _sign(term: Product | Number) -> Fraction:
 
 
 def _mixed_quotient(product: Product) -> bool:
-    """Is a product with a matrix divided element by element?"""
+    """True for a product with a matrix that is divided element by element."""
     matrix = any(not tree.is_column(factor) for factor in product.factors)
     return matrix and any(not tree.is_scalar(node) for node in product.below)

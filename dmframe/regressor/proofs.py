@@ -64,7 +64,7 @@ class Symbols:
         return ca.reshape(ca.jtimes(ca.vec(expression), self.q, direction), *expression.shape)
 
     def test(self, expression: Any, more: Mapping[str, Any], *, trials: int, seed: int) -> ZeroTest:
-        """Is it zero? Only the rotations, which must be orthogonal, have their values."""
+        """The test whether it is zero; only the rotations, which must be orthogonal, have their values."""
         constants = self.robot.constants
         free = {"q": self.q, "dq": self.dq, "a": self.a, "b": self.b, **more}
         function = ca.Function(

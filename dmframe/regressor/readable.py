@@ -56,7 +56,7 @@ class Groups:
         return Factor(wave.sine, tuple(k))
 
     def nice(self, group: int, k: Sequence[int]) -> bool:
-        """Is it one angle, or that of a link: the sum over a stretch of parallel joints?"""
+        """True for one angle, or that of a link: the sum over a stretch of parallel joints."""
         signs = self.members[group][1]
         used = [place for place, number in enumerate(k) if number]
         if not used or used[-1] - used[0] != len(used) - 1:
@@ -210,7 +210,7 @@ _GREEK = {"psi": r"\psi", "phi": r"\varphi"}
 
 
 def _moves(name: str) -> bool:
-    """Is it a rate, written after sines and cosines?"""
+    """True for a rate, which is written after sines and cosines."""
     return name.rpartition("_")[0] in (*_ACCENTS, *_GREEK)
 
 

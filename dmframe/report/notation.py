@@ -178,7 +178,7 @@ def marked_prose(text: str) -> str:
 
 
 def _goes_on(run: Sequence[re.Match[str]], token: re.Match[str], text: str) -> bool:
-    """Does a formula begin, or go on, with this token? With a comma only while a bracket is open."""
+    """True for a token with which a formula begins or goes on; a comma, only while a bracket is open."""
     if token["comma"]:
         source = "".join(known.group() for known in run)
         return source.count("(") > source.count(")")
@@ -186,7 +186,7 @@ def _goes_on(run: Sequence[re.Match[str]], token: re.Match[str], text: str) -> b
 
 
 def _ends_a_word(token: re.Match[str], text: str) -> bool:
-    """Is this only the beginning of a word such as ``x-axis``?"""
+    """True for what is only the beginning of a word such as ``x-axis``."""
     rest = text[token.end() :]
     return bool(token["name"]) and re.match(r"-[a-z]{2}|'[a-z]", rest) is not None
 
@@ -218,7 +218,7 @@ def _finished(run: list[re.Match[str]]) -> Iterator[tuple[str, str]]:
 
 
 def _open(text: str, bracket: str) -> bool:
-    """Does the text begin with a bracket that it never closes, or end with one that it never opened?"""
+    """True for a text that begins with a bracket that it never closes, or ends with one that it never opened."""
     step = 1 if bracket == "(" else -1
     depth = 0
     for letter in text[::step]:
@@ -231,7 +231,7 @@ def _open(text: str, bracket: str) -> bool:
 
 
 def _encloses(text: str) -> bool:
-    """Does a first bracket close with the last letter?"""
+    """True where the first bracket closes with the last letter."""
     depth = 0
     for place, letter in enumerate(text):
         depth += {"(": 1, ")": -1}.get(letter, 0)

@@ -56,7 +56,7 @@ class Verification:
 
     @property
     def proved(self) -> bool:
-        """Is it proved?"""
+        """True for a graph that is proved."""
         return self.verdict.outcome == "proved"
 
     @property

@@ -70,7 +70,7 @@ def write_report(
 
 
 def check_place(path: Path) -> None:
-    """Can a report be written there? To be asked before anything is computed.
+    """Refuse a place where no report can be written; to be asked before anything is computed.
 
     Raises
     ------

@@ -106,7 +106,7 @@ def _check_usable(folder: Path, path: Path, folders: Collection[str], *, ours: b
 
 
 def is_ours(name: str) -> bool:
-    """Is it the name of a file that a run writes?"""
+    """True for the name of a file that a run writes."""
     stem, _, ending = name.rpartition(".")
     return name in FILES or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith(OF_EACH)))
 

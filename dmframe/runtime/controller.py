@@ -133,7 +133,7 @@ class Controller:
 
 
 def _works(library: Path, function: Any, constants: int) -> bool:
-    """Does a new library give the interpreter's numbers at a sample that means nothing?"""
+    """True where a new library gives the interpreter's numbers, at a random sample."""
     rng = np.random.default_rng(0)
     z, measured, p = (rng.uniform(0.5, 1.5, function.numel_in(place)) for place in (0, 1, 4))
     given = [{"doubles": array.tolist()} for array in (z, measured, np.array([0.3]), np.array([1e-3]), p)]

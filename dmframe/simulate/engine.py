@@ -52,7 +52,7 @@ class Engine(Protocol):
 
     @property
     def elastic(self) -> bool:
-        """May a chunk be of any size?"""
+        """True for one that can compute any number of ticks in a call."""
 
     def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
         """Advance `state` in place by `ticks` ticks, and write what is kept to `rows`.
@@ -104,7 +104,7 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
 
 
 def _works(library: Path, step: Step) -> bool:
-    """Does a new library give the interpreter's numbers, over one tick from a state that means nothing?"""
+    """True where a new library gives the interpreter's numbers, over one tick from a random state."""
     parts = step.parts
     rng = np.random.default_rng(0)
     state, p = (rng.uniform(0.5, 1.5, parts.sample.numel_in(place)) for place in (0, 4))
@@ -217,7 +217,7 @@ class Interpreted:
 
     @cached_property
     def whole(self) -> bool:
-        """Is everything kept?"""
+        """True where everything is kept."""
         size = self.step.tick.numel_out(0) + self.step.tick.numel_out(1)
         return np.array_equal(self.kept, np.arange(size))
 
