@@ -1,4 +1,4 @@
-"""z'' + a z' + b z = 0 with a and b anywhere in their boxes: one Lyapunov matrix that shows it stable, found and checked."""
+"""Stability of z'' + a z' + b z = 0 with a and b anywhere in their boxes: one Lyapunov matrix, found and checked."""
 
 from __future__ import annotations
 
