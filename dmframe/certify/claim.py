@@ -277,7 +277,8 @@ class Field:
         own, estimate = symbols_in([projection.state]), certificate.estimates.get(projection.of)
         held = [term for term in certificate.storage if symbols_in(term.pieces) & own]
         if estimate is not None and len(held) == 1 and not symbols_in([estimate.weight]) & own:
-            return ca.dot(times(estimate.weight, projection.state - estimate.value), projection.correction)
+            (square,) = held  # that of the estimate, which is always among them
+            return ca.dot(times(square.weight, square.vector), projection.correction)
         hint = f"; say what it estimates by estimates={{'{projection.of}': TrueValue(...)}}" if estimate is None else ""
         raise NotApplicableError(
             f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
