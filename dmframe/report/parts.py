@@ -1,7 +1,7 @@
 """What a page is made of, as values: said once, and written as HTML or as Markdown.
 
 A plain `str` is text of anybody, and stands as it is. Only a `Marked` text is read: its formulas stand between dollar
-signs, its code between backticks, and its sources as ``[Key2020]``.
+signs, its code between backticks, and the keys of its sources in square brackets.
 """
 
 from __future__ import annotations
