@@ -378,31 +378,12 @@ def regressor(
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:
     """A robot's regressor: parameters, entries, code, proofs, and how far it is from Pinocchio's."""
-    from dmframe.cli.options import refuse
+    from dmframe.cli.options import angles, refuse, words
     from dmframe.cli.regressor import Wanted, regressor_of
     from dmframe.robot.library import load
 
-    kinds = _words(friction) or ()
+    kinds = words(friction) or ()
     if kinematic and latex is None:  # which holds both regressors
         refuse({"--base": base, "--friction": friction or None}, "it does nothing with --kinematic; leave one out")
-    chain = load(robot, base=Path(), free=_words(free), hold=_angles(hold), tool=tool)
+    chain = load(robot, base=Path(), free=words(free), hold=angles("--hold", hold), tool=tool)
     return regressor_of(chain, kinds, Wanted(base, kinematic, symbolic, prove, c, python, latex))
-
-
-def _words(text: str | None) -> tuple[str, ...] | None:
-    return tuple(word.strip() for word in text.split(",") if word.strip()) if text else None
-
-
-def _angles(pairs: list[str]) -> dict[str, float]:
-    from dmframe.cli.options import quantity
-    from dmframe.errors import ValueFault
-
-    angles = dict[str, float]()
-    for pair in pairs:
-        joint, equals, angle = (word.strip() for word in pair.partition("="))
-        if not equals:
-            raise ValueFault(f"--hold {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
-        if joint in angles:
-            raise ValueFault(f"--hold {pair}: {joint} is held twice; keep one of them")
-        angles[joint] = quantity("--hold", angle, "rad", told=pair)
-    return angles

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dmframe.errors import DmframeError, ValueFault
@@ -28,6 +28,24 @@ def whole(option: str, text: str) -> int:
     if len(text) > 30 or not _WHOLE.fullmatch(text):
         raise ValueFault(f"{option} {shorten(text)}: expected a whole number")
     return int(text)
+
+
+def words(text: str | None) -> tuple[str, ...] | None:
+    """The words that commas part; None where nothing was given."""
+    return tuple(word.strip() for word in text.split(",") if word.strip()) if text else None
+
+
+def angles(option: str, pairs: Sequence[str]) -> dict[str, float]:
+    """Angles by joint [rad], each ``joint=angle``. Raises `ValueFault`, which names the option."""
+    found = dict[str, float]()
+    for pair in pairs:
+        joint, equals, angle = (word.strip() for word in pair.partition("="))
+        if not equals:
+            raise ValueFault(f"{option} {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
+        if joint in found:
+            raise ValueFault(f"{option} {pair}: {joint} is held twice; keep one of them")
+        found[joint] = quantity(option, angle, "rad", told=pair)
+    return found
 
 
 def refuse(options: Mapping[str, object], why: str) -> None:
