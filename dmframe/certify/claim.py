@@ -173,11 +173,13 @@ class Claim:
 
 
 def _laws(
-    diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated
+    diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated, *, near: bool
 ) -> tuple[Mapping[str, PrintedLaw], tuple[str, ...]]:
     """The printed laws; one that is not what runs, or not what is proved, is a claim that nobody can read."""
     try:
-        blocks = read_blocks(diagram)
+        blocks = read_blocks(diagram, near=near)
+        if near:
+            return {name: block.law() for name, block in blocks.items()}, ()
         notices = check_docstrings(blocks)
         for name, certificate in certificates.items():
             blocks[name].hold(certificate, view(diagram, name, truths), diagram.loop)
@@ -191,8 +193,8 @@ def total(items: Sequence[SX]) -> SX:
     return ca.sum1(ca.vertcat(ca.SX(0), *items))
 
 
-def claim_of(diagram: Diagram) -> Claim:
-    """Assemble what the blocks claim.
+def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
+    """Assemble what the blocks claim; with `near`, what prints is held to what runs at a few points alone.
 
     Raises `NotApplicableError` where a block has no certificate or an ill-formed one, or needs a truth that the diagram
     does not have.
@@ -201,7 +203,7 @@ def claim_of(diagram: Diagram) -> Claim:
     if loop.clocked:
         raise NotApplicableError(f"{loop.clocked}; a proof in continuous time does not reach it")
     stated, truths = certificates_of(diagram)
-    laws, notices = _laws(diagram, stated, truths)
+    laws, notices = _laws(diagram, stated, truths, near=near)
     field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())

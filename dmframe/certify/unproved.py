@@ -6,24 +6,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.along import Along, along
 from dmframe.certify.checked import Numbers
-from dmframe.certify.claim import Claim, Field, certificates_of
+from dmframe.certify.claim import Claim, claim_of
 from dmframe.certify.conditions import conditions_of
 from dmframe.certify.excess import bounds_of
 from dmframe.certify.hypotheses import undefined
-from dmframe.certify.labels import labelled
 from dmframe.certify.payment import payment
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval, as_float
-from dmframe.formula.laws import read_blocks
 from dmframe.simulate import Recording
 
 INSTANTS = 400
@@ -47,7 +44,7 @@ def unproved_along(
         with SYMBOLIC:
             if _large(run.diagram):
                 return None
-            claim = _claim(run.diagram)
+            claim = claim_of(run.diagram, near=True)
             numbers = Numbers(claim, uncertain)
             kappa = payment(claim, numbers) if claim.cascaded else None
             if not _sound(claim, numbers, start):
@@ -65,20 +62,8 @@ def _large(diagram: Diagram) -> bool:
     return any(symbol.numel() > MOST for symbol in (loop.state, *matrices))
 
 
-def _claim(diagram: Diagram) -> Claim:
-    """The claim with what prints; that this is what runs is tried at a few points, and docstrings are not read."""
-    stated, truths = certificates_of(diagram)
-    laws = {name: block.law() for name, block in read_blocks(diagram, near=True).items()}
-    field = Field(diagram)
-    parts = tuple(field.part(name, certificate) for name, certificate in labelled(stated, laws).items())
-    cascaded = any(part.certificate.consumes is not None for part in parts)
-    return Claim(diagram, diagram.loop, parts, ca.SX.sym("kappa") if cascaded else ca.SX(1), truths, laws)
-
-
 def _sound(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> bool:
-    """Something is stored, every condition holds that numbers decide, and what V holds does not jump."""
-    if not any(part.certificate.storage for part in claim.parts):
-        return False
+    """Every condition holds that numbers decide, and what V holds does not jump."""
     return (
         all(condition.holds for condition in conditions_of(claim, numbers, start)[0])
         and not any(undefined(claim, numbers))

@@ -18,7 +18,7 @@ from dmframe.config.grammar import KEYS
 from dmframe.config.overrides import overridden
 from dmframe.config.places import placed
 from dmframe.config.renamed import SECTIONS
-from dmframe.diagram.diagram import _declared as outputs_of  # the one statement of which outputs a class surely has
+from dmframe.diagram.diagram import declared_outputs
 from dmframe.diagram.wiring import End, Source, Zero, wire_blocks
 from dmframe.errors import BlockError, DmframeError, Faults
 from dmframe.port import Port
@@ -98,7 +98,7 @@ class Unrun:
         wires, blocks = self.experiment.file.wires, dict(self.experiment.blocks)
         for name in self.partly:
             blocks[name] = _with_ports(blocks[name], name, wires)
-        sources, faults = wire_blocks(blocks, outputs_of(blocks), wires)
+        sources, faults = wire_blocks(blocks, declared_outputs(blocks), wires)
         for name, block in blocks.items():
             for port in block.inputs:
                 sources.setdefault((name, port.name), Zero())

@@ -80,7 +80,7 @@ class Diagram:
                 values[name], wrong = parameter_arrays(name, block, sizes, blocks, robot)
                 faults += wrong
         if faults:
-            _, more = wire_blocks(blocks, _declared(blocks), wires or {})
+            _, more = wire_blocks(blocks, declared_outputs(blocks), wires or {})
             raise_all([*faults, *more])
         symbolic = _symbolic(robot)
         models = dict[str, BlockModel]()
@@ -135,7 +135,7 @@ def _symbolic(robot: Any) -> Any:
     return SymbolicRobot(robot)
 
 
-def _declared(blocks: Mapping[str, AbstractBlock]) -> Outputs:
+def declared_outputs(blocks: Mapping[str, AbstractBlock]) -> Outputs:
     """Outputs as far as the classes say; an optional one is taken for stated where no other block surely has it."""
     sure = {port.name for block in blocks.values() for port in block.outputs if not port.optional}
     declared = dict[str, dict[str, Port]]()

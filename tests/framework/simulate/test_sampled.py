@@ -10,7 +10,10 @@ import pytest
 
 from dmframe.analysis import linearise
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
 from dmframe.certify import verify
+from dmframe.certify.unproved import unproved_along
+from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.parameter import Box, Interval, Real, Scalar
@@ -300,6 +303,32 @@ def test_proofs_and_analyses_in_continuous_time_say_that_they_do_not_reach_it() 
     assert "law.i is a sampled state; a proof in continuous time does not reach it" in verdict.reason
     with pytest.raises(DmframeError, match=r"which a clock may sample; law\.i is a sampled state"):
         linearise(loop())
+
+
+class LateCommand(AbstractBlock):
+    """The velocity command of one sample ago; it claims to store nothing."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: Ports = (Port("dq_c", "n", "rad/s"),)
+    outputs: Ports = (Port("dq_late", "n", "rad/s"),)
+    states: States = (State("held", "n", "rad/s", sampled=True),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"dq_late": x.held}, next={"held": u.dq_c})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate()
+
+
+def test_a_proved_loop_with_a_delay_in_it_is_neither_proved_nor_drawn_with_v() -> None:
+    graph = load_experiment("arm2_joint")
+    late = Diagram.build({**graph.blocks, "line": LateCommand()}, {"servo.dq_c": "line.dq_late"}, graph.robot)
+    run = simulate(late, 0.1, clock=0.002)
+    assert unproved_along(run, {}, {}) is None
+    assert verify(late).reason.startswith("line.held is a sampled state")
+    straight = graph.diagram()
+    assert unproved_along(simulate(straight, 0.1, clock=0.002), {}, {}) is not None
+    assert not np.allclose(run["arm.q"], simulate(straight, 0.1, clock=0.002)["arm.q"], atol=1e-9)
 
 
 def test_a_controller_that_draws_is_refused() -> None:
