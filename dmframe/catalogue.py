@@ -23,7 +23,7 @@ from typing import TypeGuard
 from dmframe import trust
 from dmframe.block import AbstractBlock
 from dmframe.errors import BlockError, UnknownNameError
-from dmframe.files import is_file
+from dmframe.files import expanded, is_file
 
 GROUP = "dmframe.blocks"
 
@@ -149,7 +149,7 @@ def graphs() -> dict[str, Path]:
 
 def find_graph(name: str) -> Path:
     """The file of a graph: a path, or the name of a packaged one."""
-    path = Path(name)
+    path = expanded(name)
     if path.suffix in (".yaml", ".yml") or is_file(path):
         return path
     known = graphs()

@@ -57,7 +57,7 @@ def expanded(path: str | Path) -> Path:
     try:
         return Path(path).expanduser()
     except RuntimeError:
-        raise OutputError(f"{path}: expected a folder, found no home of that user; name it in full") from None
+        raise OutputError(f"{path}: found no home of that user; name the whole path") from None
 
 
 def check_place(path: str | Path) -> None:

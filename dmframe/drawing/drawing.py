@@ -12,7 +12,7 @@ from dmframe.drawing.flowchart import mermaid
 from dmframe.drawing.netlist import Wired
 from dmframe.drawing.picture import svg
 from dmframe.errors import OutputError
-from dmframe.files import check_place, write_bytes, write_text
+from dmframe.files import check_place, expanded, write_bytes, write_text
 
 
 @final
@@ -49,7 +49,7 @@ class Drawing:
         OutputError
             Another ending, or a file that cannot be written.
         """
-        path = Path(path)
+        path = expanded(path)
         check_ending(path)
         check_place(path)
         WRITERS[path.suffix.lower()](self, path)

@@ -11,6 +11,7 @@ from dmframe.certify import Verdict
 from dmframe.certify.summary import summary
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
+from dmframe.files import expanded
 from dmframe.report.verdict_text import verdict_text
 
 if TYPE_CHECKING:
@@ -99,8 +100,9 @@ class Verification:
         """
         from dmframe.report.write import write_report
 
+        path = expanded(path)
         write_report(path, [self])
-        return Path(path)
+        return path
 
     def __repr__(self) -> str:
         return f"<Verification of {self.name}: {self.headline}>"

@@ -125,7 +125,7 @@ def test_a_path_may_begin_at_home(
 
 def test_a_home_that_there_is_not_is_told(dmframe: Any) -> None:
     said = dmframe("draw", "pendulum", "--out=~no_such_user/p.svg")
-    expected = "~no_such_user/p.svg: expected a folder, found no home of that user; name it in full"
+    expected = "~no_such_user/p.svg: found no home of that user; name the whole path"
     assert (said.status, said.err) == (2, f"dmframe: {expected}\n")
 
 

@@ -211,6 +211,15 @@ def test_a_saved_graph_loads_again_and_is_not_overwritten(pendulum: dm.Graph, tm
         pendulum.save(file)
 
 
+def test_paths_may_begin_at_home(pendulum: dm.Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert pendulum.save("~/g.yaml").is_file()
+    assert dm.load("~/g.yaml").blocks.keys() == dm.load(Path("~/g.yaml")).blocks.keys() == pendulum.blocks.keys()
+    assert pendulum.draw().save("~/g.svg") == tmp_path / "g.svg"
+    assert pendulum.verify().report("~/g.json") == tmp_path / "g.json"
+    assert tmp_path.joinpath("g.json").is_file()
+
+
 def test_every_public_name_has_a_docstring_and_typed_arguments() -> None:
     assert set(dir(dm)) == set(dm.__all__)
     for name in dm.__all__:
