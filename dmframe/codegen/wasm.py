@@ -1,0 +1,310 @@
+"""The closed loop as a WebAssembly module, written straight from its expressions: no compiler is needed.
+
+It is the C of `loop_source` operation by operation, so that its numbers are those of that C to the last bit, where a
+compiler fuses no products into sums (``-ffp-contract=off``). A module exports
+
+- ``run(state, p, period, substeps, first, ticks, given, every, kept, columns, log, bounds)``: ``dm_run`` of `loop.c`,
+  which returns how many ticks ended within bounds. ``period`` is an f64, all others are i32: counts, and the addresses
+  of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are below 2^31; of ``first`` nothing
+  but the remainder by ``every`` matters.
+- ``memory``, and ``heap``: its first bytes, up to that address, are the module's own. From there on the host lays out
+  the arrays as it likes, with no overlap, and lets the memory grow where they need more.
+
+Nothing is kept from one call to the next: what stands in the module's own bytes follows from what a call is given.
+
+Sine, cosine, tanh, sign, fmin and fmax are those of `arithmetic.h`; sqrt, fabs, floor, ceil and copysign are single
+instructions. The other functions, which no packaged graph needs, are asked of the host by their names in C, as
+``env.exp``, and are as accurate as it makes them; so are ``env.sin`` and ``env.cos``, for angles from 1e5 rad on. A web
+page gives its ``Math``, which has them all but erf, fmod and remainder.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections import Counter
+from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import count
+from typing import Any, Final, NamedTuple, final
+
+from dmframe.codegen.wasm_arithmetic import ARITHMETIC
+from dmframe.codegen.wasm_binary import (
+    AND,
+    COPY,
+    DROP,
+    F64,
+    I32,
+    RETURN,
+    Function,
+    Number,
+    Whole,
+    called,
+    module,
+    number,
+    whole,
+)
+from dmframe.diagram.parts import Parts
+from dmframe.errors import EngineError
+from dmframe.program import CONST, Node, by_code, read, run
+
+_HOST_ONE: Final = "exp log tan asin acos atan erf sinh cosh asinh acosh atanh log1p expm1"
+_HOST_TWO: Final = "pow fmod atan2 hypot remainder"
+HOST: Final = {f"env.{name}": 1 for name in ("sin", "cos", *_HOST_ONE.split())} | {
+    f"env.{name}": 2 for name in _HOST_TWO.split()
+}
+"""What a module may ask of its host, and how many numbers each takes."""
+
+
+@final
+class Turn(NamedTuple):
+    """Of an angle, the sine (0) or the cosine (1): one call gives both."""
+
+    angle: Number
+    which: int
+
+
+Value = Number | Turn
+
+RULES: Final[dict[int, Callable[..., Any]]] = by_code(
+    {
+        **{name: partial(called, f"env.{name}") for name in (*_HOST_ONE.split(), *_HOST_TWO.split())},
+        **{name: partial(called, name) for name in ("tanh", "sign", "fmin", "fmax")},
+        "add": operator.add,
+        "sub": operator.sub,
+        "mul": operator.mul,
+        "div": operator.truediv,
+        "neg": operator.neg,
+        "sq": lambda x: x * x,
+        "twice": lambda x: x + x,
+        "inv": lambda x: 1 / x,
+        "constpow": partial(called, "env.pow"),
+        "sqrt": Number.sqrt,
+        "fabs": abs,
+        "floor": math.floor,
+        "ceil": math.ceil,
+        "copysign": Number.copysign,
+        "lt": lambda x, y: (x < y).number(),
+        "le": lambda x, y: (x <= y).number(),
+        "eq": lambda x, y: x.equals(y).number(),
+        "ne": lambda x, y: x.differs(y).number(),
+        "and": lambda x, y: (x.differs(0) & y.differs(0)).number(),
+        "or": lambda x, y: (x.differs(0) | y.differs(0)).number(),
+        "not": lambda x: x.equals(0).number(),
+        "if_else_zero": lambda x, y: x.differs(0).choose(y, number(0)),
+        "sin": lambda x: Turn(x, 0),
+        "cos": lambda x: Turn(x, 1),
+    }
+)
+
+
+def loop_module(parts: Parts) -> bytes:
+    """The module of a whole run; gains, true parameters and start states are its arguments.
+
+    Raises `EngineError` where an expression holds what there is no rule for, or is longer than a browser takes.
+    """
+    hoisted = parts.hoisted
+    own = {f.name(): written(f) for f in (*hoisted[:-1], hoisted.constants)}
+    sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0)}
+    places, used = dict[str, Whole](), 0
+    columns = {"T": 1, "t": 1, "at": sizes["X"], **{f"k{k}": sizes["X"] for k in range(1, 5)}}
+    columns |= {name.lower(): sizes[name] for name in "ZUWYC"}
+    for name, size in columns.items():
+        places[name], used = whole(used), used + 8 * size
+    frame = {
+        "slope": _slope(places, parts.moved),
+        "integrate": _integrate(places, sizes["X"]),
+        "sound": _sound(sizes["Z"] + sizes["X"]),
+        "record": _record(places, sizes["Z"] + sizes["X"]),
+        "run": _run(places, sizes),
+    }
+    return module({**ARITHMETIC, **own, **frame}, "run", HOST, used)
+
+
+def written(f: Any) -> Function:
+    """An SX function that takes the addresses of its arguments and then of its results, none of which may overlap.
+
+    A value that is read once is computed where it is read. Another has a local, which is free after its last read.
+    """
+    program = read(f)
+    refuse = partial(_refused, program.name)
+    reads, firsts = Counter[int](), dict[tuple[int, int], int]()
+    places = count()
+
+    def counted(node: Node, value: Value) -> Number:
+        """The value's place, as if it were a local."""
+        place = next(places)
+        if isinstance(value, Turn):
+            if not {(node.a, 0), (node.a, 1)} & firsts.keys():
+                reads[node.a] += 1
+            return Number((firsts.setdefault((node.a, value.which), place),))
+        reads.update(_locals(value))
+        return Number((place,))
+
+    nowhere = number(0)
+    values = run(program, RULES, given=lambda *_: nowhere, constant=number, refuse=refuse, keep=counted)
+    reads.update(place for output in program.stored(values) for value in output for place in _locals(value))
+    function = Function([I32] * (f.n_in() + f.n_out()))
+    straight = _Straight(function, reads, firsts)
+    values = run(
+        program,
+        RULES,
+        given=lambda argument, element: Whole((argument,)).load(8 * element),
+        constant=number,
+        refuse=refuse,
+        keep=straight.kept,
+    )
+    for j, output in enumerate(program.stored(values)):
+        for k, value in enumerate(output):
+            function.store(Whole((f.n_in() + j,)), 8 * k, value)
+            straight.release(value)
+    return function
+
+
+def _locals(value: Number) -> list[int]:
+    return [piece for piece in value.parts if isinstance(piece, int)]
+
+
+def _refused(name: str, code: int) -> EngineError:
+    return EngineError(f"engine: {name} holds CasADi's instruction {code}, which cannot be written as WebAssembly")
+
+
+@final
+class _Straight:
+    """Code without jumps, whose values are read so often as `reads` says of their places."""
+
+    def __init__(self, function: Function, reads: Counter[int], firsts: Mapping[tuple[int, int], int]) -> None:
+        self._function, self._reads, self._firsts = function, reads, firsts
+        self._places = count()
+        self._turns = dict[tuple[int, int], Number]()
+        self._left, self._free = dict[int, int](), list[int]()
+
+    def kept(self, node: Node, value: Value) -> Number:
+        """What stands for a value from then on."""
+        reads = self._reads[next(self._places)]
+        if isinstance(value, Turn):
+            if (node.a, value.which) not in self._turns:
+                self._turn(node.a, value.angle)
+            return self._turns[node.a, value.which]
+        if reads < 2 or node.code == CONST:
+            return value
+        self._function.write(value)
+        self.release(value)
+        return self._settled(reads)
+
+    def release(self, value: Number) -> None:
+        """Its locals have been read here."""
+        for local in _locals(value):
+            if local in self._left:  # not one that holds an address
+                self._left[local] -= 1
+                if self._left[local] == 0:
+                    self._free.append(local)
+
+    def _turn(self, place: int, angle: Number) -> None:
+        self._function.write(angle, "sincos")
+        self.release(angle)
+        for which in (1, 0):  # the cosine lies above the sine
+            if (place, which) in self._firsts:
+                self._turns[place, which] = self._settled(self._reads[self._firsts[place, which]])
+            else:
+                self._function.write(DROP)
+
+    def _settled(self, reads: int) -> Number:
+        """What lies on the stack, in a local of its own until it has been read."""
+        local = self._free.pop() if self._free else self._function.local(F64)
+        self._function.set(local)
+        self._left[local] = reads
+        return Number((local,))
+
+
+def _integer(place: int) -> Whole:
+    return Whole((place,))
+
+
+def _slope(at: Mapping[str, Whole], moved: bool) -> Function:
+    """(t, x, p, dx): dx at time t, commands held."""
+    f = Function([F64, I32, I32, I32])
+    t, (x, p, dx) = Number((0,)), map(_integer, (1, 2, 3))
+    if moved:
+        f.store(at["t"], 0, t)
+        f.write(at["t"], p, at["c"], at["w"], "trajectory")
+    f.write(x, at["u"], at["w"], p, at["c"], dx, "rate")
+    return f
+
+
+def _integrate(at: Mapping[str, Whole], size: int) -> Function:
+    """(t, h, x, substeps, p): x from t to t + T by classical Runge-Kutta, in the order of `loop.c`."""
+    f = Function([F64, F64, I32, I32, I32])
+    (t, h), (x, substeps, p) = (Number((k,)) for k in (0, 1)), map(_integer, (2, 3, 4))
+    half, sixth = f.keep(h / 2), f.keep(h / 6)
+    with f.counted(substeps) as j:
+        now = f.keep(t + j.number() * h)
+        f.write(now, x, p, at["k1"], "slope")
+        for step, time, before, after in (
+            (half, now + half, "k1", "k2"),
+            (half, now + half, "k2", "k3"),
+            (h, now + h, "k3", "k4"),
+        ):
+            for i in range(0, 8 * size, 8):
+                f.store(at["at"], i, x.load(i) + step * at[before].load(i))
+            f.write(time, at["at"], p, at[after], "slope")
+        for i in range(0, 8 * size, 8):
+            k1, k2, k3, k4 = (at[f"k{k}"].load(i) for k in range(1, 5))
+            f.store(x, i, x.load(i) + sixth * (k1 + 2 * k2 + 2 * k3 + k4))
+    return f
+
+
+def _sound(size: int) -> Function:
+    """(state, bounds): whether all of the state is within its bounds; what is no number is not."""
+    f = Function([I32, I32], [I32])
+    state, bounds = map(_integer, (0, 1))
+    f.write(whole(1))
+    for i in range(0, 8 * size, 8):
+        f.write(abs(state.load(i)) <= bounds.load(i), AND)
+    return f
+
+
+def _record(at: Mapping[str, Whole], size: int) -> Function:
+    """(state, kept, columns, row): the kept numbers of the state and, after it, of the outputs."""
+    f = Function([I32] * 4)
+    state, kept, columns, row = map(_integer, range(4))
+    with f.counted(columns) as j:
+        place = f.local(I32)
+        f.set(place, (kept + j * 4).load_whole())
+        with f.when(_integer(place) < size):
+            f.store(row + j * 8, 0, (state + _integer(place) * 8).load())
+        with f.when(_integer(place) >= size):
+            f.store(row + j * 8, 0, (at["y"] + (_integer(place) - size) * 8).load())
+    return f
+
+
+def _run(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
+    """See this file's head."""
+    f = Function([I32, I32, F64, *[I32] * 9], [I32])
+    state, p, substeps, first, ticks, given, every, kept, columns, log, bounds = map(_integer, (0, 1, *range(3, 12)))
+    given_at, log_at = 6, 10
+    x = state + 8 * sizes["Z"]
+
+    def sampled() -> None:
+        f.write(given, p, at["c"], at["w"], "trajectory")
+        f.write(state, at["w"], given + 16, at["T"], p, at["c"], at["z"], at["u"], at["y"], "sample")
+
+    f.store(at["T"], 0, Number((2,)))
+    f.write(p, at["c"], "constants")
+    with f.when(ticks.empty()):
+        sampled()
+        f.write(state, kept, columns, log, "record")
+    with f.counted(ticks) as n:
+        sampled()
+        with f.when(((first + n) % every).empty()):
+            f.write(state, kept, columns, log, "record")
+            f.set(log_at, log + columns * 8)
+        f.write(state, at["z"], whole(8 * sizes["Z"]), COPY)
+        f.write(given.load(), given.load(8) / substeps.number(), x, substeps, p, "integrate")
+        f.write(x, p, at["c"], at["at"], "clip")
+        f.write(x, at["at"], whole(8 * sizes["X"]), COPY)
+        f.set(given_at, given + 8 * (2 + sizes["N"]))
+        with f.when(Whole((*state.parts, *bounds.parts, "sound")).empty()):
+            f.write(n, RETURN)
+    f.write(ticks)
+    return f

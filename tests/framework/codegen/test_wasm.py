@@ -1,0 +1,404 @@
+"""Closed loops as WebAssembly: against CasADi, the interpreter, and C that fuses nothing, to the last bit."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import shutil
+import subprocess
+from collections.abc import Callable
+from ctypes.util import find_library
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.catalogue import graphs
+from dmframe.codegen import function as c
+from dmframe.codegen import loop_source, wasm
+from dmframe.codegen.source import shipped
+from dmframe.codegen.wasm import HOST, loop_module, written
+from dmframe.codegen.wasm_arithmetic import ARITHMETIC
+from dmframe.codegen.wasm_binary import F64, I32, Function, Number, Whole, module, number, signed, unsigned, whole
+from dmframe.config.experiment import load_experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import EngineError
+from dmframe.parameter import Real, Scalar
+from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.program import OPERATIONS
+from dmframe.simulate import Log, Solver
+from dmframe.simulate.engine import Compiled, Engine, Interpreted
+from dmframe.simulate.march import march
+from dmframe.simulate.run import Prepared, prepare
+from dmframe.simulate.start import start_state
+from dmframe.simulate.step import Step
+
+wasmtime = pytest.importorskip("wasmtime", reason="wasmtime is not installed")
+
+GCC: Final = shutil.which("gcc")
+needs_gcc = pytest.mark.skipif(GCC is None, reason="needs gcc")
+LIBRARY: Final = ctypes.CDLL(find_library("m"))
+
+
+def host(name: str) -> Callable[..., float]:
+    """The C library's function, which C calls, too."""
+    function = getattr(LIBRARY, name)
+    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double] * HOST[f"env.{name}"]
+    return lambda *numbers: float(function(*numbers))
+
+
+class Loaded:
+    """A module, called with arrays: they are laid out in its memory, and read back."""
+
+    def __init__(self, binary: bytes) -> None:
+        engine = wasmtime.Engine()
+        wasmtime.Module.validate(engine, binary)
+        loaded = wasmtime.Module(engine, binary)
+        self.asked = {item.name for item in loaded.imports}
+        self.store = wasmtime.Store(engine)
+        given = [wasmtime.Func(self.store, item.type, host(item.name)) for item in loaded.imports]
+        self.exports = wasmtime.Instance(self.store, loaded, given).exports(self.store)
+
+    def __call__(self, entry: str, *given: Any) -> Any:
+        memory, end = self.exports["memory"], self.exports["heap"].value(self.store)
+        places, words = list[tuple[int, np.ndarray]](), list[Any]()
+        for value in given:
+            if isinstance(value, np.ndarray):
+                places.append((end, value))
+                words.append(end)
+                end += value.nbytes
+            else:
+                words.append(value)
+        memory.grow(self.store, max(0, -(-(end - memory.data_len(self.store)) // 65536)))
+        for place, array in places:
+            memory.write(self.store, array.tobytes(), place)
+        found = self.exports[entry](self.store, *words)
+        for place, array in places:
+            array[...] = np.frombuffer(memory.read(self.store, place, place + array.nbytes), array.dtype).reshape(
+                array.shape
+            )
+        return found
+
+
+@dataclass
+class InWasm:
+    """An engine."""
+
+    step: Step
+    kept: np.ndarray
+    every: int
+    name: str = "wasm"
+    notices: tuple[str, ...] = ()
+    elastic: bool = True
+    loaded: Any = field(default=None)
+
+    def __post_init__(self) -> None:
+        self.loaded = Loaded(loop_module(self.step.parts))
+
+    def advance(self, state: np.ndarray, p: np.ndarray, first: int, ticks: int, rows: np.ndarray) -> int:
+        period, substeps, kept = self.step.period, self.step.substeps, self.kept.astype(np.int32)
+        kept = np.append(kept, np.zeros(kept.size % 2, np.int32))  # what follows begins at a multiple of 8
+        given = self.step.instants.rows(first, max(1, ticks))
+        numbers = (state, np.array(p, float), period, substeps, first, ticks, given, self.every, kept, self.kept.size)
+        return int(self.loaded("run", *numbers, rows, self.step.bounds))
+
+
+def compiled(source: str, folder: Path) -> Any:
+    """C in which no product is fused into a sum; gcc 12's vectoriser does so with -march=native, whatever it is told."""
+    (folder / "f.c").write_text(source, encoding="utf-8")
+    flags = ("-std=gnu11", "-O2", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+    subprocess.run([str(GCC), *flags, "f.c", "-o", "f.so", "-lm"], cwd=folder, check=True)
+    return ctypes.CDLL(str(folder / "f.so"))
+
+
+def in_c(step: Step, kept: np.ndarray, every: int, folder: Path) -> Compiled:
+    library = compiled(loop_source(step.parts), folder)
+    library.dm_run.restype = ctypes.c_int64
+    return Compiled(step, kept, every, library.dm_run)
+
+
+# The table of rules.
+
+CODES: Final = [code for code in sorted(OPERATIONS) if code != ca.OP_ERFINV]
+POINTS: Final = ((0.375, 0.75), (-0.375, 0.75), (1.75, -2.25), (2.5, 2.5), (0.0, 0.625), (0.625, 0.0), (-3.0, -0.5))
+
+
+def function(code: int) -> Any:
+    """One operation of two inputs; the second is read anyway."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    if code == ca.OP_CONSTPOW:
+        return ca.Function("f", [x, y], [x**2.5])
+    value = ca.SX.unary(code, x) if OPERATIONS[code].arity == 1 else ca.SX.binary(code, x, y)
+    return ca.Function("f", [x, y], [value])
+
+
+def whole_table() -> Any:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    return ca.Function("f", [x, y], [ca.vertcat(*(function(code)(x, y) for code in CODES))])
+
+
+def alone(body: Function) -> Loaded:
+    return Loaded(module({**ARITHMETIC, "f": body}, "f", HOST, 0))
+
+
+def at_points(points: Any) -> np.ndarray:
+    """A column for each point."""
+    loaded, columns = alone(written(whole_table())), []
+    for x, y in points:
+        columns.append(np.full(len(CODES), 7.0))
+        loaded("f", np.array([x]), np.array([y]), columns[-1])
+    return np.array(columns).T
+
+
+def by_casadi(points: Any) -> np.ndarray:
+    return np.array([whole_table()(x, y).full()[:, 0] for x, y in points]).T
+
+
+def test_each_rule_gives_what_casadi_gives() -> None:
+    assert sorted(wasm.RULES) == CODES
+    np.testing.assert_allclose(at_points(POINTS), by_casadi(POINTS), rtol=4e-16, atol=0)
+
+
+def test_a_wrong_rule_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+    alike = {n: [k for k in CODES if OPERATIONS[k].arity == n and k != ca.OP_CONSTPOW] for n in (1, 2)}
+    rules = dict(wasm.RULES)
+    following = {code: [*(k for k in alike[OPERATIONS[code].arity] if k > code), alike[OPERATIONS[code].arity][0]][0]
+                 for code in CODES}  # fmt: skip
+    monkeypatch.setattr(wasm, "RULES", {code: rules[following[code]] for code in CODES})
+    same = np.isclose(at_points(POINTS), by_casadi(POINTS), rtol=1e-13, atol=0, equal_nan=True).all(axis=1)
+    assert [OPERATIONS[code].name for code, alike in zip(CODES, same, strict=True) if alike] == []
+
+
+def test_an_operation_without_a_rule_is_refused() -> None:
+    with pytest.raises(EngineError, match=f"f holds CasADi's instruction {ca.OP_ERFINV}, which cannot be written as W"):
+        written(function(ca.OP_ERFINV))
+
+
+def edges() -> list[tuple[float, float]]:
+    rng = np.random.default_rng(0)
+    many = rng.normal(size=(300, 2)) * 10 ** rng.uniform(-9, 9, (300, 2))
+    special = [0.0, -0.0, 1.0, -1.0, 1e5, 99999.9, 5e-324, 1.7e308, math.inf, -math.inf, math.nan, math.pi, 19.99, 20.1]
+    return [*map(tuple, many), *((x, y) for x in special for y in special)]
+
+
+@needs_gcc
+def test_each_rule_gives_the_very_bits_of_c_that_fuses_nothing(tmp_path: Path) -> None:
+    source = f"{shipped('arithmetic.h')}{c.written(whole_table())}\n"
+    library = compiled(source + "void all(const double *x, const double *y, double *r) { dm_f(x, y, r); }", tmp_path)
+    expected, points = list[np.ndarray](), edges()
+    for pair in points:
+        given, result = [np.array([value]) for value in pair], np.zeros(len(CODES))
+        library.all(*(ctypes.c_void_p(array.ctypes.data) for array in (*given, result)))
+        expected.append(result)
+    found = at_points(points)
+    np.testing.assert_array_equal(found, np.array(expected).T)
+    zero = found == 0
+    np.testing.assert_array_equal(np.signbit(found[zero]), np.signbit(np.array(expected).T[zero]))
+
+
+# Functions and their encoding.
+
+
+def test_no_number_loses_a_bit() -> None:
+    values = [0.1, -0.0, 5e-324, math.nextafter(1, 2), 1.7976931348623157e308, math.inf, -math.inf, math.nan]
+    body = Function([I32])
+    for k, value in enumerate(values):
+        body.store(Whole((0,)), 8 * k, number(value))
+    found = np.zeros(len(values))
+    alone(body)("f", found)
+    assert found.tobytes() == np.array(values).tobytes()
+
+
+def test_whole_numbers_are_encoded_as_the_standard_says() -> None:
+    assert (unsigned(624485), signed(-123456)) == (bytes.fromhex("e58e26"), bytes.fromhex("c0bb78"))
+    for value in (0, 1, 63, 64, 127, 128, 8191, 8192, 2**31 - 1, -1, -64, -65, -(2**31)):
+        body = Function([], [I32])
+        body.write(whole(value))
+        assert alone(body)("f") == value
+
+
+def test_sines_and_cosines_of_one_angle_are_one_call_and_locals_are_used_again() -> None:
+    x = at = ca.SX.sym("x")
+    for _ in range(40):
+        at = ca.sin(at) * ca.cos(at) + ca.cos(at)
+    f = ca.Function("f", [x], [at, ca.cos(x + 1) + ca.sin(x * x + x)])
+    body, found = written(f), [np.zeros(1), np.zeros(1)]
+    assert len([piece for piece in body._pieces if piece == "sincos"]) == 42
+    assert len(body._kinds) < 10
+    alone(body)("f", np.array([0.7]), *found)
+    np.testing.assert_allclose(found, [value.full()[0] for value in f(0.7)], rtol=1e-13)
+
+
+def test_a_function_that_browsers_refuse_is_refused_here() -> None:
+    body = Function([I32])
+    for _ in range(50_000):
+        body.keep(number(1))
+    with pytest.raises(EngineError, match="WebAssembly: f takes 50001 locals, expected at most 50000 in one function"):
+        alone(body)
+
+
+# Whole runs.
+
+
+def prepared_graph(name: str, duration: float, **options: Any) -> tuple[Prepared, Diagram, np.ndarray]:
+    graph = load_experiment(name)
+    diagram = graph.diagram()
+    prepared = prepare(diagram, duration, clock=graph.file.clock, solver=graph.solver, log=Log(), **options)
+    return prepared, diagram, start_state(diagram, graph.start, prepared.starts)
+
+
+def marched(engine: Engine, prepared: Prepared, diagram: Diagram, state: np.ndarray) -> np.ndarray:
+    rows, end, done = march(
+        engine, prepared.step, prepared.keeping, state.copy(), diagram.loop.p_values, prepared.ticks, None
+    )
+    assert (end.name, done) == ("DONE", prepared.ticks)
+    return rows
+
+
+def difference(one: np.ndarray, other: np.ndarray) -> float:
+    """The largest of all columns, relative to each one's size."""
+    assert one.shape == other.shape
+    return float(np.max(np.max(np.abs(one - other), axis=0) / (1e-6 + np.max(np.abs(other), axis=0))))
+
+
+@pytest.mark.parametrize("name", graphs())
+def test_every_packaged_graph_runs_as_interpreted_and_asks_the_host_for_nothing_else(name: str) -> None:
+    prepared, *given = prepared_graph(name, 0.2)
+    step, kept = prepared.step, prepared.keeping
+    engine = InWasm(step, kept.kept, kept.every)
+    rows = marched(engine, prepared, *given)
+    assert len(rows) > 2
+    assert difference(rows, marched(Interpreted(step, kept.kept, kept.every), prepared, *given)) < 1e-11
+    assert engine.loaded.asked <= {"sin", "cos"}
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["arm2_joint", "pendulum", "theorem_4", "ur10_fast"])
+def test_a_graph_gives_the_very_bits_of_c_that_fuses_nothing(name: str, tmp_path: Path) -> None:
+    prepared, *given = prepared_graph(name, 4.0)
+    step, kept = prepared.step, prepared.keeping
+    engines = InWasm(step, kept.kept, kept.every), in_c(step, kept.kept, kept.every, tmp_path)
+    one, other = (marched(engine, prepared, *given) for engine in engines)
+    assert np.all(np.isfinite(one))
+    assert one.tobytes() == other.tobytes()
+
+
+def test_a_module_is_small() -> None:
+    prepared, *_ = prepared_graph("ur10_fast", 0.2)
+    assert 5_000 < len(loop_module(prepared.step.parts)) < 20_000
+
+
+# One small loop with all that time can do.
+
+Ports = ClassVar[tuple[Port, ...]]
+
+
+class Law(AbstractBlock):
+    """v = -2 y_m - i, i+ = i + T y_m: in sampled time."""
+
+    inputs: Ports = (Port("y_m"), PERIOD)
+    outputs: Ports = (Port("v", access=Access.COMMANDED),)
+    states: ClassVar[tuple[State, ...]] = (State("i", sampled=True),)
+    i: Scalar = Real(default=0.3)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"v": -2 * u.y_m - x.i}, next={"i": x.i + u.T * u.y_m})
+
+
+class Cart(AbstractBlock):
+    """dy = v - sin y exp y: with noise measured."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: Ports = (Port("v"), Port("n", drawn="normal"), Port("r", drawn="uniform"))
+    outputs: Ports = (Port("y_m", access=Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("y"), State("z"))
+    y: Scalar = Real(default=1.0)
+    z: Scalar = Real(default=0.5)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(
+            outputs={"y_m": x.y + 0.1 * u.n + 0.2 * u.r},
+            rates={"y": u.v - ca.sin(x.y) * ca.exp(x.y), "z": x.y - x.z / 3},
+        )
+
+
+@pytest.fixture
+def cart() -> tuple[Prepared, Diagram, np.ndarray]:
+    diagram = Diagram.build({"law": Law(), "cart": Cart()})
+    prepared = prepare(diagram, 2.0, clock=0.05, solver=Solver(step=0.02), log=Log(), seed=3, jitter=0.02)
+    return prepared, diagram, start_state(diagram, {}, {})
+
+
+def test_a_sampled_state_drawn_inputs_and_jitter_run_as_interpreted(cart: Any) -> None:
+    step, kept = cart[0].step, cart[0].keeping
+    given = step.instants.rows(0, 40)
+    assert given.shape[1] == 4
+    assert np.ptp(given[:, 1]) > 0.01
+    one, other = (marched(engine(step, kept.kept, 1), *cart) for engine in (InWasm, Interpreted))
+    assert np.min(np.ptp(one, axis=0)) > 0.1
+    assert difference(one, other) < 1e-13
+
+
+Portion = tuple[int, int]
+PORTIONS: Final[tuple[Portion, ...]] = ((0, 40), (4, 7), (5, 1), (6, 0), (2**31 - 50, 9))
+
+
+def portions(engine: Engine, start: np.ndarray, p: np.ndarray) -> list[Any]:
+    """Of each portion of ticks: how many were done, the state that they led to, and the rows that were written."""
+    found = list[Any]()
+    for first, ticks in PORTIONS:
+        state, rows = start.copy(), np.full((16, engine.kept.size), 7.0)  # type: ignore[attr-defined]  # all of them
+        found += [engine.advance(state, p, first, ticks, rows), state.tolist(), rows.tolist()]
+    return found
+
+
+BOUNDS: Final = {"wide": [9.0, 9.0, 9.0], "narrow": [9.0, 9.0, 0.6], "none": [9.0, 9.0, 0.0]}
+
+
+@needs_gcc
+@pytest.mark.parametrize("bounds", BOUNDS)
+def test_bounds_portions_every_and_kept_are_those_of_loop_c(cart: Any, bounds: str, tmp_path: Path) -> None:
+    prepared, diagram, start = cart
+    step = replace(prepared.step, bounds=np.array(BOUNDS[bounds]))
+    kept = np.array([3, 1, 1, 4, 0])
+    found = [
+        portions(engine, start, diagram.loop.p_values)
+        for engine in (InWasm(step, kept, 3), in_c(step, kept, 3, tmp_path))
+    ]
+    assert found[0] == found[1]
+    assert [found[0][k] for k in (0, 9)] == {"wide": [40, 0], "narrow": [5, 0], "none": [0, 0]}[bounds]
+
+
+def test_a_state_that_is_no_number_has_left_its_bounds(cart: Any) -> None:
+    prepared, diagram, start = cart
+    engine = InWasm(prepared.step, prepared.keeping.kept, 1)
+    start[2], rows = math.nan, np.zeros((4, engine.kept.size))
+    assert engine.advance(start, diagram.loop.p_values, 0, 3, rows) == 0
+
+
+@needs_gcc
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("_integrate", lambda right: lambda at, size: right(at, size - 1)),
+        ("_integrate", lambda right: lambda at, size: right({**at, "k3": at["k2"]}, size)),
+        ("_record", lambda right: lambda at, size: right(at, size + 1)),
+        ("_sound", lambda right: lambda size: right(size - 1)),
+        ("_slope", lambda right: lambda at, moved: right({**at, "u": at["z"]}, moved)),
+        ("_run", lambda right: lambda at, sizes: right(at, {**sizes, "N": 1})),
+        ("_run", lambda right: lambda at, sizes: right({**at, "T": at["t"]}, sizes)),
+    ],
+)
+def test_a_fault_in_the_loop_is_caught(
+    cart: Any, name: str, fault: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prepared, diagram, start = cart
+    step, kept = replace(prepared.step, bounds=np.array([9.0, 9.0, 0.6])), np.array([3, 1, 1, 4, 0])
+    expected = portions(in_c(step, kept, 3, tmp_path), start, diagram.loop.p_values)
+    assert portions(InWasm(step, kept, 3), start, diagram.loop.p_values) == expected
+    monkeypatch.setattr(wasm, name, fault(getattr(wasm, name)))
+    assert portions(InWasm(step, kept, 3), start, diagram.loop.p_values) != expected
