@@ -5,8 +5,8 @@ compiler fuses no products into sums (``-ffp-contract=off``). A module exports
 
 - ``run(state, p, period, substeps, first, ticks, given, every, kept, columns, log, bounds)``: ``dm_run`` of `loop.c`,
   which returns how many ticks ended within bounds. ``period`` is an f64, all others are i32: counts, and the addresses
-  of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are below 2^31; of ``first`` nothing
-  but the remainder by ``every`` matters.
+  of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are from 0 to 2^31 - 1; of ``first``
+  nothing but the remainder by ``every`` matters.
 - ``memory``, and ``heap``: its first bytes, up to that address, are the module's own. From there on the host lays out
   the arrays as it likes, with no overlap, and lets the memory grow where they need more.
 
@@ -54,6 +54,9 @@ HOST: Final = {f"env.{name}": 1 for name in ("sin", "cos", *_HOST_ONE.split())} 
     f"env.{name}": 2 for name in _HOST_TWO.split()
 }
 """What a module may ask of its host, and how many numbers each takes."""
+
+ENTRY: Final = tuple("state p period substeps first ticks given every kept columns log bounds".split())
+"""What ``run`` takes, in order."""
 
 
 @final
@@ -104,7 +107,7 @@ def loop_module(parts: Parts) -> bytes:
     Raises `EngineError` where an expression holds what there is no rule for, or is longer than a browser takes.
     """
     hoisted = parts.hoisted
-    own = {f.name(): written(f) for f in (*hoisted[:-1], hoisted.constants)}
+    own = {f.name(): written(f) for f in hoisted}
     sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0)}
     places, used = dict[str, Whole](), 0
     columns = {"T": 1, "t": 1, "at": sizes["X"], **{f"k{k}": sizes["X"] for k in range(1, 5)}}
@@ -268,28 +271,29 @@ def _record(at: Mapping[str, Whole], size: int) -> Function:
     """(state, kept, columns, row): the kept numbers of the state and, after it, of the outputs."""
     f = Function([I32] * 4)
     state, kept, columns, row = map(_integer, range(4))
+    place = f.local(I32)
+    which = _integer(place)
     with f.counted(columns) as j:
-        place = f.local(I32)
         f.set(place, (kept + j * 4).load_whole())
-        with f.when(_integer(place) < size):
-            f.store(row + j * 8, 0, (state + _integer(place) * 8).load())
-        with f.when(_integer(place) >= size):
-            f.store(row + j * 8, 0, (at["y"] + (_integer(place) - size) * 8).load())
+        with f.when(which < size):
+            f.store(row + j * 8, 0, (state + which * 8).load())
+        with f.when(which >= size):
+            f.store(row + j * 8, 0, (at["y"] + (which - size) * 8).load())
     return f
 
 
 def _run(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
-    """See this file's head."""
-    f = Function([I32, I32, F64, *[I32] * 9], [I32])
-    state, p, substeps, first, ticks, given, every, kept, columns, log, bounds = map(_integer, (0, 1, *range(3, 12)))
-    given_at, log_at = 6, 10
+    """The function that is exported; its parameters are `ENTRY`."""
+    f = Function([F64 if name == "period" else I32 for name in ENTRY], [I32])
+    local = {name: place for place, name in enumerate(ENTRY)}
+    state, p, _, substeps, first, ticks, given, every, kept, columns, log, bounds = map(_integer, range(len(ENTRY)))
     x = state + 8 * sizes["Z"]
 
     def sampled() -> None:
         f.write(given, p, at["c"], at["w"], "trajectory")
         f.write(state, at["w"], given + 16, at["T"], p, at["c"], at["z"], at["u"], at["y"], "sample")
 
-    f.store(at["T"], 0, Number((2,)))
+    f.store(at["T"], 0, Number((local["period"],)))
     f.write(p, at["c"], "constants")
     with f.when(ticks.empty()):
         sampled()
@@ -298,12 +302,12 @@ def _run(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
         sampled()
         with f.when(((first + n) % every).empty()):
             f.write(state, kept, columns, log, "record")
-            f.set(log_at, log + columns * 8)
+            f.set(local["log"], log + columns * 8)
         f.write(state, at["z"], whole(8 * sizes["Z"]), COPY)
         f.write(given.load(), given.load(8) / substeps.number(), x, substeps, p, "integrate")
         f.write(x, p, at["c"], at["at"], "clip")
         f.write(x, at["at"], whole(8 * sizes["X"]), COPY)
-        f.set(given_at, given + 8 * (2 + sizes["N"]))
+        f.set(local["given"], given + 8 * (2 + sizes["N"]))
         with f.when(Whole((*state.parts, *bounds.parts, "sound")).empty()):
             f.write(n, RETURN)
     f.write(ticks)

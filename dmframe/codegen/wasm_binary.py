@@ -3,6 +3,8 @@
 An expression is a sequence of pieces: instructions as bytes, a number for the local that is read, a name for the
 function that is called. What a name stands for is decided when the module is put together: functions that nothing calls
 stay out, and a name ``env.exp`` is the host's ``exp``.
+
+Of what came after WebAssembly 1.0 it takes functions with several results and the copying of memory.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ which each value has a place of its own. `run` computes the values by a table of
 the target knows. What an operation is, whoever computes it, stands in `OPERATIONS`.
 
 To add a target, write one file with its table, and say four things to `run`: what an element of an argument is, what a
-number is, which error refuses an operation, and, for text, how a value is kept under a name. WebAssembly, as far as
-sums, products and roots go:
+number is, which error refuses an operation, and, for text, how a value is kept under a name. WebAssembly's text, as far
+as sums, products and roots go (`dmframe.codegen.wasm` writes all of it, in binary form):
 
 .. code-block:: python
 

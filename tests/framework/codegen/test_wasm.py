@@ -19,9 +19,9 @@ import pytest
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import graphs
 from dmframe.codegen import function as c
-from dmframe.codegen import loop_source, wasm
+from dmframe.codegen import loop_module, loop_source, wasm
 from dmframe.codegen.source import shipped
-from dmframe.codegen.wasm import HOST, loop_module, written
+from dmframe.codegen.wasm import HOST, written
 from dmframe.codegen.wasm_arithmetic import ARITHMETIC
 from dmframe.codegen.wasm_binary import I32, Function, Whole, module, number, signed, unsigned, whole
 from dmframe.config.experiment import load_experiment
@@ -235,12 +235,17 @@ def test_sines_and_cosines_of_one_angle_are_one_call_and_locals_are_used_again()
     np.testing.assert_allclose(found, [value.full()[0] for value in f(0.7)], rtol=1e-13)
 
 
-def test_a_function_that_browsers_refuse_is_refused_here() -> None:
-    body = Function([I32])
+def test_functions_that_browsers_refuse_are_refused_here() -> None:
+    most, long = Function([I32]), Function([])
     for _ in range(50_000):
-        body.keep(number(1))
-    with pytest.raises(EngineError, match="WebAssembly: f takes 50001 locals, expected at most 50000 in one function"):
-        alone(body)
+        most.keep(number(1))
+    long.write(b"\x01" * 7_654_320)
+    for body, text in (
+        (most, "50001 locals, expected at most 50000"),
+        (long, "7654322 bytes, expected at most 7654321"),
+    ):
+        with pytest.raises(EngineError, match=f"WebAssembly: f takes {text} in one function"):
+            alone(body)
 
 
 # Whole runs.
