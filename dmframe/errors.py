@@ -139,6 +139,11 @@ class BlockError(DmframeError):
 
 
 @final
+class NeedsDiagramError(DmframeError):
+    """A parameter that a block reads as a number: another value of it needs another diagram."""
+
+
+@final
 class RobotError(DmframeError):
     """A robot that cannot be found, read or modelled as a serial chain."""
 
