@@ -53,6 +53,11 @@ class DmframeError(Exception):
         return f"{self.location}: {self.text}" if self.location else self.text
 
 
+def visible(text: str) -> str:
+    """A text that a message quotes, in one line: what cannot be shown is escaped."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 @final
 class Faults(DmframeError):
     """Several faults found in one pass; `faults` holds them in the order of the file."""

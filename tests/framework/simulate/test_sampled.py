@@ -256,8 +256,8 @@ def test_a_jump_has_no_derivative() -> None:
     ("options", "text"),
     [
         ({}, "clock: expected a sampling period such as 8 ms, found continuous; law.i is a sampled state"),
-        ({"clock": T, "jitter": T / 2}, "jitter: expected a time from 0 to half of the sampling period, 25 ms, found"),
-        ({"clock": T, "jitter": float("nan")}, "jitter: expected a time from 0 to half"),
+        ({"clock": T, "jitter": T / 2}, "jitter: expected a time from 0 to less than half of the period, 25 ms, found"),
+        ({"clock": T, "jitter": float("nan")}, "jitter: expected a time from 0 to less than half"),
         ({"clock": T, "seed": -1}, "seed: expected a whole number from 0 to 2^64 - 1, found -1"),
         ({"clock": T, "seed": 1.5}, "seed: expected a whole number from 0 to 2^64 - 1, found 1.5"),
     ],
