@@ -47,12 +47,12 @@ def some(mutants: Iterable[Mutant]) -> list[Mutant]:
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
-    """What becomes of each, in one loop after the other; a block's in up to three, until one tells them apart."""
-    results = []
+    """What becomes of each, in one loop after the other; of a block with few faults in up to three, until one tells."""
+    results, faults = [], Counter(mutant.owner for mutant in mutants)
     for turn, mutant in enumerate(mutants):
         blocks = mutant.owner in known_blocks()
         fitting = small([mutant.owner]) if blocks else small()
-        for further in range(min(3, len(fitting)) if blocks else 1):
+        for further in range(min(3, len(fitting)) if blocks and faults[mutant.owner] < 4 else 1):
             result = judged(mutant, fitting[(turn + further) % len(fitting)])
             if result.outcome != "equivalent":
                 break
