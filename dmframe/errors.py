@@ -53,6 +53,11 @@ class DmframeError(Exception):
         return f"{self.location}: {self.text}" if self.location else self.text
 
 
+def visible(text: str) -> str:
+    """A text that a message quotes, in one line: what cannot be shown is escaped."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 @final
 class Faults(DmframeError):
     """Several faults found in one pass; `faults` holds them in the order of the file."""
@@ -136,6 +141,11 @@ class DerivativeError(DmframeError):
 @final
 class BlockError(DmframeError):
     """A block class that breaks the contract of `AbstractBlock`."""
+
+
+@final
+class NeedsDiagramError(DmframeError):
+    """A parameter that a block reads as a number: another value of it needs another diagram."""
 
 
 @final

@@ -54,6 +54,8 @@ def reason(error: OSError) -> str:
 
 def expanded(path: str | Path) -> Path:
     """A path with ``~`` as the user's home. Raises `OutputError` for one of a user that there is not."""
+    if not isinstance(path, str | Path) or "\0" in str(path):
+        raise OutputError(f"expected a path, found {path!r:.60}")
     try:
         return Path(path).expanduser()
     except RuntimeError:

@@ -52,7 +52,10 @@ def look(base: Path, file: str, where: str) -> tuple[bytes, str]:
     BlockError, MissingError
         It lies outside, it is no file, or there is none.
     """
-    path, folder = (base / file).resolve(), base.resolve()
+    try:
+        path, folder = (base / file).resolve(), base.resolve()
+    except (OSError, RuntimeError, ValueError) as error:  # links in a circle, a name with a null byte
+        raise BlockError(f"{where}: {base / file} cannot be found: {error}") from None
     if Path(file).is_absolute() or ".." in Path(file).parts or not path.is_relative_to(folder):
         raise BlockError(f"{where}: expected a file in the graph's folder or below it, found {file}")
     try:
@@ -63,9 +66,10 @@ def look(base: Path, file: str, where: str) -> tuple[bytes, str]:
         ) from None
     except OSError as error:
         raise BlockError(f"{where}: {base / file} cannot be read: {reason(error)}") from None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise BlockError(f"{where}: expected a file, found {base / file}, which is none")
     with os.fdopen(descriptor, "rb") as opened:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise BlockError(f"{where}: expected a file, found {base / file}, which is none")
         why = _foreign(path, os.fstat(descriptor))
         if not why or _trusted(path):
             return opened.read(), ""

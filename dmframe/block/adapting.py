@@ -95,12 +95,12 @@ class AdaptingBlock(AbstractBlock):
             return stated
         law, error = adaptation(p), self._error(u, x, p, stated)
         directions = self.direction(u, x, p, law.drive(error))
+        _hold("direction() moves", directions, self.estimates, owner_of(u))
         for name in directions.keys() & stated.rates.keys():
             raise BlockError(
                 f"{owner_of(u)}: equations() state the rate of {name}, which direction() moves; leave it out"
             )
-        _hold("direction() moves", directions, self.estimates, owner_of(u))
-        fits, nominal, rates = self._fits(u, x, p), self.nominal(u, p), dict(stated.rates)
+        fits, nominal, rates = self._fits(u, x, p), self._nominal(u, p), dict(stated.rates)
         for item in self.estimates:
             if item.name in directions:
                 gain, direction, fit = getattr(p, item.gain), directions[item.name], fits.get(item.name)
@@ -112,7 +112,14 @@ class AdaptingBlock(AbstractBlock):
     @final
     def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The plain starts, and those of the estimates."""
-        return {**self.start(u, p, truth), **self.nominal(u, p)}
+        said = self.start(u, p, truth)
+        for item in self.estimates:
+            if item.name in said:
+                raise BlockError(
+                    f"{owner_of(u)}: start() says where {item.name} starts, to which a leak would not pull it back; "
+                    "say it by nominal()"
+                )
+        return {**said, **self._nominal(u, p)}
 
     @final
     def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
@@ -122,7 +129,7 @@ class AdaptingBlock(AbstractBlock):
             return plain
         present = [item for item in self.estimates if item.name in x]
         _hold("certificate() says what is estimated by", plain.estimates, present, owner_of(u))
-        law, fits, nominal, added = adaptation(p), self._fits(u, x, p), self.nominal(u, p), Terms()
+        law, fits, nominal, added = adaptation(p), self._fits(u, x, p), self._nominal(u, p), Terms()
         weighed, estimates = dict[str, TrueValue](), list[Estimate]()
         for name, true in ((item.name, plain.estimates[item.name]) for item in present):
             weighed[name] = self._weighed(name, true, p)
@@ -145,13 +152,17 @@ class AdaptingBlock(AbstractBlock):
             return named(self.driven_by, stated.outputs[self.driven_by])
         return getattr(u, self.driven_by) if self.driven_by else ca.DM(0)
 
+    def _nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
+        """What `nominal` says, of estimates that there are."""
+        return _known("nominal()", self.nominal(u, p), self.estimates, owner_of(u))
+
     def _fits(self, u: Signals, x: Signals, p: Signals) -> dict[str, Fit]:
         """The fits that the parameters choose."""
         if type(self).fits is AdaptingBlock.fits or not any(name in p for name in FITTED):
             return {}
         if "R" not in p:
             raise MissingError(f"{type_name(type(self))}: forgetting needs R, the weight of what is to be forgotten")
-        fits = dict(self.fits(u, x, p))
+        fits = dict(_known("fits()", self.fits(u, x, p), self.estimates, owner_of(u)))
         for item in self.estimates if "forgetting" in p else ():
             for name in ("leak", "error_leak", f"{item.name}_box", f"{item.name}_ball"):
                 if name in p:
@@ -159,6 +170,11 @@ class AdaptingBlock(AbstractBlock):
                         f"{type_name(type(self))}: expected no {name} beside forgetting: it acts in the metric of "
                         f"{item.gain}, and V's is then that of P"
                     )
+            if item.name in fits and not item.memory:
+                raise MissingError(
+                    f"{type_name(type(self))}: forgetting needs a memory of {item.name}; declare it, "
+                    f"Adapted({item.name!r}, ..., memory={'G_' + item.name!r})"
+                )
             if item.name in fits:
                 fits[item.name] = replace(fits[item.name], forgetting=p.forgetting, state=getattr(x, item.memory))
         return fits
@@ -224,9 +240,24 @@ def options_said(block: type[AbstractBlock]) -> dict[str, str]:
     return {name: sets.get(name.rpartition("_")[2], robust) for name in _options(block)}
 
 
-def _hold(what: str, names: Iterable[str], estimates: Iterable[Adapted], owner: str) -> None:
+def _known(method: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> Mapping[str, Any]:
+    """What a method says by name, held to the estimates that the block declares."""
+    if not isinstance(said, Mapping):
+        raise BlockError(f"{owner}: expected {method} to return values by estimate, found {type(said).__name__}")
+    known = [item.name for item in estimates]
+    for name in said:
+        if name not in known:
+            raise BlockError(
+                f"{owner}: {method} speaks of {name}, which is none of its estimates; {nearest(name, known)}"
+            )
+    return said
+
+
+def _hold(what: str, said: Mapping[str, Any], estimates: Iterable[Adapted], owner: str) -> None:
     """Hold the names that a method gives to the estimates that the block declares."""
-    known = {item.name: item for item in estimates}
+    known, names = {item.name: item for item in estimates}, list(said) if isinstance(said, Mapping) else None
+    if names is None:
+        raise BlockError(f"{owner}: {what} {type(said).__name__}; expected values by estimate")
     for name in names:
         if name not in known:
             raise BlockError(f"{owner}: {what} {name}, which is none of its estimates; {nearest(name, known)}")

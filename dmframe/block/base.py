@@ -193,15 +193,15 @@ class AbstractBlock(BaseModel):
         Parameters
         ----------
         inputs, states
-            By name, in the port's units: a number, (n,) or (n, p). An optional input that is left out is zero; a state
-            is where a parameter of its name says, or zero.
+            By name, in the port's units: a number, (n,) or (n, p). An input that is left out is zero, if it is optional
+            or drawn; a state is where a parameter of its name says, or zero.
         robot
             Of a block that uses one: a `dmframe.robot.SerialChain`, or a robot's name.
 
         Returns
         -------
         Values
-            Arrays by name: `outputs`, `rates` of the states, and `next` of the sampled ones.
+            Arrays by name: `outputs`, `rates` of the states, and `next` of the sampled ones, before any box or ball.
 
         Raises
         ------

@@ -110,6 +110,13 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             of = port.derivative_of
             if of and of not in known:
                 yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    inputs = {port.name for port in block.inputs}
+    for kind, own in (("state", {state.name for state in block.states}), ("parameter", set(specs(block)))):
+        yield from (f"has an input and a {kind} called {name}; rename one" for name in sorted(inputs & own))
+    for estimate in block.estimates:
+        if estimate.memory == "G":
+            name = estimate.name
+            yield f"calls the memory of {name} G, the sign of what it gathers; choose another, such as G_{name}"
     present = set(names_of(block))
     for old, new in block.renamed.items():
         if new not in present:

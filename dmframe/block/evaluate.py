@@ -38,7 +38,11 @@ def evaluate(block: AbstractBlock, inputs: Mapping[str, Any], states: Mapping[st
     name, chain = type_name(type(block)), _chain(robot)
     given = {
         **_arrays(
-            name, "input", block.inputs, inputs, needed={port.name for port in block.inputs if not port.optional}
+            name,
+            "input",
+            block.inputs,
+            inputs,
+            needed={port.name for port in block.inputs if not (port.optional or port.drawn)},
         ),
         **_arrays(name, "state", block.states, states, needed=set()),
     }

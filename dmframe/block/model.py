@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
@@ -83,6 +83,11 @@ def same_expressions(ones: Sequence[SX], others: Sequence[SX]) -> bool:
     return bool(one == other)
 
 
+def with_starts(values: Mapping[str, np.ndarray], states: Collection[str]) -> dict[str, np.ndarray]:
+    """A block's numbers, and once more those that are starts of states, under the names that its equations read."""
+    return {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
+
+
 def symbol(name: str, size: tuple[int, ...]) -> SX:
     """A symbol of that size: () a scalar, (n,) a column, (n, p) a matrix."""
     return ca.SX.sym(name, *(size or (1,)))
@@ -118,12 +123,17 @@ def model_block(
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
     _check_steady(name, equations, stated_by(name, block, signals, sizes))
+    for key in states.keys() & equations.outputs.keys():
+        if not same_expression(equations.outputs[key], states[key]):
+            raise BlockError(
+                f"{name}: its output {key} is not its state {key}, and nobody could tell one from the other; rename one"
+            )
     used = symbols_in(equations.expressions)
     for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
     parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
-    values = {**values, **{f"{key}_0": value for key, value in values.items() if key in states}}
+    values = with_starts(values, states)
     return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
 
 

@@ -13,7 +13,7 @@ from dmframe.block.faults import told_by
 from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior, Rows, check_definite
 from dmframe.parameter import PAIRS, array, specs
-from dmframe.port import Port, State
+from dmframe.port import Element, Port, State
 from dmframe.robot.rational import decimal
 
 
@@ -77,6 +77,8 @@ def bind_sizes(
 def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
     """The letters that a block binds by itself."""
     try:
+        with told_by(name, "elements()"):
+            _check_elements(name, block.elements(robot))
         with told_by(name, "sizes()"):
             found = block.sizes(robot)
         if not isinstance(found, Mapping) or not all(
@@ -87,6 +89,18 @@ def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
         fault.path = fault.path or ("blocks", name)
         raise
     return found
+
+
+def _check_elements(name: str, stated: Any) -> None:
+    """Refuse what is no mapping of letters to elements, each with a name of its own."""
+    if not isinstance(stated, Mapping):
+        raise BlockError(f"{name}: expected elements() to return elements by letter, found {type(stated).__name__}")
+    for letter, items in stated.items():
+        if isinstance(items, str) or not all(isinstance(item, Element) for item in items):
+            raise BlockError(f"{name}: expected elements() to return Elements for {letter}, found {items!r:.60}")
+        names = [item.name for item in items]
+        if twice := sorted({item for item in names if names.count(item) > 1}):
+            raise BlockError(f"{name}: elements() calls several of {letter} {twice[0]}; each needs a name of its own")
 
 
 def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[DmframeError | None]:

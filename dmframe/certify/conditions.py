@@ -48,7 +48,7 @@ def conditions_of(
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
     checked, assumed = decide(list(_stated(claim)), numbers)
     checked += _weights(claim, numbers)
-    checked += memory_starts(claim)
+    checked += memory_starts(claim, numbers, start or {})
     assumed += dict.fromkeys(_memories(claim))
     inside, unknown = projection_conditions(claim, numbers, start)
     checked, assumed = [*checked, *inside], [*assumed, *unknown]

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from fractions import Fraction
+from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Gathered
-from dmframe.certify.checked import Checked
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_semidefinite
-from dmframe.diagram.view import view
+from dmframe.certify.starts import start_of
 from dmframe.exact.rational import Interval, evaluate
-from dmframe.robot.rational import decimal
 
 
-def memory_starts(claim: Claim) -> list[Checked]:
+def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> list[Checked]:
     """For each gathered matrix whose start is a number of the graph: whether that is positive semidefinite.
 
-    A start that is not given is zero, and is left out here; one that a block computes is left to the assumption that
-    the claim carries.
+    A start that is zero is left out here; one that is no function of parameters alone is left to the assumption that
+    the claim carries. `given` is the graph's key `start`.
     """
     found = dict[str, Checked]()
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, Gathered):
-                start = _start_of(claim, part.block, term.memory)
+                start = _start(claim, numbers, given, term.memory)
                 if start is not None and any(map(any, start)):
                     name = f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0"
                     mirrored = [list(column) for column in zip(*start, strict=True)]
@@ -38,19 +38,17 @@ def memory_starts(claim: Claim) -> list[Checked]:
     return list(found.values())
 
 
-def _start_of(claim: Claim, block: str, memory: SX) -> list[list[Fraction]] | None:
-    """G at the start; None where it depends on more than its block's own states and their given numbers."""
-    model, seen = claim.diagram.models[block], view(claim.diagram, block, claim.truths)
-    with told_by(block, "start()"):
-        said = model.block.composed_start(seen.u, seen.p, seen.truth)
-    if set(said) & set(model.states) - set(model.values):
+def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], memory: SX) -> list[list[Fraction]] | None:
+    """G at the start; None where that is no number."""
+    used = symbols_in([memory])
+    states = [variable for variable in claim.loop.variables if used & symbols_in([variable.symbol])]
+    values = [start_of(variable.label, numbers, given) for variable in states]
+    if any(value is None for start in values for value in start):
         return None
-    own = [np.broadcast_to(model.values.get(name, 0.0), leaf.shape) for name, leaf in model.states.items()]
-    leaves = ca.vertcat(ca.SX(0, 1), *(ca.vec(leaf) for leaf in model.states.values()))
+    leaves = ca.vertcat(ca.SX(0, 1), *(ca.vec(variable.symbol) for variable in states))
     function = ca.Function("G", [leaves], [ca.densify(memory)], {"allow_free": True})
     if function.has_free():
         return None
-    flat = [decimal(float(x)) for value in own for x in np.ravel(value, order="F")]
-    (values,) = evaluate(function, [flat])
+    (found,) = evaluate(function, [[value for start in values for value in start if value is not None]])
     rows = memory.shape[0]
-    return [[Interval.of(values[column * rows + row]).lower for column in range(rows)] for row in range(rows)]
+    return [[Interval.of(found[column * rows + row]).lower for column in range(rows)] for row in range(rows)]

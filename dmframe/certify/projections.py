@@ -21,26 +21,23 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
+from dmframe.certify.starts import ZERO, start_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.view import view
-from dmframe.errors import BlockError, ValueFault
+from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision, zero_test
 from dmframe.exact.rational import Interval, evaluate
-from dmframe.robot.rational import decimal
 from dmframe.simulate.start import ROUNDING
 
 LEMMA = "projection lemma"
 SOURCE = "Remark 2"
-ZERO = Fraction(0)
 INSIDE = {
     "box": "lower <= {} <= upper",
     "ball": "1 - |({} - centre) / radius|^2 >= 0",
@@ -136,51 +133,13 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     """That the estimate starts in the set, decided or assumed. A run that does not is refused."""
     text = f"{projection.name}: starts inside the {projection.kind}"
     shown = INSIDE[projection.kind].format("start")
-    start = _start(projection, numbers, given)
+    start = start_of(projection.name, numbers, given)
     known = [row for row, value in enumerate(start) if value is not None]
     unknown = [row for row, value in enumerate(start) if value is None]
     if known and (projection.kind == "box" or not unknown):
         yield decided(text, shown, SOURCE, partial(_least_room, projection, numbers, start), strict=False)
     if unknown:
         yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
-
-
-def _start(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> list[Number | None]:
-    """Where a state starts, element by element; None where that is no function of parameters alone."""
-    claim, (block, _, state) = numbers.claim, projection.name.partition(".")
-    model, size = claim.diagram.models[block], projection.state.numel()
-    for values in (_given(projection, numbers, given), model.values.get(state)):
-        if values is not None:
-            return [decimal(float(value)) for value in np.broadcast_to(np.asarray(values, dtype=float), (size,))]
-    seen = view(claim.diagram, block, claim.truths)
-    try:
-        with told_by(block, "start()"):
-            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
-    except BlockError:  # a start that no run could take; the run says so
-        return [None] * size
-    if said is None:
-        return [ZERO] * size
-    (said,) = claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])
-    return [_value(said[row], numbers) for row in range(size)]
-
-
-def _given(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Any:
-    """What a graph's key `start` says of the state, by its label, or by a name of which it is the first as in a run."""
-    loop = numbers.claim.loop
-    if projection.name in given:
-        return given[projection.name]
-    first = {variable.name: variable.label for variable in reversed([*loop.plant, *loop.controller])}
-    name = projection.name.partition(".")[2]
-    return given.get(name) if first[name] == projection.name else None
-
-
-def _value(expression: SX, numbers: Numbers) -> Number | None:
-    if not symbols_in([expression]) <= numbers.known:
-        return None
-    try:
-        return numbers.of(expression)[0]
-    except (ValueFault, ZeroDivisionError):
-        return None
 
 
 def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number | None]) -> Fraction:

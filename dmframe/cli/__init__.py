@@ -40,7 +40,7 @@ def _told() -> int:
     import typer
 
     from dmframe.cli.app import app
-    from dmframe.errors import DmframeError
+    from dmframe.errors import DmframeError, visible
 
     # typer carries a click of its own in some versions and not in others; this is the exception that both have.
     bases = typer.BadParameter.__mro__
@@ -49,7 +49,7 @@ def _told() -> int:
         status = app(standalone_mode=False)
     except DmframeError as error:
         for fault in error.faults:
-            _say(str(fault))
+            _say(visible(str(fault)))
         return FAULT
     except usage_error as error:
         error.show()  # type: ignore[attr-defined]  # its class was found above; typer keeps it to itself

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from dmframe.cli.streams import tell
-from dmframe.errors import UnknownNameError, raise_all
+from dmframe.errors import UnknownNameError, raise_all, visible
 from dmframe.files import check_place, expanded, write_text
 
 if TYPE_CHECKING:
@@ -317,7 +317,7 @@ def draw(
     else:
         drawing = Drawing(looked, looked.experiment.file.title)
         for fault in looked.faults:
-            tell(f"drawn from declarations alone: {fault}", aside=True)
+            tell(f"drawn from declarations alone: {visible(str(fault))}", aside=True)
     if out is None:
         tell(drawing.mermaid.rstrip())
         return

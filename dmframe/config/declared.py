@@ -15,17 +15,20 @@ from pydantic import ConfigDict
 
 from dmframe import parameter
 from dmframe.block import AbstractBlock
+from dmframe.config.plain import is_plain
 from dmframe.errors import BlockError, DmframeError, UnknownNameError
-from dmframe.port import ANY, TIME, Access, Port, Side, State
+from dmframe.port import ANY, PERIOD, TIME, Access, Port, Side, State
 
 LISTS: Final = ("inputs", "outputs", "states", "truth")
 INHERITED: Final = "what it inherits"
+DONE: Final = "what the file's code does to the class beside declaring it"
+_BASES: Final = ("AbstractBlock", "AdaptingBlock")
 CONSTANTS: Final = (*LISTS, "side", "uses_robot", "renamed")
 CALLS: Final[Mapping[str, Callable[..., Any]]] = {"Port": Port, "State": State} | {
     name: getattr(parameter, name)
     for name in ("Real", "Positive", "PositiveDefinite", "NonNegative", "Interval", "Around", "Rows")
 }
-NAMES: Final[Mapping[str, Any]] = {"TIME": TIME, "ANY": ANY}
+NAMES: Final[Mapping[str, Any]] = {"TIME": TIME, "PERIOD": PERIOD, "ANY": ANY}
 ENUMS: Final = {"Access": Access, "Side": Side}
 TYPES: Final = {"bool": bool, "str": str, "int": int, "float": float}
 
@@ -48,8 +51,13 @@ def declared(source: bytes, class_name: str, where: str) -> Declared:
         raise BlockError(f"{where}: {line}{type(error).__name__}: not readable as Python") from None
     classes = {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
     if class_name in classes:
-        return _read(classes[class_name], where)
-    if class_name in _brought_in(tree):
+        own = classes[class_name]
+        found = _read(own, where)
+        names = (*NAMES, *ENUMS, *_BASES)
+        plain = is_plain(tree, own, CALLS, names) and list(classes).count(class_name) == 1
+        return found if plain else Declared(found.kind, (*found.unread, DONE))
+    nested = {node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)}
+    if class_name in {*_brought_in(tree), *nested}:
         return Declared(_made(class_name, {}, known=False), (*CONSTANTS, "parameters"))
     raise UnknownNameError(f"{where}:{class_name}", "class", class_name, classes)
 

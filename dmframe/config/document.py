@@ -28,7 +28,7 @@ from ruamel.yaml.events import (
 )
 
 from dmframe.config.syntax import plain_words
-from dmframe.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all
+from dmframe.errors import DmframeError, DocumentError, MissingError, ValueFault, nearest, raise_all, visible
 from dmframe.units import shorten
 
 Plain: TypeAlias = "dict[str, Plain] | list[Plain] | str | int | float | bool | None"
@@ -164,11 +164,6 @@ def read_document(text: str, name: str) -> Document:
             location=f"{name}:{root.line}:{root.column}",
         )
     return Document(name, mapping_of(root), root)
-
-
-def visible(text: str) -> str:
-    """A text that a message quotes, in one line: what cannot be shown is escaped."""
-    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
 def unreadable(letter: str) -> str:

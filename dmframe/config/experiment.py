@@ -20,7 +20,7 @@ from dmframe.config.overrides import changed, overridden, put
 from dmframe.config.places import placed
 from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
@@ -224,7 +224,7 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
-        sys.stderr.write(f"{notice}\n")
+        sys.stderr.write(f"{visible(notice)}\n")
     return _made(read.document, path, find)
 
 

@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from dmframe.config.document import Document, Node, mapping_of, read_document, visible
+from dmframe.config.document import Document, Node, mapping_of, read_document
 from dmframe.config.given import node_of
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault, visible
 from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))

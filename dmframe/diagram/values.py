@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
-from dmframe.block.model import BlockModel
+import casadi as ca
+
+from dmframe.block import AbstractBlock
+from dmframe.block.faults import told_by
+from dmframe.block.model import BlockModel, same_expressions, stated_by, with_starts
 from dmframe.block.sizes import parameter_arrays
 from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.diagram import Diagram
-from dmframe.errors import DmframeError, ShapeError, UnknownNameError, ValueFault, raise_all
+from dmframe.diagram.resolve import Resolver
+from dmframe.diagram.view import view
+from dmframe.errors import DmframeError, NeedsDiagramError, ShapeError, UnknownNameError, ValueFault, raise_all
+from dmframe.gain import Prior
 from dmframe.parameter import specs
+
+_SYMBOLS: WeakKeyDictionary[Resolver, set[str]] = WeakKeyDictionary()
+"""Labels of parameters that were seen to be symbols wherever their block speaks of them."""
 
 
 def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
@@ -22,6 +33,8 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
     ------
     UnknownNameError
         There is no such parameter, or it shapes the equations and so needs a diagram of its own.
+    NeedsDiagramError
+        A block reads it as a number, and not as a symbol.
     ValueFault, ShapeError, UnitError
         A value that the parameter cannot take.
     """
@@ -42,16 +55,61 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
             blocks[name] = kind(**{**kept, **changed})
         except DmframeError as error:
             faults += error.faults
-            continue
+    raise_all(faults)
+    for name in (*by_block, *_priors(blocks, by_block)):
         arrays, wrong = parameter_arrays(name, blocks[name], diagram.sizes, blocks, diagram.robot)
         faults += wrong
-        models[name] = replace(models[name], block=blocks[name], values=arrays)
+        models[name] = replace(models[name], block=blocks[name], values=with_starts(arrays, models[name].states))
     raise_all(faults)
+    for name, changed in by_block.items():
+        _hold_symbolic(diagram, blocks, name, changed)
+    others = {name for name, model in models.items() if model is not diagram.models[name]}
     parameters = tuple(
-        _valued(parameter, models) if parameter.label.partition(".")[0] in by_block else parameter
+        _valued(parameter, models) if parameter.label.partition(".")[0] in others else parameter
         for parameter in diagram.loop.parameters
     )
     return replace(diagram, blocks=blocks, models=models, loop=replace(diagram.loop, parameters=parameters))
+
+
+def _priors(blocks: Mapping[str, AbstractBlock], changed: Mapping[str, Any]) -> list[str]:
+    """Other blocks with a gain that follows from a block that changes."""
+    return [
+        name
+        for name, block in blocks.items()
+        if name not in changed
+        and any(
+            isinstance(gain := getattr(block, key), Prior) and gain.inverse_of in changed for key in specs(type(block))
+        )
+    ]
+
+
+def _hold_symbolic(diagram: Diagram, blocks: Mapping[str, AbstractBlock], name: str, keys: Collection[str]) -> None:
+    """Refuse a number that a block reads as such, ``self.k`` for ``p.k``: its expressions hold the old one.
+
+    It is looked at once for each parameter.
+    """
+    seen, old, new = _SYMBOLS.setdefault(diagram.resolver, set()), diagram.blocks[name], blocks[name]
+    fresh = [key for key in keys if f"{name}.{key}" not in seen and getattr(old, key) != getattr(new, key)]
+    if not fresh:
+        return
+    before, after = (_stated(diagram, name, block) for block in (old, new))
+    if before.keys() != after.keys() or not same_expressions(list(before.values()), list(after.values())):
+        raise NeedsDiagramError(
+            f"{name}: its equations or its start read {' or '.join(fresh)} as a number, so that other values need a "
+            f"diagram of their own; take it as p.{fresh[0]}",
+            path=("blocks", name),
+        )
+    seen |= {f"{name}.{key}" for key in fresh}
+
+
+def _stated(diagram: Diagram, name: str, block: AbstractBlock) -> dict[tuple[str, str], Any]:
+    """All that a block states of its motion and its start, on the diagram's symbols."""
+    model, seen = diagram.models[name], view(diagram, name)
+    stated = stated_by(name, block, model.signals(), diagram.sizes)
+    with told_by(name, "start()"):
+        starts = block.composed_start(seen.u, seen.p, seen.truth)
+    parts = {"output": stated.outputs, "rate": stated.rates, "next": stated.next, "start": starts}
+    return {(kind, key): ca.densify(ca.SX(value)) for kind, part in parts.items() for key, value in part.items()}
 
 
 def _valued(parameter: Parameter, models: Mapping[str, BlockModel]) -> Parameter:

@@ -6,8 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import final
 
+import casadi as ca
+
 from dmframe.block import Signals
 from dmframe.certificate import SX
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.truths import Stated, owner_of, value_of
 from dmframe.port import Port
@@ -36,7 +39,7 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
     """
     model, resolver = diagram.models[name], diagram.resolver
     _, x, p = model.signals()
-    u = Signals(name, "inputs", {port: resolver.input(name, port) for port in model.inputs})
+    u = Signals(name, "inputs", {port: _settled(diagram, resolver.input(name, port)) for port in model.inputs})
     owners = owners_of(diagram, name, stated or {})
     truth = dict[str, SX]()
     for port in model.block.truth:
@@ -44,6 +47,22 @@ def view(diagram: Diagram, name: str, stated: Stated | None = None) -> View:
         if expression is not None:
             truth[port.name] = expression
     return View(u, x, p, Signals(name, "truths that this diagram has", truth), owners)
+
+
+def _settled(diagram: Diagram, expression: SX) -> SX:
+    """With what is measured or commanded for this reader alone put in place: the loop was built without such leaves."""
+    resolver, built = diagram.resolver, {leaf.name for leaf in diagram.loop.crossings}
+    for _ in range(len(diagram.blocks)):
+        late = [
+            (leaf.symbol, resolver.output(*end))
+            for end, leaf in list(resolver.crossings.items())
+            if leaf.name not in built and ca.depends_on(expression, leaf.symbol)
+        ]
+        if not late:
+            break
+        leaves, meanings = (stack(part) for part in zip(*late, strict=True))
+        (expression,) = ca.substitute([expression], [leaves], [meanings])
+    return expression
 
 
 def owners_of(diagram: Diagram, name: str, stated: Stated) -> dict[str, str]:

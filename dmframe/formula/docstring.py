@@ -241,6 +241,9 @@ class _Trial:
             return _Verdict.SKIPPED, ""
         if self.point.look(name) is not None or name.start:
             return _Verdict.DIFFERS, f"{label}: an equation for it, but the block does not compute it"
+        if bare is not None and bare in self.point.after:
+            text = f"an equation for its rate, but {said(bare)} is a sampled state; write {said(bare)}^+"
+            return _Verdict.DIFFERS, f"{label}: {text}"
         if bare is not None:
             return _Verdict.DIFFERS, f"{label}: an equation for its rate, but the block has no state {said(bare)}"
         self._value(item.right)

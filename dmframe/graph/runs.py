@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, final, overload
 
 from dmframe import notebook
 from dmframe.config import Experiment
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
@@ -209,7 +209,7 @@ def variants(base: Graph, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
 
 
 def ran_together(base: Graph, graphs: Sequence[Graph], engine: Choice) -> list[Run]:
-    """Runs of graphs that differ from one by some values: in one build where these are numbers of blocks alone."""
+    """Runs of graphs that differ from one by some values: in one build where these are symbols of blocks alone."""
     changes = [_numbers(base.experiment, graph.experiment) for graph in graphs]
     numbers = [change for change in changes if change is not None]
     if len(numbers) < len(graphs):
@@ -222,6 +222,8 @@ def ran_together(base: Graph, graphs: Sequence[Graph], engine: Choice) -> list[R
         engine=engine,
         **experiment.settings,
     )
+    if any(isinstance(fault, NeedsDiagramError) for fault in found):
+        return [graph.run(engine=engine) for graph in graphs]
     raise_all([fault for fault in found if isinstance(fault, DmframeError)][:1])
     return [
         Run(graph.experiment, recording)

@@ -6,9 +6,9 @@ from typing import Final
 
 from dmframe.block.prose import about
 from dmframe.columns import columns
-from dmframe.config.document import visible
 from dmframe.config.unrun import Unrun
 from dmframe.diagram.wiring import Zero
+from dmframe.errors import visible
 from dmframe.formula.unmarked import unmarked
 from dmframe.graph.pages import source_text
 from dmframe.units import plain, shorten
@@ -44,15 +44,12 @@ def unrun_page(graph: Unrun) -> str:
     ]
     said = [(name, shorten(visible(unmarked(about(item.kind).summary)), 100)) for name, item in graph.files.items()]
     unknown = [(name, f"not known without running it: {', '.join(names)}") for name, names in graph.unread.items()]
-    return "\n".join(
-        [
-            *parts,
-            *("", "blocks", columns([heads, *blocks])),
-            *("", "wires", columns(wires)),
-            *("", "read, not run", columns([*((name, text) for name, text in said if text), *unknown])),
-            *("", f"not checked: {UNCHECKED}"),
-        ]
-    )
+    looked = [*((name, text) for name, text in said if text), *unknown]
+    rows = ([heads, *blocks], wires, looked)  # a file that nobody trusts may hold what a terminal obeys
+    safe = (columns([tuple(map(visible, row)) for row in table]) for table in rows)
+    titled = [line for title, table in zip(("blocks", "wires", "read, not run"), safe, strict=True)
+              for line in ("", title, table)]  # fmt: skip
+    return "\n".join([*map(visible, parts), *titled, "", f"not checked: {UNCHECKED}"])
 
 
 def _source(graph: Unrun, name: str, port: str) -> str:

@@ -58,7 +58,8 @@ def _part(part: Part) -> list[str]:
         case Columns():
             return blocks(part.parts)
         case Subsection():
-            return [f"### {part.title}" + (f" ({part.detail})" if part.detail else ""), *blocks(part.parts)]
+            title = f"### {plain(part.title)}" + (f" ({plain(part.detail)})" if part.detail else "")
+            return [title, *blocks(part.parts)]
         case _:
             assert_never(part)
 
@@ -83,7 +84,7 @@ def cell(given: Cell, *, bars: bool = True) -> str:
 def _piece(piece: Piece, bars: bool) -> str:
     match piece:
         case str():
-            return piece if bars else _unbarred(piece)
+            return plain(piece) if bars else _unbarred(plain(piece))
         case Marked():
             return piece.text if bars else _in_cell(piece.text)
         case Formula():
@@ -94,6 +95,11 @@ def _piece(piece: Piece, bars: bool) -> str:
             return _piece(piece.text, bars)
         case _:
             assert_never(piece)
+
+
+def plain(text: str) -> str:
+    """Text that is shown as it is: no element, formula, code, link or emphasis begins in it."""
+    return re.sub(r"[`$]|\]\(|\*\*", lambda mark: "\\" + mark[0], re.sub(r"<(?=[A-Za-z/!?])", "&lt;", text))
 
 
 def _word(text: str, kind: str) -> str:

@@ -71,11 +71,11 @@ def as_markdown(contents: Sequence[Content]) -> str:
     """The same content, formulas between dollar signs, the diagram as Mermaid."""
     one = contents[0] if len(contents) == 1 else None
     title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {len(contents)} graphs"
-    out = [f"# {title}", *([] if one else [markdown.table(_overview(contents))])]
+    out = [f"# {markdown.plain(title)}", *([] if one else [markdown.table(_overview(contents))])]
     for content in contents:
         lead = sections.lead(content)
-        out += [] if one else [f"# {content.name}"]
-        out += [content.title, f"> **{lead.headline}**: {lead.sentence.text}"]
+        out += [] if one else [f"# {markdown.plain(content.name)}"]
+        out += [markdown.plain(content.title), f"> **{lead.headline}**: {lead.sentence.text}"]
         out += [block for section in sections.sections(content) for block in markdown.section(section)]
     cited = "\n".join(f"- [{key}] {text}" for key, text in _cited(contents))
     out += ["## Sources", cited] if cited else []

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 from dmframe import notebook
 from dmframe.errors import OutputError
@@ -19,12 +19,10 @@ from dmframe.results.error_figure import error_figure
 from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import path_figure
 from dmframe.results.place import FIGURES, OF_EACH
+from dmframe.results.ran import Ran
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
 from dmframe.two import by_two
-
-if TYPE_CHECKING:
-    from dmframe.results.run import Run
 
 
 @final
@@ -71,7 +69,7 @@ class Figures(Mapping[str, Any]):
         return "".join(notebook.picture(figure, f"{name} of {self.about}") for name, figure in self.items())
 
 
-def figures_of(runs: Mapping[str, Run]) -> Figures:
+def figures_of(runs: Mapping[str, Ran]) -> Figures:
     """Every figure that the runs allow.
 
     ``error``, ``path``, ``commands``, ``effort``, and for each run with a certificate ``storage``, and that estimates
@@ -81,7 +79,7 @@ def figures_of(runs: Mapping[str, Run]) -> Figures:
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-def save_figures(runs: Mapping[str, Run], folder: Path) -> None:
+def save_figures(runs: Mapping[str, Ran], folder: Path) -> None:
     """Write `figures_of` as PNG and SVG, on two cores where there are as many."""
 
     def job(name: str, make: Callable[[], Any]) -> Callable[[], None]:
@@ -96,7 +94,7 @@ def save_figures(runs: Mapping[str, Run], folder: Path) -> None:
     by_two(jobs[::-1])  # the first ones take least, which evens out what the two do last
 
 
-def _makers(runs: Mapping[str, Run]) -> dict[str, Callable[[], Any]]:
+def _makers(runs: Mapping[str, Ran]) -> dict[str, Callable[[], Any]]:
     """How each figure is made."""
     recordings = _recordings(runs)
     made: dict[str, Callable[[], Any]] = {
@@ -109,16 +107,16 @@ def _makers(runs: Mapping[str, Run]) -> dict[str, Callable[[], Any]]:
     return made
 
 
-def _recordings(runs: Mapping[str, Run]) -> Runs:
+def _recordings(runs: Mapping[str, Ran]) -> Runs:
     return {name: run.recording for name, run in runs.items()}
 
 
-def signals_figure(runs: Mapping[str, Run], labels: Sequence[str]) -> Figures:
+def signals_figure(runs: Mapping[str, Ran], labels: Sequence[str]) -> Figures:
     """One figure of some signals over time, a panel each. Raises `UnknownNameError` for one that no run recorded."""
     return Figures({"signals": signal_figure(_recordings(runs), labels)}, ", ".join(runs))
 
 
-def error_picture(runs: Mapping[str, Run]) -> str:
+def error_picture(runs: Mapping[str, Ran]) -> str:
     """The tracking error for a notebook; empty without a goal."""
     figure = error_figure(_recordings(runs))
     return "" if figure is None else notebook.picture(figure, f"tracking error of {', '.join(runs)}")

@@ -20,8 +20,8 @@ from dmframe.errors import OutputError
 from dmframe.files import encoded, told_apart, writing
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, reserved
+from dmframe.results.ran import Ran
 from dmframe.results.resolved import companions, resolved_text, robot_source
-from dmframe.results.run import Run
 from dmframe.results.summary import summary
 
 _PACKAGES = (
@@ -43,7 +43,7 @@ _LONGEST: Final = 150
 
 def write_run(
     path: str | Path | Place,
-    runs: Sequence[Run],
+    runs: Sequence[Ran],
     *,
     plots: bool = True,
     force: bool = False,
@@ -85,7 +85,7 @@ def write_run(
 
 def write_data(
     place: Place,
-    runs: Sequence[Run],
+    runs: Sequence[Ran],
     *,
     seed: int | None = None,
     command: Sequence[str] | None = None,
@@ -105,7 +105,7 @@ def write_data(
     return summaries
 
 
-def draw_figures(place: Place, runs: Sequence[Run]) -> None:
+def draw_figures(place: Place, runs: Sequence[Ran]) -> None:
     """Draw the runs' figures beside their data. Raises `OutputError` where that cannot be done."""
     try:
         from dmframe.results.figures import save_figures  # a backend of matplotlib's may be missing
@@ -141,7 +141,7 @@ def _names(labels: Sequence[str]) -> list[str]:
 
 def _write_one(
     place: Path,
-    run: Run,
+    run: Ran,
     told: dict[str, Any],
     seed: int | None,
     command: Sequence[str] | None,
@@ -158,7 +158,7 @@ def _write_one(
     _write_signals(place / "signals.nc", run, seed)
 
 
-def _write_signals(file: Path, run: Run, seed: int | None) -> None:
+def _write_signals(file: Path, run: Ran, seed: int | None) -> None:
     file.write_bytes(netcdf(run.recording, run.experiment, seed))
 
 

@@ -8,6 +8,7 @@ from typing import final
 import numpy as np
 
 from dmframe.simulate import Recording
+from dmframe.units import plain
 
 EIGHTHS = 8
 _PREFERRED = ("x", "q")
@@ -15,7 +16,7 @@ _ROUNDING = 1e-9  # an instant k T that should open an eighth may lie this much 
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TrackingError:
     r"""Actual minus desired, :math:`e = s - s_d`.
 
@@ -50,6 +51,10 @@ class TrackingError:
     def rms_final(self) -> float | None:
         """Over the last eighth; None where the run did not reach it."""
         return self.rms_by_eighth[-1]
+
+    def __repr__(self) -> str:
+        first, last = ("-" if rms is None else plain(rms, self.unit) for rms in self.rms_by_eighth[:: EIGHTHS - 1])
+        return f"<TrackingError {self.signal}: {first} in the first eighth, {last} in the last>"
 
 
 def tracking_error(run: Recording) -> TrackingError | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +11,8 @@ from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
 from dmframe.results.drawn_runs import told
+from dmframe.results.ran import Ran
 from dmframe.simulate import Recording
-
-if TYPE_CHECKING:
-    from dmframe.results.run import Run
 
 CURVES = 6
 """Terms of V that are shown, the largest ones."""
@@ -23,7 +21,7 @@ FAINT = 1e-9
 """Of the largest value of a term: what is smaller lies below the panel."""
 
 
-def storage_figure(name: str, run: Run) -> Any:
+def storage_figure(name: str, run: Ran) -> Any:
     """V and its largest terms over time, as the blocks' certificates claim it; None where they claim nothing.
 
     That dV/dt is what they claim is for `verify` to prove: the figure only shows V.

@@ -20,6 +20,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.engine import Choice
+from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
 
 
@@ -66,7 +67,7 @@ class Controller:
         self._p = np.ascontiguousarray(loop.p_values)
         # nan until they are written: a signal that was forgotten is refused, and moves no arm
         inside, outside = np.full(function.numel_in(1), np.nan), np.zeros(function.numel_out(1))
-        self._start = start_state(diagram, start or {})[:size].copy()
+        self._start = start_state(diagram, start or {}, instants=Instants.of(loop, clock))[:size].copy()
         self.measured: Mapping[str, np.ndarray] = MappingProxyType(_parts(ins, inside))
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))

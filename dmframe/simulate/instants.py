@@ -58,7 +58,7 @@ class Instants:
             raise ValueFault(f"seed: {text}", path=("seed",))
         if not (math.isfinite(self.jitter) and 0 <= self.jitter < self.period / 2):
             raise ValueFault(
-                f"jitter: expected a time from 0 to half of the sampling period, {plain(self.period / 2, 's')}, found "
+                f"jitter: expected a time from 0 to less than half of the period, {plain(self.period / 2, 's')}, found "
                 f"{plain(self.jitter, 's')}",
                 path=("jitter",),
             )

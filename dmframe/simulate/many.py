@@ -100,7 +100,7 @@ def simulate_many(
             begin = {**(start or {}), **variant.get(START, {})}
             with SYMBOLIC:
                 varied = with_values(diagram, numbers)
-                state = start_state(varied, begin, prepared.starts)
+                state = start_state(varied, begin, prepared.starts, prepared.step.instants)
             run = prepared.complete(varied, state, engine, shared=chosen)
             if reduce is None:
                 return run

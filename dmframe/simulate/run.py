@@ -116,7 +116,8 @@ def simulate(
     prepared = prepare(
         diagram, duration, clock=clock, solver=solver or Solver(), log=log or Log(), seed=seed, jitter=jitter
     )
-    return prepared.complete(diagram, start_state(diagram, start or {}, prepared.starts), engine, progress=progress)
+    state = start_state(diagram, start or {}, prepared.starts, prepared.step.instants)
+    return prepared.complete(diagram, state, engine, progress=progress)
 
 
 @final
@@ -341,7 +342,8 @@ def _recorded(diagram: Diagram) -> list[Signal]:
     """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
-    moving = stack([loop.time, loop.state, *(leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))])
+    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))
+    moving = stack([loop.time, loop.drawn, loop.state, *leaves])
     return [
         signal
         for signal in loop.outputs

@@ -11,11 +11,12 @@ import numpy as np
 
 from dmframe.block.faults import told_by
 from dmframe.diagram import ClosedLoop, Diagram, Variable
-from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
+from dmframe.simulate.instants import DRAWN, Instants
 
 NEAR = "near"
 """The key under `start` that picks a branch of the inverse kinematics."""
@@ -34,13 +35,16 @@ Made = dict[tuple[str, ...], Any]
 """Expressions and functions that serve every set of numbers of one diagram."""
 
 
-def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = None) -> np.ndarray:
+def start_state(
+    diagram: Diagram, given: Mapping[str, Any], made: Made | None = None, instants: Instants | None = None
+) -> np.ndarray:
     """Every state at t = 0, the controller's first, as one column.
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
     trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box or
-    a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled.
+    a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled. A block
+    may start at what it measures: `instants` say what is drawn for the first tick; without them, zeros are.
     """
     loop, made = diagram.loop, {} if made is None else made
     variables = loop.variables
@@ -53,7 +57,7 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
     for variable in loop.plant:
         if not _has_start(diagram, variable, made):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
-    _as_blocks_say(diagram, values, made)
+    _as_blocks_say(diagram, values, made, instants or Instants.of(loop, 1.0))
     _check_finite(variables, values)
     _into_sets(loop, values)
     return _column(variables, values)
@@ -62,6 +66,8 @@ def start_state(diagram: Diagram, given: Mapping[str, Any], made: Made | None = 
 def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
     """Refuse start values of states that there are not, of another size or outside the joints' limits."""
     _given(diagram, diagram.loop.variables, given)
+    for name in diagram.blocks:
+        _said(diagram, name, {})
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
@@ -255,9 +261,9 @@ def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
     return variable.name in _said(diagram, variable.block, made)
 
 
-def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) -> None:
+def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made, instants: Instants) -> None:
     """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
-    loop = diagram.loop
+    loop, drawn = diagram.loop, instants.rows(0, 1)[0, DRAWN:]
     for variable in loop.variables:
         if variable.label in values:
             continue
@@ -267,8 +273,8 @@ def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made) 
             continue
         known = [v for v in loop.variables if v.label in values]
         key = ("start", variable.label, *(v.label for v in known))
-        function = _once(made, key, partial(_stated, loop, expression, known))
-        now = function(0, loop.p_values, _column(known, values))
+        function = _once(made, key, partial(_stated, diagram, expression, known))
+        now = function(0, loop.p_values, _column(known, values), drawn, instants.period)
         values[variable.label] = np.asarray(now.full().ravel())
 
 
@@ -277,10 +283,13 @@ def _goal(loop: ClosedLoop, wanted: Any) -> Any:
     return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(wanted))])
 
 
-def _stated(loop: ClosedLoop, expression: Any, known: Sequence[Variable]) -> Any:
-    """(t, p, known states as one column) -> what a block says."""
-    (joined,) = loop.joined([loop.on_path(expression)])
-    return ca.Function("at_start", [loop.time, loop.p, stack(v.symbol for v in known)], [ca.vec(joined)])
+def _stated(diagram: Diagram, expression: Any, known: Sequence[Variable]) -> Any:
+    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
+    loop = diagram.loop
+    leaves, meanings = columns(list(diagram.resolver.trajectories.values()))  # one may be read by this start alone
+    (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
+    inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
+    return ca.Function("at_start", inputs, [ca.vec(joined)])
 
 
 def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -67,11 +67,12 @@ def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:
 @pytest.mark.parametrize(
     ("members", "text"),
     [
-        ({"inputs": (Port("a"), Port("a"))}, "declares the input a twice"),
+        ({"inputs": (Port("c"), Port("c"))}, "declares the input c twice"),
+        ({"inputs": (Port("a"),)}, "has an input and a parameter called a; rename one"),
         ({"states": (State("a", "", "fortnight"),)}, "the unit of the state a: unknown unit fortnight; "),
         (
-            {"inputs": (Port("da", derivative_of="b"), Port("a"))},
-            "the input da is declared the derivative of b, unknown; choose from a, da",
+            {"inputs": (Port("dc", derivative_of="b"), Port("c"))},
+            "the input dc is declared the derivative of b, unknown; choose from c, dc",
         ),
         (
             {"states": (State("a", box="a_bux"),)},

@@ -88,9 +88,13 @@ def gathering(start: float | None) -> Diagram:
 
 
 def test_what_is_gathered_must_not_start_below_zero() -> None:
-    assert memory_starts(claim_of(gathering(None))) == []
-    (fine,) = memory_starts(claim_of(gathering(0.5)))
-    (below,) = memory_starts(claim_of(gathering(-0.5)))
+    def starts(start: float | None) -> list[Checked]:
+        claim = claim_of(gathering(start))
+        return memory_starts(claim, Numbers(claim, {}), {})
+
+    assert starts(None) == []
+    (fine,) = starts(0.5)
+    (below,) = starts(-0.5)
     assert fine.holds
     assert not below.holds
     assert below.name.startswith("toy: start of what G gathers for |")

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from dmframe.adaptation import Fit
 from dmframe.block import AbstractBlock, AdaptingBlock, Equations, Signals
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
@@ -360,3 +361,92 @@ def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_ed
             assert "Robust laws, each absent unless given" in text
             assert kind.driven_by in text
             assert "Robust laws" in schema[f"block_{name}"]["properties"][option]["description"]
+
+
+class Seen(Drift):
+    """The same, with theta measured."""
+
+    outputs: Ports = (*Drift.outputs, Port("theta_m", "n", "m", Access.MEASURED))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        stated = super().equations(u, x, p)
+        return Equations({**stated.outputs, "theta_m": p.theta}, stated.rates)
+
+
+class Fitter(AdaptingBlock):
+    """Composite adaptation, with a memory that forgets."""
+
+    inputs: Ports = (Port("x", "n", "m/s"), Port("theta_m", "n", "m"))
+    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
+    truth: Ports = (Port("theta", "n", "m"),)
+    estimates: Estimates = (Adapted("w", "n", "m", gain="Gamma", memory="M_w"),)
+    driven_by: ClassVar[str] = "x"
+    Gamma: Diagonal = Positive("n", "", default=2.0)
+    R: Diagonal | None = Positive("n", "", default=None)
+    forgetting: Scalar | None = Positive("", "1/s", default=None)
+    M_w: Scalar = Real("n n", "", default=0.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"w": x.w})
+
+    def direction(self, u: Signals, x: Signals, p: Signals, error: SX) -> Mapping[str, SX]:
+        return {"w": -error}
+
+    def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
+        return {"w": Fit(x.w - u.theta_m, ca.SX.eye(2), p.R * ca.SX.ones(2))}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(estimates={"w": TrueValue(truth.theta)}, supply=-ca.dot(u.x, x.w - truth.theta))
+
+
+class StartedElsewhere(Fitter):
+    """Starts somewhere else."""
+
+    def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
+        return {"w": ca.DM([0.1, 0.1])}
+
+
+@pytest.mark.parametrize("kind", [Fitter, StartedElsewhere])
+@pytest.mark.parametrize(("start", "outcome"), [(0.0, "proved"), (0.6, "proved"), (-0.6, "not_applicable")])
+def test_a_memory_that_starts_below_zero_is_no_storage_whoever_starts_it(kind: Any, start: float, outcome: str) -> None:
+    rows = [[start, 0.0], [0.0, start]]
+    numbers: dict[str, Any] = {"R": 0.001, "forgetting": 0.01}
+    plant = Seen(theta=[0.5, 0.8])
+    by_graph = Diagram.build({"plant": plant, "learner": kind(**numbers)})
+    for given in ({"learner.M_w": rows}, {"M_w": rows}):
+        assert verify(by_graph, start=given).outcome == outcome
+    if start < 0:
+        assert "start of what G gathers" in verify(by_graph, start={"M_w": rows}).reason
+        spread = Diagram.build({"plant": plant, "learner": kind(**numbers, M_w=start)})
+        assert verify(spread).outcome == "not_applicable"
+
+
+def test_what_a_method_says_of_no_estimate_is_refused() -> None:
+    class Foreign(Fitter):
+        def fits(self, u: Signals, x: Signals, p: Signals) -> Mapping[str, Fit]:
+            return {"w_hat": Fit(x.w - u.theta_m, ca.SX.eye(2), p.R * ca.SX.ones(2))}
+
+    class Stranger(Fitter):
+        def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
+            return {"ww": ca.SX(1.0)}
+
+    class Nothing(Fitter):
+        def nominal(self, u: Signals, p: Signals) -> Mapping[str, SX]:
+            return None  # type: ignore[return-value]
+
+    class Twice(Fitter):
+        def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+            return {"w": ca.SX.ones(2)}
+
+    texts = {
+        Foreign: "fits() speaks of w_hat, which is none of its estimates",
+        Stranger: "nominal() speaks of ww, which is none of its estimates; did you mean w?",
+        Nothing: "expected nominal() to return values by estimate, found NoneType",
+    }
+    for kind, text in texts.items():
+        with pytest.raises(DmframeError) as caught:
+            Diagram.build({"plant": Seen(theta=[0.5, 0.8]), "learner": kind(R=50.0)})
+        assert text in str(caught.value)
+    built = Diagram.build({"plant": Seen(theta=[0.5, 0.8]), "learner": Twice(R=50.0)})
+    with pytest.raises(DmframeError, match=r"start\(\) says where w starts, to which a leak would not pull it back"):
+        simulate(built, 0.1)

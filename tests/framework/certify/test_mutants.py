@@ -47,10 +47,16 @@ def some(mutants: Iterable[Mutant]) -> list[Mutant]:
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
-    results = []
+    """What becomes of each, in one loop after the other; of a block with few faults in up to three, until one tells."""
+    results, faults = [], Counter(mutant.owner for mutant in mutants)
     for turn, mutant in enumerate(mutants):
-        fitting = small([mutant.owner]) if mutant.owner in known_blocks() else small()
-        results.append(judged(mutant, fitting[turn % len(fitting)]))
+        blocks = mutant.owner in known_blocks()
+        fitting = small([mutant.owner]) if blocks else small()
+        for further in range(min(3, len(fitting)) if blocks and faults[mutant.owner] < 4 else 1):
+            result = judged(mutant, fitting[(turn + further) % len(fitting)])
+            if result.outcome != "equivalent":
+                break
+        results.append(result)
     return results
 
 
@@ -93,9 +99,9 @@ def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> N
 @pytest.mark.parametrize("which", LIBRARY)
 def test_faults_in_the_plant_library_are_refuted_or_make_another_robot(which: str) -> None:
     mutants = list(library_mutants(which))
-    results = tried(mutants[:: len(mutants) // 10])
+    results = tried(mutants[:: max(1, len(mutants) // 25)])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert Counter(result.outcome for result in results)["refuted"] >= 3
+    assert Counter(result.outcome for result in results)["refuted"] >= 7
 
 
 def test_a_source_has_no_part_in_the_claim() -> None:

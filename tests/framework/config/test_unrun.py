@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from dmframe.catalogue import find_graph
-from dmframe.config.declared import declared
+from dmframe.config.declared import DONE, declared
+from dmframe.config.experiment import load_experiment
 from dmframe.config.unrun import look_at
 from dmframe.drawing import mermaid
 from dmframe.errors import BlockError, DmframeError, UnknownNameError
@@ -79,7 +80,7 @@ def test_check_tells_what_a_file_declares_and_runs_nothing_of_it(
     assert ["dynamics.sigma", "<-", "inverse.sigma", "rad/s"] in lines
     assert ["servo.dq_c", "<-", "inverse.dq_c", "rad/s"] in lines
     assert ["dynamics", "Adapts,", "and", "leaks."] in lines
-    assert "  dynamics  not known without running it: table\n" in said.out
+    assert f"  dynamics  not known without running it: table, {DONE}\n" in said.out
     assert ["servo.q_step", "<-", "0", "(nobody", "drives", "it)", "rad"] in lines
     assert "not checked: equations, shapes" in said.out
     assert f"{graph}:" in said.err
@@ -150,7 +151,7 @@ class Odd(AbstractBlock):
     assert kind.states == (State("q", "n", "rad", box="q_box"),)
     assert (kind.outputs, kind.truth) == ((), ())
     assert list(kind.model_fields) == ["q_box", "K"]
-    assert set(found.unread) == {"outputs", "truth", "K"}
+    assert set(found.unread) == {"outputs", "truth", "K", DONE}
     assert declared(b"from a import B\nC = B", "B", "b.py").unread
     assert declared(b"class D(B):\n  outputs = (Port('q', access=Access.MEASURED),)", "D", "d.py").unread == (
         "what it inherits",
@@ -192,3 +193,84 @@ def test_ports_that_nobody_knows_are_those_that_wires_name(graph: Path) -> None:
     assert len(found.faults) == 1  # of the file alone: what is missed may be what nobody knows
     assert "σ → s" in mermaid(found)
     assert not graph.with_name("it_ran").exists()
+
+
+PLAIN = """
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, State
+
+SIZE = 3
+
+
+@final
+class B(AbstractBlock):
+    '''A block.'''
+
+    inputs: ClassVar = (Port("u", "n"),)
+    states: ClassVar = (State("z", "n"),)
+    k: Scalar = Positive(default=1.0)
+
+    def equations(self, u, x, p):
+        return Equations(rates={"z": self._rate(u)})
+
+    def _rate(self, u):
+        return u.u if SIZE else 0
+"""
+DOING = {
+    "a statement in the class": ("    k: Scalar", "    if True:\n        inputs = ()\n    k: Scalar"),
+    "a sum onto it": ("    k: Scalar", "    inputs += ()\n    k: Scalar"),
+    "two targets": ("    k: Scalar", "    inputs, states = (), ()\n    k: Scalar"),
+    "set twice": ("    k: Scalar", "    inputs = ()\n    k: Scalar"),
+    "deleted": ("    k: Scalar", "    del states\n    k: Scalar"),
+    "a walrus": ("default=1.0", "default=(inputs := 1.0)"),
+    "a call in the class": ("    k: Scalar", "    size = locals().update(inputs=())\n    k: Scalar"),
+    "a method of its name": ("    def _rate", "    def states(self):\n        return ()\n\n    def _rate"),
+    "a hook": ("    def _rate", "    def __init_subclass__(cls):\n        pass\n\n    def _rate"),
+    "a decorator": ("@final", "@change"),
+    "a metaclass": ("(AbstractBlock)", "(AbstractBlock, metaclass=M)"),
+    "set from outside": ("SIZE = 3", "SIZE = 3\nAbstractBlock.inputs = ()"),
+    "a loop outside": ("SIZE = 3", "for inputs in [()]:\n    pass"),
+    "another Port": ("SIZE = 3", "def Port(*given):\n    return None"),
+    "another base": ("from dmframe.block import AbstractBlock, Equations", "from evil import AbstractBlock"),
+    "whatever another file has": ("SIZE = 3", "from evil import *"),
+    "the class made anew": ("SIZE = 3", "B = 3"),
+    "a call outside": ("SIZE = 3", "SIZE = change()"),
+}
+
+
+@pytest.mark.parametrize("what", DOING)
+def test_a_file_that_does_more_than_declare_is_not_taken_at_its_word(what: str) -> None:
+    old, new = DOING[what]
+    assert PLAIN.count(old) == 1
+    assert declared(PLAIN.encode(), "B", "b.py").unread == ()
+    assert "what the file's code does" in " ".join(declared(PLAIN.replace(old, new).encode(), "B", "b.py").unread)
+
+
+def test_a_class_within_a_condition_is_not_known_and_not_unknown() -> None:
+    nested = "if True:\n" + "".join(f"    {line}\n" for line in PLAIN.splitlines())
+    assert "outputs" in declared(nested.encode(), "B", "b.py").unread
+
+
+def test_what_a_terminal_would_obey_is_shown_as_text(graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    file = graph.with_name("mine.py")
+    file.write_text(BLOCK.replace('"sigma"', '"sig\\x1b[31m"').replace('"1/s"', '"\\x1b]0;t\\x07"'), encoding="utf-8")
+    file.chmod(0o666)
+    assert dmframe(monkeypatch, "check", str(graph)) == 2
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out + said.err
+    assert "sig\\x1b[31m" in said.out
+
+
+@pytest.mark.parametrize(("make", "told"), [("folder", "expected a file, found"), ("circle", "cannot be found")])
+def test_what_is_no_file_is_told_as_that(graph: Path, make: str, told: str) -> None:
+    file = graph.with_name("mine.py")
+    file.unlink()
+    if make == "folder":
+        file.mkdir()
+    else:
+        file.symlink_to(file)
+    with pytest.raises(DmframeError, match=told):
+        load_experiment(str(graph))

@@ -220,6 +220,13 @@ def test_paths_may_begin_at_home(pendulum: dm.Graph, tmp_path: Path, monkeypatch
     assert tmp_path.joinpath("g.json").is_file()
 
 
+def test_an_error_shows_itself_in_a_line() -> None:
+    run = dm.load("arm2_joint").run(until="0.5 s")
+    assert repr(run.error).startswith("<TrackingError q - q_d: ")
+    assert repr(run.error).endswith("mrad in the last>")
+    assert len(repr(run.error)) < 100
+
+
 def test_every_public_name_has_a_docstring_and_typed_arguments() -> None:
     assert set(dir(dm)) == set(dm.__all__)
     for name in dm.__all__:

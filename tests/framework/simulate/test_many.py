@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config.experiment import load_experiment
+from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
+from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
+from dmframe.port import Port, Side, State
 from dmframe.results.metrics import tracking_error
 from dmframe.simulate import Recording, simulate, simulate_many
 
@@ -128,3 +134,75 @@ def test_numbers_that_cannot_be_are_told(values: dict[str, Any], text: str) -> N
 def test_no_threads_are_too_few() -> None:
     with pytest.raises(ValueFault, match="threads: expected at least 1, found 0"):
         simulate_many(load_experiment("arm2_joint").diagram(), [{}], 0.1, threads=0)
+
+
+class Plain(AbstractBlock):
+    """dx = -k x from x = c, with k and c read as numbers, and as symbols."""
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x", "n"),)
+    states: ClassVar[tuple[State, ...]] = (State("x", "n"),)
+    k: Scalar = Real(default=1.0)
+    c: Scalar = Real(default=1.0)
+    honest: Scalar = Real(default=1.0)
+    size: Diagonal = Real("n", default=(1.0, 1.0))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"x": x.x}, rates={"x": -self.k * p.honest * x.x})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> dict[str, Any]:
+        return {"x": self.c * p.size}
+
+
+@pytest.mark.parametrize("name", ["k", "c"])
+def test_a_number_that_a_block_reads_as_such_takes_a_diagram_of_its_own(name: str) -> None:
+    diagram = Diagram.build({"plant": Plain()})
+    same, fault = simulate_many(diagram, [{f"plant.{name}": 1.0}, {f"plant.{name}": 5.0}], 0.1)
+    assert isinstance(same, Recording)
+    assert isinstance(fault, NeedsDiagramError)
+    assert f"plant: its equations or its start read {name} as a number, so that other values need" in str(fault)
+    honest = with_values(diagram, {"plant.honest": 5.0})
+    alone = Diagram.build({"plant": Plain(honest=5.0)})
+    np.testing.assert_array_equal(simulate(honest, 0.1)["plant.x"], simulate(alone, 0.1)["plant.x"])
+
+
+def test_a_leak_pulls_back_to_the_start_that_the_variant_has() -> None:
+    leaking = load_experiment("joint_tracking_pi", ["inverse.leak=0.5"])
+    (run,) = simulate_many(leaking.diagram(), [{"inverse.w": 0.003}], 5.0, clock=leaking.file.clock)
+    other = load_experiment("joint_tracking_pi", ["inverse.leak=0.5", "inverse.w=0.003"])
+    single = simulate(other.diagram(), 5.0, clock=other.file.clock)
+    np.testing.assert_array_equal(run["inverse.w"], single["inverse.w"])  # type: ignore[index, unused-ignore]
+
+
+def test_a_gain_that_follows_from_another_block_follows_it() -> None:
+    class Model(AbstractBlock):
+        """Says how large errors may be."""
+
+        side: ClassVar[Side] = Side.PLANT
+        outputs: ClassVar[tuple[Port, ...]] = (Port("y", "n"),)
+        spread: Scalar = Positive(default=1.0)
+
+        def prior(self, robot: Any, others: Fraction) -> list[list[Fraction]]:
+            s = Fraction(self.spread)
+            return [[s, Fraction(0)], [Fraction(0), s]]
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"y": p.spread * ca.SX.ones(2)})
+
+    class Learner(AbstractBlock):
+        """dw = Gamma (1 - w)."""
+
+        side: ClassVar[Side] = Side.PLANT
+        outputs: ClassVar[tuple[Port, ...]] = (Port("w", "n"),)
+        states: ClassVar[tuple[State, ...]] = (State("w", "n"),)
+        Gamma: Gain = PositiveDefinite("n")
+        size: Diagonal = Real("n", default=(1.0, 1.0))
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"w": x.w}, rates={"w": p.Gamma @ (p.size - x.w)})
+
+    def built(spread: float) -> Diagram:
+        return Diagram.build({"model": Model(spread=spread), "law": Learner(Gamma={"inverse_of": "model"})})
+
+    changed = with_values(built(1.0), {"model.spread": 10.0})
+    np.testing.assert_array_equal(simulate(changed, 1.0)["law.w"], simulate(built(10.0), 1.0)["law.w"])

@@ -256,8 +256,8 @@ def test_a_jump_has_no_derivative() -> None:
     ("options", "text"),
     [
         ({}, "clock: expected a sampling period such as 8 ms, found continuous; law.i is a sampled state"),
-        ({"clock": T, "jitter": T / 2}, "jitter: expected a time from 0 to half of the sampling period, 25 ms, found"),
-        ({"clock": T, "jitter": float("nan")}, "jitter: expected a time from 0 to half"),
+        ({"clock": T, "jitter": T / 2}, "jitter: expected a time from 0 to less than half of the period, 25 ms, found"),
+        ({"clock": T, "jitter": float("nan")}, "jitter: expected a time from 0 to less than half"),
         ({"clock": T, "seed": -1}, "seed: expected a whole number from 0 to 2^64 - 1, found -1"),
         ({"clock": T, "seed": 1.5}, "seed: expected a whole number from 0 to 2^64 - 1, found 1.5"),
     ],
@@ -352,3 +352,41 @@ def test_the_fingerprint_knows_a_sampled_state_from_one_in_continuous_time() -> 
             return Equations(outputs={"v": -2 * u.y_m - x.i}, next={"i": u.y_m})
 
     assert loop(Holding()).fingerprint != loop(Emulated(i=0.0)).fingerprint
+
+
+def test_a_block_may_start_at_what_it_measures_with_noise_and_reads_nowhere_else() -> None:
+    class Filter(AbstractBlock):
+        inputs: Ports = (Port("y_m"), PERIOD)
+        outputs: Ports = (Port("v", access=Access.COMMANDED),)
+        states: States = (State("z", sampled=True), State("T_0"))
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"v": -x.z}, rates={"T_0": 0 * x.z}, next={"z": x.z})
+
+        def start(self, u: Signals, p: Signals, truth: Signals) -> dict[str, Any]:
+            return {"z": u.y_m, "T_0": u.T}
+
+    run = simulate(loop(Filter(), noise=0.1), 1.0, clock=T, seed=5)
+    first = Instants(T, ("normal", "uniform"), 5).rows(0, 1)[0, DRAWN:]
+    assert run["law.z"][0, 0] == pytest.approx(1 + 0.1 * (first[0] + first[1] / 10))
+    assert run["law.T_0"][0, 0] == T
+
+
+def test_what_is_made_of_draws_alone_is_recorded() -> None:
+    class Dice(Sensor):
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"y_m": u.n})
+
+    blocks = {"law": SampledPi(), "delay": Delay(), "cart": Cart(), "sensor": Dice()}
+    run = simulate(Diagram.build(blocks), 1.0, clock=T, seed=5)
+    drawn = Instants(T, ("normal", "uniform"), 5).rows(0, run.time.size)[:, DRAWN]
+    assert np.array_equal(run["sensor.y_m"].ravel(), drawn)
+
+
+def test_an_output_that_is_not_the_state_of_its_name_is_refused() -> None:
+    class Offset(Cart):
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(outputs={"y": x.y + 1}, rates={"y": u.v_late})
+
+    with pytest.raises(DmframeError, match="cart: its output y is not its state y, and nobody could tell one from"):
+        Diagram.build({"law": SampledPi(), "delay": Delay(), "cart": Offset(), "sensor": Sensor()})

@@ -1,0 +1,74 @@
+"""Where the states of a claim start, as far as the graph's numbers say it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.certify.checked import Numbers
+from dmframe.certify.definite import Number
+from dmframe.diagram.view import view
+from dmframe.errors import BlockError, ValueFault
+from dmframe.robot.rational import decimal
+
+ZERO: Final = Fraction(0)
+
+
+def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Number | None]:
+    """Where a state starts, column by column; None for an element that is no function of parameters alone.
+
+    Parameters
+    ----------
+    label
+        ``block.state``.
+    given
+        The graph's key `start`, which goes before what the block says.
+    """
+    claim, (block, _, state) = numbers.claim, label.partition(".")
+    model = claim.diagram.models[block]
+    size = model.states[state].numel()
+    for values in (_given(label, numbers, given), model.values.get(state)):
+        if values is not None:
+            return [decimal(float(value)) for value in _spread(values, size)]
+    seen = view(claim.diagram, block, claim.truths)
+    try:
+        with told_by(block, "start()"):
+            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
+    except BlockError:  # a start that no run could take; the run says so
+        return [None] * size
+    if said is None:
+        return [ZERO] * size
+    (said,) = claim.loop.joined([ca.vec(ca.densify(ca.SX(said)))])
+    return [_value(said[row], numbers) for row in range(size)]
+
+
+def _spread(values: Any, size: int) -> np.ndarray:
+    """One number for all elements, or each element, a matrix column by column."""
+    array = np.asarray(values, dtype=float)
+    return np.broadcast_to(array.ravel(order="F") if array.ndim > 1 else array, (size,))
+
+
+def _given(label: str, numbers: Numbers, given: Mapping[str, Any]) -> Any:
+    """What a graph's key `start` says of the state, by its label, or by a name of which it is the first as in a run."""
+    loop = numbers.claim.loop
+    if label in given:
+        return given[label]
+    first = {variable.name: variable.label for variable in reversed([*loop.plant, *loop.controller])}
+    name = label.partition(".")[2]
+    return given.get(name) if first[name] == label else None
+
+
+def _value(expression: SX, numbers: Numbers) -> Number | None:
+    if not symbols_in([expression]) <= numbers.known:
+        return None
+    try:
+        return numbers.of(expression)[0]
+    except (ValueFault, ZeroDivisionError):
+        return None
