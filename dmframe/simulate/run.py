@@ -153,7 +153,7 @@ class Prepared:
         One that diverges is tried at shorter steps before the loop is blamed. `shared` is the engine of a batch.
         """
         with SYMBOLIC:
-            speed = speed_of(diagram, self.jacobian, state)
+            speed = speed_of(diagram, self.jacobian, state) if self.solver.method == "rk4" else 0.0
             own = self._stepping(speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
         recording = own._run(diagram, engine, state, speed, progress)
