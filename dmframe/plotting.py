@@ -6,12 +6,10 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dmframe.files import write_bytes
 from dmframe.version import version
 
 COLUMN, PAGE = 3.5, 7.16
@@ -126,16 +124,15 @@ def figure_svg(figure: Any) -> str:
     return text.getvalue()
 
 
-def save(figure: Any, folder: Path, name: str, about: str) -> None:
-    """Write ``name.png`` and ``name.svg``; the same figure gives the same bytes."""
+def files_of(figure: Any, name: str, about: str) -> dict[str, bytes]:
+    """``name.png`` and ``name.svg``; the same figure gives the same bytes."""
     source = f"dmframe {version()}"
     png, svg = io.BytesIO(), io.BytesIO()
     with styled():
         figure.savefig(png, format="png", metadata={"Software": source, "Title": name, "Description": about})
         meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
         figure.savefig(svg, format="svg", metadata=meta)
-    write_bytes(folder / f"{name}.png", png.getvalue())
-    write_bytes(folder / f"{name}.svg", svg.getvalue())
+    return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
 
 
 def look(index: int) -> dict[str, Any]:

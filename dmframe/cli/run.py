@@ -17,7 +17,7 @@ from dmframe.graph import Graph
 from dmframe.graph.graph import seconds
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled, labels_of
-from dmframe.results.folder import draw_figures, folders_of, safe_name, write_data
+from dmframe.results.folder import drawing, folders_of, safe_name, write_data
 from dmframe.results.place import Place, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
@@ -54,20 +54,21 @@ def run_graphs(
         if not found:
             return STOPPED
         runs = labelled(found)
-        try:
-            with held_off() as signals:
-                summaries = write_data(place, runs)
-        except BaseException:
-            if not as_json:
-                tell(str(runs))  # the numbers, at least
-            raise
-        told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
-        try:  # printing may fail, and figures are drawn all the same
-            tell(told if as_json else f"{runs}\nresults: {place.path}")
-        finally:
-            if plots and not signals:
-                _say("drawing the figures", as_json)
-                draw_figures(place, runs)
+        with drawing(runs if plots else ()) as draw:
+            try:
+                with held_off() as signals:
+                    summaries = write_data(place, runs)
+            except BaseException:
+                if not as_json:
+                    tell(str(runs))  # the numbers, at least
+                raise
+            told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
+            try:  # printing may fail, and figures are drawn all the same
+                tell(told if as_json else f"{runs}\nresults: {place.path}")
+            finally:
+                if plots and not signals:
+                    _say("drawing the figures", as_json)
+                    draw(place)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0

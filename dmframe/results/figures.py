@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -10,8 +11,8 @@ from typing import Any, final
 
 from dmframe import notebook
 from dmframe.errors import OutputError
-from dmframe.files import expanded, writing
-from dmframe.plotting import save
+from dmframe.files import expanded, write_bytes, writing
+from dmframe.plotting import files_of
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure
@@ -22,7 +23,7 @@ from dmframe.results.place import FIGURES, OF_EACH
 from dmframe.results.ran import Ran
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
-from dmframe.two import by_two
+from dmframe.two import shared
 
 
 @final
@@ -49,8 +50,9 @@ class Figures(Mapping[str, Any]):
         with writing(place, "figures"):
             place.mkdir(parents=True, exist_ok=True)
         for name, figure in self.items():
-            save(figure, place, name, about=self.about)
-            files += [place / f"{name}{ending}" for ending in (".png", ".svg")]
+            for file, content in files_of(figure, name, self.about).items():
+                write_bytes(place / file, content)
+                files.append(place / file)
         return files
 
     def __getitem__(self, name: str) -> Any:
@@ -79,19 +81,23 @@ def figures_of(runs: Mapping[str, Ran]) -> Figures:
     return Figures({name: figure for name, figure in made.items() if figure is not None}, ", ".join(runs))
 
 
-def save_figures(runs: Mapping[str, Ran], folder: Path) -> None:
-    """Write `figures_of` as PNG and SVG, on two cores where there are as many."""
+@contextmanager
+def drawing(runs: Mapping[str, Ran]) -> Iterator[Callable[[], dict[str, bytes]]]:
+    """Begin to draw `figures_of`, on a second core where there is one; what is yielded returns their files.
 
-    def job(name: str, make: Callable[[], Any]) -> Callable[[], None]:
-        def draw() -> None:
+    Matplotlib takes most of a short run's time: within, the data may be written meanwhile.
+    """
+
+    def job(name: str, make: Callable[[], Any]) -> Callable[[], dict[str, bytes]]:
+        def draw() -> dict[str, bytes]:
             figure = make()
-            if figure is not None:
-                save(figure, folder, name, about=", ".join(runs))
+            return {} if figure is None else files_of(figure, name, ", ".join(runs))
 
         return draw
 
-    jobs = [job(name, make) for name, make in _makers(runs).items()]
-    by_two(jobs[::-1])  # the first ones take least, which evens out what the two do last
+    jobs = [job(name, make) for name, make in _makers(runs).items()] if runs else []
+    with shared(jobs[::-1]) as finished:  # the first ones take least, which evens out what the two do last
+        yield lambda: {name: content for files in finished() for name, content in files.items()}
 
 
 def _makers(runs: Mapping[str, Ran]) -> dict[str, Callable[[], Any]]:

@@ -8,8 +8,8 @@ import platform
 import re
 import shutil
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,7 +17,8 @@ from typing import Any, Final
 
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
-from dmframe.files import encoded, told_apart, writing
+from dmframe.files import encoded, told_apart, write_bytes, writing
+from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, reserved
 from dmframe.results.ran import Ran
@@ -76,10 +77,10 @@ def write_run(
         The folder has files in it, or cannot be written.
     """
     folders = folders_of([run.name for run in runs])
-    with nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders) as place:
+    held = nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders)
+    with held as place, drawing(runs if plots else ()) as draw:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
-        if plots:
-            draw_figures(place, runs)
+        draw(place)
     return summaries
 
 
@@ -105,20 +106,29 @@ def write_data(
     return summaries
 
 
-def draw_figures(place: Place, runs: Sequence[Ran]) -> None:
-    """Draw the runs' figures beside their data. Raises `OutputError` where that cannot be done."""
-    try:
-        from dmframe.results.figures import save_figures  # a backend of matplotlib's may be missing
+@contextmanager
+def drawing(runs: Sequence[Ran]) -> Iterator[Callable[[Place], None]]:
+    """Begin to draw figures; what is yielded writes them beside their data.
 
-        with writing(place.path, "figures"):
-            save_figures(dict(zip(_names([run.name for run in runs]), runs, strict=True)), place.folder)
-    except OutputError:
-        raise
-    except Exception as error:  # whatever a plotting library raises at names and numbers of others
-        reason = (str(error).splitlines() or [""])[0]
-        raise OutputError(
-            f"{place.path}: signals and summary are written, the figures are not: {type(error).__name__}: {reason}"
-        ) from error
+    That raises `OutputError` where it cannot be done; where it is not called, there are none.
+    """
+    with figures.drawing(dict(zip(_names([run.name for run in runs]), runs, strict=True))) as drawn:
+
+        def write(place: Place) -> None:
+            try:
+                with writing(place.path, "figures"):
+                    for name, content in drawn().items():
+                        write_bytes(place.folder / name, content)
+            except OutputError:
+                raise
+            except Exception as error:  # whatever a plotting library raises at names and numbers of others
+                reason = (str(error).splitlines() or [""])[0]
+                raise OutputError(
+                    f"{place.path}: signals and summary are written, the figures are not: "
+                    f"{type(error).__name__}: {reason}"
+                ) from error
+
+        yield write
 
 
 def safe_name(name: str) -> str:

@@ -3,48 +3,80 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from pathlib import Path
+from contextlib import suppress
 
 import pytest
 
-from dmframe.two import by_two
+from dmframe.two import shared
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
 
 
-def test_every_job_is_done_once_by_one_of_two(tmp_path: Path) -> None:
-    def job(k: int) -> None:
-        with (tmp_path / str(k)).open("a", encoding="utf-8") as file:
-            file.write(f"{os.getpid()}\n")
-
-    by_two([lambda k=k: job(k) for k in range(40)])  # type: ignore[misc]
-    told = [(tmp_path / str(k)).read_text().split() for k in range(40)]
-    assert all(len(who) == 1 for who in told)
-    assert len({who[0] for who in told}) <= 2
+def test_every_job_is_done_once_by_one_of_two() -> None:
+    with shared([lambda k=k: (k, os.getpid()) for k in range(40)]) as finished:  # type: ignore[misc]
+        told = finished()
+    assert [k for k, _ in told] == list(range(40))
+    assert len({who for _, who in told}) <= 2
 
 
-def test_a_job_that_fails_is_told_whoever_did_it(tmp_path: Path) -> None:
+@LINUX
+def test_the_copy_works_while_this_process_does_something_else() -> None:
+    reader, writer = os.pipe()
+
+    def tell() -> int:
+        os.write(writer, b"x")
+        return os.getpid()
+
+    with shared([tell, tell]) as finished:
+        if len(os.sched_getaffinity(0)) > 1:
+            assert os.read(reader, 1) == b"x"  # before anybody asked
+            assert finished()[0] != os.getpid()
+
+
+def test_a_job_that_fails_is_told_whoever_did_it() -> None:
     def fail() -> None:
         raise ValueError("a name that no parser reads")
 
-    with pytest.raises(ValueError, match="a name that no parser reads"):
-        by_two([fail, fail])
+    with shared([fail, fail]) as finished, pytest.raises(ValueError, match="a name that no parser reads"):
+        finished()
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
-def test_what_fails_in_the_copy_alone_is_done_again_here(tmp_path: Path) -> None:
+@LINUX
+def test_what_fails_in_the_copy_alone_is_done_again_here() -> None:
     here = os.getpid()
 
-    def job(k: int) -> None:
+    def job(k: int) -> int:
         if os.getpid() != here:
             os._exit(7)
-        (tmp_path / str(k)).touch()
+        return k
 
-    by_two([lambda k=k: job(k) for k in range(30)])  # type: ignore[misc]
-    assert len(list(tmp_path.iterdir())) == 30
+    with shared([lambda k=k: job(k) for k in range(30)]) as finished:  # type: ignore[misc]
+        assert finished() == list(range(30))
+
+
+@LINUX
+def test_a_copy_whose_results_nobody_asks_for_is_ended() -> None:
+    reader, writer = os.pipe()
+
+    def tell() -> None:
+        os.write(writer, os.getpid().to_bytes(8, "little"))
+        signal.pause()
+
+    with suppress(ZeroDivisionError), shared([tell, tell]):
+        if len(os.sched_getaffinity(0)) == 1:
+            return
+        copy = int.from_bytes(os.read(reader, 8), "little")
+        raise ZeroDivisionError
+    with pytest.raises(ProcessLookupError):
+        os.kill(copy, 0)
 
 
 def test_on_one_core_everything_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
     done = list[int]()
-    by_two([lambda k=k: done.append(k) for k in range(5)])  # type: ignore[misc]
+    with shared([lambda k=k: done.append(k) for k in range(5)]) as finished:  # type: ignore[misc]
+        assert not done
+        finished()
     assert done == [0, 1, 2, 3, 4]

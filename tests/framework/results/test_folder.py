@@ -162,7 +162,7 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
             raise fault
 
         place = tmp_path / type(fault).__name__
-        monkeypatch.setattr("dmframe.results.figures.save_figures", fail)
+        monkeypatch.setattr("dmframe.results.figures.files_of", fail)
         with pytest.raises(OutputError, match="signals and summary are written") as told:
             write_run(place, [ur10])
         assert text in told.value.text
