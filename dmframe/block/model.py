@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
 from typing import Any, Final, final
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -122,7 +123,10 @@ def model_block(
     signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
-    _check_steady(name, equations, stated_by(name, block, signals, sizes))
+    asked = repr((block, sizes.bound, mine and mine.chain))
+    if asked not in _STEADY.setdefault(type(block), set()):
+        _check_steady(name, equations, stated_by(name, block, signals, sizes))
+        _STEADY[type(block)].add(asked)
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -153,6 +157,10 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
         _checked(name, "rate", moving, stated.rates, sizes),
         _checked(name, "next value", sampled, stated.next, sizes),
     )
+
+
+_STEADY: WeakKeyDictionary[type[AbstractBlock], set[str]] = WeakKeyDictionary()
+"""Blocks of which it was seen that they state the same when they are asked again, each with its sizes and robot."""
 
 
 def _check_steady(name: str, first: Equations, second: Equations) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 from typing import final
@@ -33,6 +33,11 @@ class Checked:
         The least value that must be positive; the margin. None where it could not be computed.
     how
         How it was decided: ``exact``; ``cases``, all of a few; ``sampled``; or ``undecided``, which never holds.
+    strict
+        The value must be above zero; otherwise it may be zero.
+    margin
+        An expression in the claim's symbols whose least element is `value`, by which other numbers of the same loop are
+        judged; empty where no number of a graph matters, and None where the condition is not the sign of one.
     """
 
     name: str
@@ -41,6 +46,8 @@ class Checked:
     holds: bool
     source: str
     how: str = "exact"
+    strict: bool = True
+    margin: SX | None = field(default=None, compare=False)
 
 
 @final
@@ -101,7 +108,14 @@ def upper(value: Number) -> Fraction:
     return value.upper if isinstance(value, Interval) else value
 
 
-def decided(name: str, text: str, source: str, least: Callable[[], Fraction], strict: bool = True) -> Checked:
+def decided(
+    name: str,
+    text: str,
+    source: str,
+    least: Callable[[], Fraction],
+    strict: bool = True,
+    margin: SX | None = None,
+) -> Checked:
     """A condition from the least value that must be positive; undecided, which is not holding, where there is none."""
     try:
         value = least()
@@ -110,5 +124,6 @@ def decided(name: str, text: str, source: str, least: Callable[[], Fraction], st
     except ValueFault as error:
         text = f"{text}; undecided: {error.text}"
     else:
-        return Checked(name, text, as_float(value), value > 0 if strict else value >= 0, source)
-    return Checked(name, text, None, False, source, "undecided")
+        holds = value > 0 if strict else value >= 0
+        return Checked(name, text, as_float(value), holds, source, strict=strict, margin=margin)
+    return Checked(name, text, None, False, source, "undecided", strict, margin)

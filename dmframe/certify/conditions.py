@@ -27,7 +27,7 @@ from dmframe.certificate import (
 )
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import Number, is_mass_matrix, least_body_pivot, least_sampled
+from dmframe.certify.definite import Number, body_pivots, is_mass_matrix, least_body_pivot, least_sampled
 from dmframe.certify.memories import memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
@@ -38,6 +38,7 @@ from dmframe.errors import BlockError
 from dmframe.exact.rational import as_float
 from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
+from dmframe.linalg import ldl
 
 SIGNS = "V is positive, dV/dt not"
 
@@ -93,7 +94,8 @@ def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
     words, text = worded(numbers.claim, name, condition)
     least = partial(numbers.least, condition.expression)
-    found = decided(f"{name}: {words}", text, condition.source, least, condition.strict)
+    margin = ca.SX(condition.expression)
+    found = decided(f"{name}: {words}", text, condition.source, least, condition.strict, margin)
     if found.holds or not condition.otherwise:
         return found
     return replace(found, name=f"{name}: {condition.otherwise}")
@@ -141,7 +143,7 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
 
 
 def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
-    return decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict)
+    return decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least, expression), strict, ca.SX(expression))
 
 
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
@@ -153,7 +155,8 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, weight)
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0 (least pivot)"
-            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight))
+            pivots = ca.vertcat(*ldl(weight)[1])
+            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight), margin=pivots)
     for name, model in claim.diagram.models.items():
         for inverted in model.inverted if model.robot is not None else ():
             matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
@@ -166,7 +169,7 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
     least = least_body_pivot(claim.diagram.robot)
     if least > 0:
         text = "each link's pseudo-inertia is positive definite"
-        return Checked("M(q) > 0", text, as_float(least), True, "property P2")
+        return Checked("M(q) > 0", text, as_float(least), True, "property P2", margin=body_pivots(claim.diagram))
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
     return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")

@@ -12,8 +12,11 @@ import numpy as np
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
+from dmframe.diagram import Diagram
 from dmframe.exact import zero_test
 from dmframe.exact.rational import Interval
+from dmframe.linalg import ldl
+from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import pseudo_inertia
 
 Number = Fraction | Interval
@@ -53,6 +56,14 @@ def is_semidefinite(matrix: Sequence[Sequence[Fraction]]) -> bool:
 def least_body_pivot(robot: Any) -> Fraction:
     """Above zero iff each link's inertia is that of some mass distribution, which makes M(q) > 0 at every q."""
     return min(min(pivots(pseudo_inertia(row))) for row in robot.inertia)
+
+
+def body_pivots(diagram: Diagram) -> SX:
+    """The same pivots, of all links, as expressions in the diagram's parameters."""
+    symbols = [parameter.symbol for parameter in diagram.loop.parameters if parameter.label == "robot.inertia"]
+    links = [ca.vertsplit(row) for row in ca.vertsplit(symbols[0], len(INERTIAL))] if symbols else []
+    matrices = (ca.blockcat(pseudo_inertia(link)) for link in links)
+    return ca.vertcat(ca.SX(0, 1), *(pivot for matrix in matrices for pivot in ldl(matrix)[1]))
 
 
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:

@@ -60,9 +60,11 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         need = _need(payer, consumers, numbers)
         if payer.cascade:
             text = f"{payer.block} pays for the cascade with the weight 1 that V gives it"
-            margin = None if need is None else 1 - need
-            value = None if margin is None else as_float(margin)
-            yield Checked(text, f"1 > {NEED}: {WHERE}", value, margin is not None and margin > 0, SOURCE)
+            left = None if need is None else 1 - need
+            value = None if left is None else as_float(left)
+            wanted, weights = _composed(payer, consumers)
+            margin = ca.vertcat(1 - wanted, weights)
+            yield Checked(text, f"1 > {NEED}: {WHERE}", value, left is not None and left > 0, SOURCE, margin=margin)
         elif not found:
             found = True
             kappa = payment(claim, numbers)
@@ -71,7 +73,25 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             if unpaid:
                 text = f"the servo level pays for the cascade; it lacks a weight above zero of |{unpaid[0]}|^2 in dV/dt"
             value = as_float(kappa.least) if kappa else None
-            yield Checked(text, f"kappa > {NEED}: {WHERE}", value, kappa is not None, SOURCE)
+            weights = ca.vertcat(*(_composed(*pair)[1] for pair in _payers(claim)))
+            yield Checked(text, f"kappa > {NEED}: {WHERE}", value, kappa is not None, SOURCE, margin=weights)
+
+
+def least_kappa(claim: Claim) -> SX:
+    """`Kappa.least` as an expression in the claim's parameters, where every weight that pays is above zero."""
+    needs = [_composed(payer, consumers)[0] for payer, consumers in _payers(claim) if not payer.cascade]
+    return ca.mmax(ca.vertcat(ca.SX(0), *needs))
+
+
+def _composed(payer: Part, consumers: list[Part]) -> tuple[SX, SX]:
+    """The sum of c a_j^2 / W_j of each joint, and the weights W_j of what is consumed."""
+    c = total([part.certificate.consumes.c for part in consumers if part.certificate.consumes is not None])
+    need, weights = ca.SX.zeros(payer.composed.shape[0]), ca.SX(0, 1)
+    for share, term in zip(payer.certificate.pays, payer.paying, strict=True):
+        if not share.is_zero():
+            need += c * share * share / term.weight
+            weights = ca.vertcat(weights, term.weight)
+    return need, weights
 
 
 def _unpaid(claim: Claim, numbers: Numbers) -> Iterator[str]:
@@ -99,15 +119,10 @@ def _payers(claim: Claim) -> list[tuple[Part, list[Part]]]:
 
 def _need(payer: Part, consumers: list[Part], numbers: Numbers) -> Fraction | None:
     """The largest c sum a_j^2 / W_j over the joints; None where a share has nothing to pay with."""
-    c = total([part.certificate.consumes.c for part in consumers if part.certificate.consumes is not None])
-    need: SX = ca.SX.zeros(payer.composed.shape[0])
+    need, weights = _composed(payer, consumers)
     try:
-        for share, term in zip(payer.certificate.pays, payer.paying, strict=True):
-            if share.is_zero():
-                continue
-            if numbers.least(term.weight) <= 0:
-                return None
-            need += c * share * share / term.weight
+        if weights.numel() and numbers.least(weights) <= 0:
+            return None
         return max(upper(value) for value in numbers.of(need))
     except (ZeroDivisionError, ValueFault):
         return None

@@ -27,7 +27,7 @@ from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
-from dmframe.certify.starts import ZERO, start_of
+from dmframe.certify.starts import ZERO, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
@@ -85,7 +85,7 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
     room, rest = _decidable(projection.set.room(truth), numbers)
     if room.numel():
         shown = INSIDE[projection.kind].format("true value")
-        yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False)
+        yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False, margin=room)
     if rest:
         at = sorted({row % truth.shape[0] for row in rest})
         yield Assumption(f"{text}{_at(projection, at)}: where the plant starts decides it", SOURCE)
@@ -120,13 +120,14 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
             f"{name}: true value stands still", f"{text}; undecided: {error}", None, False, LEMMA, "undecided"
         )
         return
-    yield Checked(f"{name}: true value stands still", text, None, still, LEMMA)
+    yield Checked(f"{name}: true value stands still", text, None, still, LEMMA, margin=ca.SX(0, 1))
 
 
 def _normal(name: str, askew: SX, numbers: Numbers) -> Checked:
     text = "weight in V times adaptation gain is one number for all elements"
-    least = partial(numbers.least, ca.vertcat(askew, -askew))
-    return decided(f"{name}: projected in the metric of V", text, LEMMA, least, strict=False)
+    margin = ca.vertcat(askew, -askew)
+    least = partial(numbers.least, margin)
+    return decided(f"{name}: projected in the metric of V", text, LEMMA, least, strict=False, margin=margin)
 
 
 def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Iterator[Checked | Assumption]:
@@ -137,9 +138,18 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     known = [row for row, value in enumerate(start) if value is not None]
     unknown = [row for row, value in enumerate(start) if value is None]
     if known and (projection.kind == "box" or not unknown):
-        yield decided(text, shown, SOURCE, partial(_least_room, projection, numbers, start), strict=False)
+        begin = start_expression(projection.name, numbers, given)
+        room = None if begin is None else _room_at(projection, begin)
+        least = partial(_least_room, projection, numbers, start)
+        yield decided(text, shown, SOURCE, least, strict=False, margin=room)
     if unknown:
         yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
+
+
+def _room_at(projection: Projection, start: SX) -> SX:
+    """The room of a start, which a run puts onto the rim where it misses that by rounding."""
+    rounding = ROUNDING * (1 + ca.mmax(ca.fabs(start)))
+    return ca.substitute(projection.set.room(projection.state), projection.state, start) + rounding
 
 
 def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number | None]) -> Fraction:

@@ -49,6 +49,29 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     return [_value(said[row], numbers) for row in range(size)]
 
 
+def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
+    """The same as an expression in the parameters; None where it is none of them alone."""
+    claim, (block, _, state) = numbers.claim, label.partition(".")
+    model = claim.diagram.models[block]
+    size = model.states[state].numel()
+    number = _given(label, numbers, given)
+    if number is None:
+        symbols = [p.symbol for p in claim.loop.parameters if p.label == label]
+        if symbols:
+            return ca.vec(symbols[0])
+        number = model.values.get(state)
+    if number is not None:
+        return ca.SX(ca.DM(_spread(number, size)))
+    seen = view(claim.diagram, block, claim.truths)
+    try:
+        with told_by(block, "start()"):
+            said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
+    except BlockError:
+        return None
+    (joined,) = claim.loop.joined([ca.SX.zeros(size) if said is None else ca.vec(ca.densify(ca.SX(said)))])
+    return joined if symbols_in([joined]) <= numbers.known else None
+
+
 def _spread(values: Any, size: int) -> np.ndarray:
     """One number for all elements, or each element, a matrix column by column."""
     array = np.asarray(values, dtype=float)

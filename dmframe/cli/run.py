@@ -55,20 +55,19 @@ def run_graphs(
             return STOPPED
         runs = labelled(found)
         with drawing(runs if plots else ()) as draw:
-            try:
+            try:  # printing may fail, and everything is written all the same
+                if not as_json:
+                    tell(str(runs))
+            finally:
                 with held_off() as signals:
                     summaries = write_data(place, runs)
-            except BaseException:
-                if not as_json:
-                    tell(str(runs))  # the numbers, at least
-                raise
-            told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
-            try:  # printing may fail, and figures are drawn all the same
-                tell(told if as_json else f"{runs}\nresults: {place.path}")
-            finally:
-                if plots and not signals:
-                    _say("drawing the figures", as_json)
-                    draw(place)
+                told = json.dumps(summaries[0] if len(graphs) == 1 else summaries, indent=2)
+                try:
+                    tell(told if as_json else f"results: {place.path}")
+                finally:
+                    if plots and not signals:
+                        _say("drawing the figures", as_json)
+                        draw(place)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0

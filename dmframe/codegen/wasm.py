@@ -7,6 +7,7 @@ compiler fuses no products into sums (``-ffp-contract=off``). A module exports
   which returns how many ticks ended within bounds. ``period`` is an f64, all others are i32: counts, and the addresses
   of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are from 0 to 2^31 - 1; of ``first``
   nothing but the remainder by ``every`` matters.
+- what is asked for beside it, each a function of the addresses of its arguments and then of its results, of f64 all.
 - ``memory``, and ``heap``: its first bytes, up to that address, are the module's own. From there on the host lays out
   the arrays as it likes, with no overlap, and lets the memory grow where they need more.
 
@@ -23,7 +24,7 @@ from __future__ import annotations
 import math
 import operator
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import count
 from typing import Any, Final, NamedTuple, final
@@ -101,8 +102,10 @@ RULES: Final[dict[int, Callable[..., Any]]] = by_code(
 )
 
 
-def loop_module(parts: Parts) -> bytes:
+def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
     """The module of a whole run; gains, true parameters and start states are its arguments.
+
+    `more` are SX functions that it exports beside the run, each by its name.
 
     Raises `EngineError` where an expression holds what there is no rule for, or is longer than a browser takes.
     """
@@ -121,7 +124,8 @@ def loop_module(parts: Parts) -> bytes:
         "record": _record(places, sizes["Z"] + sizes["X"]),
         "run": _run(places, sizes),
     }
-    return module({**ARITHMETIC, **own, **frame}, "run", HOST, used)
+    beside = {f.name(): written(f) for f in more}
+    return module({**ARITHMETIC, **own, **frame, **beside}, ("run", *beside), HOST, used)
 
 
 def written(f: Any) -> Function:

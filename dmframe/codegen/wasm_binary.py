@@ -275,12 +275,12 @@ def _encoded(piece: Piece, places: Mapping[str, int]) -> bytes:
     return b"\x20" + unsigned(piece) if isinstance(piece, int) else b"\x10" + unsigned(places[piece])
 
 
-def module(functions: Mapping[str, Function], exported: str, arities: Mapping[str, int], used: int) -> bytes:
-    """A module that exports one function, its memory, and as ``heap`` how many bytes of that it uses itself.
+def module(functions: Mapping[str, Function], exported: Sequence[str], arities: Mapping[str, int], used: int) -> bytes:
+    """A module that exports functions, its memory, and as ``heap`` how many bytes of that it uses itself.
 
     `arities` says how many numbers each function of the host takes; those that are called are imported from ``env``.
     """
-    reached, waiting = set[str](), [exported]
+    reached, waiting = set[str](), [*exported]
     while waiting:
         name = waiting.pop()
         if name not in reached:
@@ -296,7 +296,7 @@ def module(functions: Mapping[str, Function], exported: str, arities: Mapping[st
     types = list(dict.fromkeys(signatures.values()))
     kind = {name: unsigned(types.index(signature)) for name, signature in signatures.items()}
     exports = [_text("memory") + b"\x02\x00", _text("heap") + b"\x03\x00"]
-    exports.append(_text(exported) + b"\x00" + unsigned(places[exported]))
+    exports += [_text(name) + b"\x00" + unsigned(places[name]) for name in exported]
     sections = {
         1: [b"\x60" + _vector(takes) + _vector(gives) for takes, gives in types],
         2: [b"".join(map(_text, name.split("."))) + b"\x00" + kind[name] for name in hosts],

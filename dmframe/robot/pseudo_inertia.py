@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
+from typing import Any
 
 from dmframe.robot.parameters import Inertial
 
@@ -18,8 +19,8 @@ _ENTRIES = Inertial(
 )  # fmt: skip
 
 
-def pseudo_inertia(row: Sequence[Fraction]) -> Rows:
-    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_."""
+def pseudo_inertia(row: Sequence[Any]) -> list[list[Any]]:
+    r"""[[tr(I)/2 1 - I, h], [h', m]] of ten inertial parameters [Wensing2018]_, numbers or expressions."""
     b = Inertial(*row)
     half, h = (b.I_xx + b.I_yy + b.I_zz) / 2, [b.mc_x, b.mc_y, b.mc_z]
     return [

@@ -135,7 +135,7 @@ class SymbolicRobot:
         """The task position x = f(q), eq. (1): the tool's coordinates `axes` in the base frame, SX (m)."""
         offsets = self._offsets(a_k)
         point = offsets[-1]
-        for link in reversed(self._links(q, a_k)):
+        for link in reversed(self.links(q, a_k)):
             point = link.offset + link.rotation @ point
         return self._task(point)
 
@@ -143,7 +143,7 @@ class SymbolicRobot:
         r"""The task Jacobian J(q), eq. (2), SX (m, n); columns :math:`z_i \times (x - o_i)`, prismatic :math:`z_i`."""
         rotation, origin = ca.SX.eye(3), ca.SX(3, 1)
         axes, origins = [], []
-        for link in self._links(q, a_k):
+        for link in self.links(q, a_k):
             origin = origin + rotation @ link.offset
             rotation = rotation @ link.rotation
             axes.append(rotation @ link.axis)
@@ -191,7 +191,7 @@ class SymbolicRobot:
         ----------
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
-        links = self._links(q)
+        links = self.links(q)
         h = _bodies(self.inertia if inertia is None else inertia)
         omega = nu = dnu = ca.SX(3, 1)
         plain = dq_ref is dq
@@ -223,7 +223,7 @@ class SymbolicRobot:
         ----------
         [Featherstone2008]_ section 6.2.
         """
-        links = self._links(q)
+        links = self.links(q)
         composites = _bodies(self.inertia if inertia is None else inertia)
         M = ca.SX(self.n, self.n)
         for i in reversed(range(self.n)):
@@ -265,7 +265,7 @@ class SymbolicRobot:
     def _offsets(self, a_k: Any) -> list[Any]:
         return list(ca.vertsplit(self.a_k if a_k is None else a_k, 3))
 
-    def _links(self, q: Any, a_k: Any = None) -> list[Link]:
+    def links(self, q: Any, a_k: Any = None) -> list[Link]:
         """Each joint's transform at q: rotation about the exact axis a, R = a a' + cos q (I - a a') + sin q [a]."""
         links = []
         placed = zip(self.chain.joints, self._placements, self._offsets(a_k)[:-1], ca.vertsplit(q), strict=True)

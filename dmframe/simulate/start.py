@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.faults import told_by
+from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.projection import Projection
@@ -303,3 +304,39 @@ def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]
     inputs = [loop.time, loop.p, stack(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
     return np.asarray(function(0, loop.p_values, _column(known, values)).full().ravel())
+
+
+def symbolic_start(diagram: Diagram, given: Mapping[str, Any], posed: Variable | None) -> SX:
+    """`start_state` as an expression in the parameters, the period, and the pose: the symbol of `posed`.
+
+    States of a box or a ball are put into it, where `start_state` would refuse one that is far outside.
+    """
+    loop, made = diagram.loop, Made()
+    symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
+    values = dict[str, SX]()
+    for label, number in _given(diagram, loop.variables, given).items():
+        values[label] = ca.SX(ca.DM(number))
+    for variable in loop.variables:
+        if posed is not None and variable.label == posed.label:
+            values[variable.label] = posed.symbol
+        elif variable.label in values:
+            continue
+        elif variable.name in diagram.models[variable.block].values:
+            number = diagram.models[variable.block].values[variable.name]
+            values[variable.label] = symbols.get(variable.label, ca.SX(ca.DM(np.ravel(number, order="F"))))
+    for variable in loop.plant:
+        if not _has_start(diagram, variable, made):
+            values.setdefault(variable.label, ca.SX.zeros(variable.symbol.numel()))
+    for variable in loop.variables:
+        if variable.label in values:
+            continue
+        said = _said(diagram, variable.block, made).get(variable.name)
+        known = [v for v in loop.variables if v.label in values]
+        column = stack(values[v.label] for v in known)
+        values[variable.label] = (
+            ca.SX.zeros(variable.symbol.numel())
+            if said is None
+            else _stated(diagram, said, known)(0, loop.p, column, ca.SX.zeros(loop.drawn.numel()), loop.period)
+        )
+    found = stack(values[variable.label] for variable in loop.variables)
+    return ca.substitute(loop.held(loop.state), loop.state, found)

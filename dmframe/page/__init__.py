@@ -1,0 +1,5 @@
+"""A closed loop as one file for a browser: it runs there, under sliders, with what is proved of it beside it."""
+
+from dmframe.page.page import page
+
+__all__ = ["page"]

@@ -1,0 +1,199 @@
+"""All that a page knows of its graph, as plain data: the numbers of the loop, the sliders, the curves, the verdict."""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dmframe.certify import Verdict
+from dmframe.codegen.wasm import loop_module
+from dmframe.config import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import ValueFault
+from dmframe.formula.names import unicode_name
+from dmframe.page.functions import Functions, Group, functions_of
+from dmframe.page.scene import meshes_of
+from dmframe.page.sliders import sliders_of
+from dmframe.report.verdict_text import verdict_text
+from dmframe.results.dataset import axis_labels, elements
+from dmframe.results.resolved import resolved_text, robot_source
+from dmframe.simulate.bounds import bounds_of
+from dmframe.simulate.start import start_state
+from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
+from dmframe.simulate.stiffness import RK4_TAKES
+from dmframe.version import version
+
+HORIZON = 20.0
+"""Simulated time of a page [s]; a graph that runs for less is shown for as long as it runs."""
+
+
+def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> dict[str, Any]:
+    """A page's data, with the WebAssembly module in it, compressed and in base64.
+
+    Raises
+    ------
+    EngineError
+        The loop holds what WebAssembly has no word for.
+    ValueFault
+        It draws random numbers, which a page does not.
+    """
+    loop, file = diagram.loop, experiment.file
+    if loop.drawn.numel() or file.jitter:
+        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
+        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
+    functions = functions_of(diagram, file.clock, experiment.start, verdict)
+    state = start_state(diagram, experiment.start)
+    return {
+        "dmframe": version(),
+        "name": experiment.name,
+        "title": file.title,
+        "text": resolved_text(experiment),
+        "module": _packed(loop_module(functions.parts, functions.exported)),
+        "clock": file.clock,
+        "tick": file.clock if file.clock is not None else experiment.solver.output,
+        "step": experiment.solver.step,
+        "horizon": min(HORIZON, file.duration),
+        "solver": {"plain": PLAIN_STEP, "takes": RK4_TAKES, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
+        "sizes": _sizes(functions),
+        "p": loop.p_values.tolist(),
+        "state": state.tolist(),
+        "bounds": bounds_of(diagram).tolist(),
+        "states": [
+            {"label": v.label, "name": _signal(v.label), "size": v.symbol.numel(), "unit": v.unit}
+            for v in loop.variables
+        ],
+        "flowing": stack(v.symbol for v in loop.flowing).numel(),
+        "pose": _pose(diagram, functions),
+        "sliders": [slider.data for slider in sliders_of(diagram, verdict)],
+        "goal": None if functions.goal is None else _group(diagram, functions.goal),
+        "groups": [_group(diagram, group, verdict) for group in functions.groups],
+        "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",
+        "robot": _robot(experiment, diagram, functions),
+        "verdict": _verdict(experiment.name, verdict, functions),
+    }
+
+
+def _packed(module: bytes) -> str:
+    """As a browser's DecompressionStream("deflate") reads it."""
+    return base64.b64encode(zlib.compress(module, 9)).decode()
+
+
+def _sizes(functions: Functions) -> dict[str, int]:
+    return {
+        **functions.parts.sizes,
+        "pose": functions.begin.numel_in(0),
+        "shown": functions.shown.numel_out(0),
+        "judged": functions.judged.numel_out(0),
+        "reach": 0 if functions.reach is None else functions.reach.numel_out(0),
+        "scene": functions.scene,
+    }
+
+
+def _pose(diagram: Diagram, functions: Functions) -> dict[str, Any] | None:
+    """Where in the state the pose stands, the joints' names and limits; `sought`: it is to be put onto the path."""
+    if functions.posed is None:
+        return None
+    labels = [variable.label for variable in diagram.loop.variables]
+    sizes = [variable.symbol.numel() for variable in diagram.loop.variables]
+    place = labels.index(functions.posed.label)
+    joints = diagram.robot.joints if diagram.robot is not None else ()
+    return {
+        "at": sum(sizes[:place]),
+        "size": sizes[place],
+        "names": [joint.name.removesuffix("_joint").replace("_", " ") for joint in joints],
+        "units": ["m" if joint.kind == "prismatic" else "rad" for joint in joints],
+        "lower": [_finite(joint.lower) for joint in joints],
+        "upper": [_finite(joint.upper) for joint in joints],
+        "sought": functions.reach is not None,
+    }
+
+
+def _finite(number: float) -> float | None:
+    return number if np.isfinite(number) else None
+
+
+def _group(diagram: Diagram, group: Group, verdict: Verdict | None = None) -> dict[str, Any]:
+    names = _rows(diagram, group)
+    if group.kind == "storage" and verdict is not None and verdict.claim is not None:
+        claim = verdict.claim
+        names = [
+            f"{law.vector.unicode} ({part.block})" for part in claim.parts for law in claim.laws[part.block].storage
+        ]
+    return {
+        "kind": group.kind,
+        "label": group.label,
+        "name": _signal(group.label),
+        "of": group.of,
+        "at": group.first,
+        "size": group.size,
+        "unit": group.unit,
+        "names": names,
+        "true": group.true,
+    }
+
+
+def _signal(label: str) -> str:
+    return unicode_name(label.rpartition(".")[2]) if label else ""
+
+
+def _rows(diagram: Diagram, group: Group) -> list[str]:
+    """What each row is of: joints, axes, parameters."""
+    shapes = {variable.label: variable.shape for variable in diagram.loop.variables}
+    shapes |= {signal.label: signal.shape for signal in diagram.loop.outputs}
+    letter = shapes.get(group.label, "")
+    return [element.name for element in elements(diagram, letter, group.size)] if letter else []
+
+
+def _robot(experiment: Experiment, diagram: Diagram, functions: Functions) -> dict[str, Any] | None:
+    chain = experiment.robot
+    if chain is None or not functions.scene or functions.posed is None:
+        return None
+    section = experiment.file.robot
+    source = robot_source(experiment)
+    hold = {**(source.hold if source else {}), **(section.hold or {} if section is not None else {})}
+    base = frames_at_rest(diagram, functions)
+    return {
+        "name": chain.name,
+        "joints": chain.n,
+        "reach": float(np.abs(base).max()) if base.size else 1.0,
+        "prismatic": [joint.kind == "prismatic" for joint in chain.joints],
+        "meshes": meshes_of(chain, source.urdf if source else None, hold),
+    }
+
+
+def frames_at_rest(diagram: Diagram, functions: Functions) -> np.ndarray:
+    """The origins of joints and tool at the start [m], a column each."""
+    state = ca.DM(start_state(diagram, {}))
+    found = functions.shown(state, 0, 1, diagram.loop.p_values).full().ravel()[: functions.scene]
+    joints = found[:-3].reshape(-1, 12)[:, 9:]
+    return np.vstack([joints, found[-3:]]).T
+
+
+def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any]:
+    return {
+        "outcome": verdict.outcome,
+        "headline": verdict.headline,
+        "reason": verdict.reason,
+        "text": verdict_text(name, verdict),
+        "conclusions": [f"{item.signal} {item.says}" for item in verdict.statements if item.concludes]
+        if verdict.outcome == "proved"
+        else [],
+        "assumptions": [item.text for item in verdict.assumptions],
+        "kappa": functions.kappa,
+        "conditions": [
+            {
+                "name": condition.name,
+                "strict": condition.strict,
+                "value": condition.value,
+                "holds": condition.holds,
+                "at": None if place is None else place[0],
+                "size": None if place is None else place[1],
+            }
+            for condition, place in zip(functions.conditions, functions.margins, strict=True)
+        ],
+    }

@@ -1,0 +1,81 @@
+"""The robot as a page draws it: the maker's collision meshes where there are any, else a tube from joint to joint."""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from dmframe.robot.chain import SerialChain
+
+MOST = 12_000
+"""Triangles of a robot; of more, a page would be too large, and tubes are drawn."""
+LEVELS = 65_535
+"""Of a coordinate: a mesh is drawn to a fraction of a thousandth of its size."""
+
+
+def meshes_of(chain: SerialChain, urdf: Path | None, hold: dict[str, float]) -> list[dict[str, Any]]:
+    """Each body's triangles in its joint's frame; empty where the robot's file names no meshes that are there.
+
+    ``joint`` counts the free joints from 0, -1 is the base. ``corners`` are 16-bit numbers between ``low`` and
+    ``high`` [m], ``faces`` 16-bit numbers of corners, both little-endian in base64.
+    """
+    found = list[dict[str, Any]]()
+    if urdf is None:
+        return found
+    try:
+        bodies = _bodies(chain, urdf, hold)
+    except (OSError, RuntimeError, ValueError):  # meshes that are missing or broken: tubes are drawn
+        return found
+    if sum(len(faces) for _, _, faces in bodies) > MOST:
+        return []
+    for joint, corners, faces in bodies:
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        span = np.where(high > low, high - low, 1.0)
+        grid = np.round((corners - low) / span * LEVELS).astype("<u2")
+        kept, place = np.unique(grid, axis=0, return_inverse=True)
+        turned = place.reshape(-1)[faces]
+        turned = turned[
+            (turned[:, 0] != turned[:, 1]) & (turned[:, 1] != turned[:, 2]) & (turned[:, 0] != turned[:, 2])
+        ]
+        if len(kept) > LEVELS:
+            return []
+        found.append(
+            {
+                "joint": joint,
+                "low": low.tolist(),
+                "high": (low + span).tolist(),
+                "corners": _text(kept.astype("<u2")),
+                "faces": _text(turned.astype("<u2")),
+            }
+        )
+    return found
+
+
+def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Joint, corners and faces of each collision mesh, at the reduced model's joints."""
+    model = pin.buildModelFromUrdf(str(urdf))
+    folders = [str(folder) for folder in (urdf.parent, *urdf.parents)]
+    geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
+    q = pin.neutral(model)
+    for name, angle in hold.items():
+        q[model.joints[model.getJointId(name)].idx_q] = angle
+    locked = [i for i, name in enumerate(model.names) if i and name not in chain.joint_names]
+    _, reduced = pin.buildReducedModel(model, geometry, locked, q)
+    found = list[tuple[int, np.ndarray, np.ndarray]]()
+    for body in reduced.geometryObjects:
+        shape = body.geometry
+        if not hasattr(shape, "vertices"):
+            continue
+        corners = np.asarray(shape.vertices()) * np.asarray(body.meshScale)
+        triangles = map(shape.tri_indices, range(shape.num_tris))
+        faces = np.array([(triangle[0], triangle[1], triangle[2]) for triangle in triangles])
+        found.append((body.parentJoint - 1, corners @ body.placement.rotation.T + body.placement.translation, faces))
+    return found
+
+
+def _text(numbers: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(numbers).tobytes()).decode()
