@@ -44,6 +44,12 @@ def picture(figure: Any, about: str) -> str:
     return f'<img alt="{escape(about)}" src="data:image/png;base64,{code}"/>'
 
 
+def framed(page: str, about: str, height: int) -> str:
+    """A whole page as a part of another, which its scripts cannot reach; as high as so many pixels."""
+    style = f"width:100%;height:{height}px;border:0"
+    return f'<iframe sandbox="allow-scripts" title="{escape(about)}" style="{style}" srcdoc="{escape(page)}"></iframe>'
+
+
 def embedded(svg: str, prefix: str) -> str:
     """A stand-alone SVG as an element of HTML; `prefix` sets its names apart from those of other pictures."""
     svg = re.sub(r"<\?xml.*?\?>|<!DOCTYPE.*?>|<!--.*?-->|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL).strip()

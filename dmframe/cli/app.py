@@ -8,6 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from dmframe.cli.arguments import (
+    AsJson,
+    Graphs,
+    Listed,
+    OneGraph,
+    Overrides,
+    Trust,
+    graph_names,
+    robot_names,
+    type_names,
+)
 from dmframe.cli.streams import tell
 from dmframe.errors import UnknownNameError, raise_all, visible
 from dmframe.files import check_place, expanded, write_text
@@ -25,58 +36,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-
-def _graphs(begin: str) -> list[str]:
-    """For a shell's completion: packaged graphs, and graph files."""
-    from dmframe.catalogue import graphs as packaged
-
-    folder = Path(begin).parent
-    try:
-        files = [str(path) for path in folder.iterdir() if path.suffix in (".yaml", ".yml")]
-    except OSError:
-        files = []
-    return [name for name in (*files, *packaged()) if name.startswith(begin)]
-
-
-def _types(begin: str) -> list[str]:
-    from dmframe.catalogue import block_modules
-
-    return [name for name in block_modules() if name.startswith(begin)]
-
-
-def _robots(begin: str) -> list[str]:
-    from dmframe.robot.library import robots as known
-
-    return [name for name in known() if name.startswith(begin)]
-
-
-Graphs = Annotated[
-    list[str],
-    typer.Argument(metavar="GRAPH...", help="Graph files, or names of packaged graphs.", autocompletion=_graphs),
-]
-OneGraph = Annotated[
-    str,
-    typer.Argument(metavar="GRAPH", help="A graph file, or the name of a packaged graph.", autocompletion=_graphs),
-]
-Overrides = Annotated[
-    list[str],
-    typer.Option(
-        "--set",
-        metavar="BLOCK.PARAM=VALUE",
-        help="Change a value; may be repeated. A.yaml:BLOCK.PARAM=VALUE: of that graph alone.",
-    ),
-]
 SCHEMA = "dmframe.schema.json"
 """Beside a new graph; the editors' YAML server finds it by the graph's first line."""
-Trust = Annotated[
-    bool,
-    typer.Option("--trust", help="Run the code of blocks in the graph's folder, though others may have written it."),
-]
 HORIZON, TUBE = "20", "0.05 rad"
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
-
-
-Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
 
 
 def _home(path: Path | None) -> Path | None:
@@ -112,7 +74,7 @@ def graphs(as_json: Listed = False) -> None:
 @app.command()
 def robots(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="Print this robot's page.", autocompletion=_robots)
+        str | None, typer.Argument(metavar="NAME", help="Print this robot's page.", autocompletion=robot_names)
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
 ) -> None:
@@ -132,7 +94,7 @@ def _tell_shelf(shelf: Named[Any], as_json: bool) -> None:
 
 @app.command()
 def new(
-    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=_graphs)],
+    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=graph_names)],
     file: Annotated[Path | None, typer.Argument(callback=_home, help="The new file; NAME.yaml without it.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
@@ -181,6 +143,7 @@ def run(
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
+    page: Annotated[bool, typer.Option("--page", help="Write each graph's live page beside its results.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
     as_json: AsJson = False,
     trust: Trust = False,
@@ -199,6 +162,7 @@ def run(
         engine=cast("Choice", engine),  # where it is used, it is checked
         baseline=baseline,
         plots=not no_plots,
+        pages=page,
         force=force,
         as_json=as_json,
     )
@@ -326,9 +290,31 @@ def draw(
 
 
 @app.command()
+def page(
+    graph: OneGraph,
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", callback=_home, help="A file .html; GRAPH.html without it."),
+    ] = None,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    trust: Trust = False,
+) -> None:
+    """Write a live page of a graph: it runs in a browser, under sliders, beside its proof."""
+    from dmframe.cli.graphs import one_graph
+    from dmframe.page.page import check_page_place
+    from dmframe.results.folder import safe_name
+
+    loaded = one_graph(graph, overrides, trust=trust)
+    place = out if out is not None else Path(f"{safe_name(loaded.name)}.html")
+    check_page_place(place)
+    loaded.page().save(place)
+    tell(f"wrote {place}")
+
+
+@app.command()
 def blocks(
     kind: Annotated[
-        str | None, typer.Argument(metavar="TYPE", help="Print this block's page.", autocompletion=_types)
+        str | None, typer.Argument(metavar="TYPE", help="Print this block's page.", autocompletion=type_names)
     ] = None,
     as_json: Listed = False,
 ) -> None:
@@ -360,7 +346,7 @@ def schema(
 
 @app.command()
 def regressor(
-    robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.", autocompletion=_robots)],
+    robot: Annotated[str, typer.Argument(help="A robot's name, or a URDF file.", autocompletion=robot_names)],
     base: Annotated[bool, typer.Option("--base", help="Exact base parameters instead of all.")] = False,
     kinematic: Annotated[bool, typer.Option("--kinematic", help="Y_k instead of Y_d.")] = False,
     symbolic: Annotated[bool, typer.Option("--symbolic", help="Print each entry; up to 3 joints.")] = False,

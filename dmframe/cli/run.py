@@ -18,7 +18,7 @@ from dmframe.graph.graph import seconds
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled, labels_of
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data
-from dmframe.results.place import Place, reserved
+from dmframe.results.place import PAGE, Place, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
 
@@ -35,6 +35,7 @@ def run_graphs(
     engine: Choice,
     baseline: bool,
     plots: bool,
+    pages: bool,
     force: bool,
     as_json: bool,
 ) -> int:
@@ -68,9 +69,17 @@ def run_graphs(
                     if plots and not signals:
                         _say("drawing the figures", as_json)
                         draw(place)
+        if pages and not signals:
+            _write_pages(place, [run.name for run in runs], graphs)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0
+
+
+def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:
+    folders = folders_of(names) or [""]
+    for graph, folder in zip(graphs, folders, strict=False):  # after Ctrl-C there are fewer runs than graphs
+        graph.page().save(place.path / folder / PAGE)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from dmframe.units import plain, shorten, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
+    from dmframe.page import Page
     from dmframe.report import Analysis, Verification
     from dmframe.runtime import Controller
     from dmframe.simulate import Recording
@@ -238,6 +239,22 @@ class Graph:
         from dmframe.drawing import Drawing
 
         return Drawing(self.diagram, self.title)
+
+    def page(self) -> Page:
+        """Its live page: the closed loop runs in a browser, under sliders, beside its verdict.
+
+        A notebook shows it; `Page.save` writes one file that needs no other and no network. The graph is proved for it.
+
+        Raises
+        ------
+        DmframeError
+            A loop that cannot run in a browser: one that draws random numbers, say.
+        """
+        from dmframe.page import Page
+
+        page = Page(self.experiment, self.diagram, self.verify().verdict)
+        _ = page.html
+        return page
 
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""

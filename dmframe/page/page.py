@@ -4,35 +4,83 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
-from typing import Any
+from pathlib import Path
+from typing import Any, Final, final
 
+from dmframe import notebook
 from dmframe.certify import Verdict
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
+from dmframe.errors import OutputError
+from dmframe.files import check_place, expanded, write_text
 from dmframe.page.content import content_of
 
-SCRIPTS = ("solver.js", "scene.js", "plot.js", "page.js")
+SCRIPTS: Final = ("solver.js", "scene.js", "plot.js", "page.js")
 """In the order in which they stand in the page."""
+ENDINGS: Final = (".html", ".htm")
+HEIGHT: Final = 860
+"""Of the page in a notebook [pixels]."""
 
 
-def page(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> str:
-    """The page as HTML."""
-    return assembled(content_of(experiment, diagram, verdict))
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Page:
+    """A live page: the closed loop itself runs in a browser, under sliders, beside its verdict; a notebook shows it.
+
+    Parameters
+    ----------
+    experiment, diagram
+        What runs.
+    verdict
+        What was found of it; the page judges its conditions anew wherever a slider is.
+    """
+
+    experiment: Experiment
+    diagram: Diagram
+    verdict: Verdict
+
+    @cached_property
+    def html(self) -> str:
+        """The whole page, which needs no other file and no network."""
+        return assembled(content_of(self.experiment, self.diagram, self.verdict))
+
+    def save(self, path: str | Path) -> Path:
+        """Write it. Raises `OutputError` for another ending than .html, or a file that cannot be written."""
+        path = expanded(path)
+        check_page_place(path)
+        write_text(path, self.html)
+        return path
+
+    def __repr__(self) -> str:
+        return f"<Page of {self.experiment.name}: {self.verdict.headline}>"
+
+    def _repr_html_(self) -> str:
+        return notebook.framed(self.html, f"live page of {self.experiment.name}", HEIGHT)
+
+
+def check_page_place(path: Path) -> None:
+    """Raise `OutputError` where no page of that name can be: to be asked before anything is computed."""
+    if path.suffix.lower() not in ENDINGS:
+        found = path.suffix or "none"
+        raise OutputError(f"{path}: expected the ending {ENDINGS[0]}, found {found}; a live page is a web page")
+    check_place(path)
 
 
 def assembled(content: dict[str, Any]) -> str:
-    """The page of some data."""
+    """The page of some data, as HTML."""
     web = files("dmframe.page").joinpath("web")
     texts = {name: web.joinpath(name).read_text("utf-8") for name in ("page.html", "page.css", *SCRIPTS)}
-    data = json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     parts = {
         "TITLE": _escaped(content["title"] or content["name"]),
         "STYLE": texts["page.css"],
-        "DATA": data,
+        # a text of a graph must not end the script that it stands in
+        "DATA": json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "SCRIPT": "\n".join(texts[name] for name in SCRIPTS),
     }
-    return re.sub("@([A-Z]+)@", lambda mark: parts[mark[1]], texts["page.html"])
+    return re.sub("@(TITLE|STYLE|DATA|SCRIPT)@", lambda mark: parts[mark[1]], texts["page.html"])
 
 
 def _escaped(text: str) -> str:
