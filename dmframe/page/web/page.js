@@ -3,7 +3,7 @@
 const find = (id) => document.getElementById(id);
 const content = JSON.parse(find("data").textContent);
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-const QUICK = 25; // a run that takes longer is shortened while a slider is being moved [ms]
+const QUICK = 20; // a run that would take longer is shortened while a slider is being moved [ms]
 const SLOWEST = 32; // a clock may be moved by this factor
 const FASTEST = 0.00025; // and to this period [s]
 
@@ -14,15 +14,16 @@ const loop = await loaded(content).catch((error) => {
 });
 if (content.robot) content.robot.meshes = await Promise.all(content.robot.meshes.map(unfolded));
 const moved = new Map(); // by a slider's label: its factor, or its shift
-const plots = [], sliders = [];
-let run = null, scene = null, inks = {}, frames = null;
+const plots = [], sliders = [], said = new Map(); // by an element's id: its text
+// `perMs`: how much work of the solver a millisecond takes, as last seen
+let run = null, perMs = Infinity, scene = null, inks = {}, frames = null;
 let time = 0, hover = null, playing = !still, pace = 1, before = 0, told = 0, waiting = false;
-let asked = null, held = false, cost = 0;
+let asked = null, held = false;
 
 // ---- what is moved
 
 const GROUPS = {
-  controller: ["Controller", "What the controller knows of itself."],
+  controller: ["Controller", "Its gains. Adaptation starts from the file's values."],
   hidden: ["Servo and robot", "The truth, hidden from the controller."],
   clock: ["Clock", content.clock === null
     ? "Continuous time: what is proved is what runs here, but for the integrator's rounding."
@@ -128,6 +129,7 @@ function showSliders(p) {
     const value = moved.get(slider.label) ?? plainly(slider), place = placeOf(slider, value), { input, least } = slider;
     if (document.activeElement !== input || Math.abs(Number(input.value) - place) > 0.01) input.value = place;
     const zero = -least / (1 - least), now = (place - least) / (1 - least), part = Math.abs(now - zero);
+    input.style.setProperty("--zero", `${100 * zero}%`);
     input.style.setProperty("--part", `${100 * part}%`);
     input.style.setProperty("--from", `${part < 1 ? (100 * Math.min(now, zero)) / (1 - part) : 0}%`);
     slider.element.classList.toggle("moved", moved.has(slider.label));
@@ -153,10 +155,10 @@ function ask(quick) {
 
 function simulate(quick) {
   const p = numbers(), begun = performance.now();
-  const horizon = quick && cost > QUICK ? Math.max(content.horizon * 0.05, (content.horizon * QUICK * 0.8) / cost) : content.horizon;
-  run = loop.simulate({ p, shift: shifts(), tick: tickNow(), horizon });
+  run = loop.simulate({ p, shift: shifts(), tick: tickNow(), most: quick ? Math.max(2000, QUICK * perMs) : MOST_WORK });
   const took = performance.now() - begun;
-  cost = (took * content.horizon) / horizon;
+  if (run.work > 2000) perMs = run.work / Math.max(took, 1);
+  if (run.short) run.notices.push(quick ? `while it is moved, the first ${plain(run.short, "s")} are run` : `so short are the steps that only ${plain(run.short, "s")} are run`);
   run.judged = loop.judged(p);
   time = Math.min(time, run.times.at(-1));
   tell(p);
@@ -184,11 +186,14 @@ function tell(p) {
   find("conditions").replaceChildren(...verdict.rows.map(({ name, margin, holds }) =>
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
       ...[pretty(name), margin === null ? "" : figure(margin), holds ? "holds" : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
-  for (const plot of plots) if (plot.kind === "storage") plot.say(verdict.state === "proved" ? "" : "proves nothing at these values");
+  run.proved = verdict.state === "proved";
 }
 
+// A text is only set anew when it is another: who listens to the page would hear it again.
 function set(id, text) {
-  if (find(id).textContent !== text) find(id).textContent = text; // else a reader hears it again
+  if (said.get(id) === text) return;
+  said.set(id, text);
+  find(id).replaceChildren(...(id === "command" ? [text] : nice(text)));
 }
 
 // The same run from a command line.
@@ -229,7 +234,10 @@ function arrange() {
   };
   for (const group of content.groups) {
     if (group.kind === "error") add("first", group, { title: `Error ${group.name} − ${content.goal.name}`, switch: true, zero: true });
-    if (group.kind === "storage") add("first", group, { title: "V and its terms", log: true });
+    if (group.kind === "storage") {
+      add("first", group, { title: "V", switch: true, whole: true });
+      add("more", group, { title: "Terms of V", log: true, switch: true });
+    }
     if (group.kind === "estimate") add("more", group, { title: `Estimate ${group.name}` });
     if (group.kind === "command") add("more", group, { title: `Command ${group.name}${measured(group) ? ` and measured ${measured(group).name}` : ""}` });
   }
@@ -253,8 +261,9 @@ function curves(quick) {
       shown = [...rows.map((one, k) => ({ ...one, colour: k + 1, faint: true })), norm];
     } else if (group.kind === "error") rows[0].wide = true;
     if (group.kind === "storage") {
-      const total = { name: "V", colour: 8, wide: true, values: run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0)) };
-      shown = [...rows.filter(({ values }) => values.some((value) => value > 0)), total];
+      const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
+      shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
+      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? "the sum of what all blocks store" : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);
@@ -381,7 +390,7 @@ find("pace").onchange = () => (pace = Number(find("pace").value));
 find("reset").onclick = () => { moved.clear(); settle(); };
 find("copy").onclick = async () => {
   try {
-    await navigator.clipboard.writeText(find("command").textContent);
+    await navigator.clipboard.writeText(said.get("command"));
     find("copy").textContent = "Copied";
   } catch { // not allowed inside another page: it is marked instead
     getSelection().selectAllChildren(find("command"));

@@ -1,7 +1,6 @@
 // A plot on a canvas: curves over time below a layer with the cursor, which moves without drawing the curves again.
 
 const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 22; // [pixels]
-const SUPERS = "⁰¹²³⁴⁵⁶⁷⁸⁹";
 
 class Plot {
   // `spec`: title, unit, and whether the axis is logarithmic; `point` is told of a time that is pointed at, or null.
@@ -17,7 +16,7 @@ class Plot {
     this.noteText = make("span", { class: "quiet" });
     const head = make("figcaption", {}, make("span", { class: "what" }, ...nice(spec.title)), this.unitText, this.noteText);
     if (spec.switch) {
-      const button = make("button", { type: "button", class: "small", "aria-pressed": "false" }, "log");
+      const button = make("button", { type: "button", class: "small", "aria-pressed": Boolean(spec.log) }, "log");
       button.onclick = () => {
         this.log = !this.log;
         button.setAttribute("aria-pressed", this.log);
@@ -81,7 +80,7 @@ class Plot {
       const room = 3 * (at(0.95) - at(0.05)) + 1e-12;
       [low, high] = [Math.max(low, at(0.05) - room), Math.min(high, at(0.95) + room)];
     }
-    if (this.log) low = Math.max(low, high - 9);
+    if (this.log) low = Math.max(low, high - 7);
     if (!this.log && this.zero) [low, high] = [Math.min(low, 0), Math.max(high, 0)];
     const pad = (high - low) * 0.06 || Math.abs(high) * 0.1 || 1;
     [this.low, this.high] = [low - pad, high + pad];
@@ -112,7 +111,7 @@ class Plot {
     }
     g.textAlign = "center";
     g.textBaseline = "top";
-    for (const { value, text } of levels(0, this.end, 1, this.width * 0.55)) {
+    for (const { value, text } of levels(0, this.end, 1, this.width * 0.4)) {
       const x = Math.round(this.x(value)) + 0.5;
       g.strokeStyle = ink("--grid");
       line(g, x, TOP, x, TOP + this.height);
@@ -205,10 +204,10 @@ function line(g, x, y, u, v) {
 
 // Round numbers along an axis that is so many pixels long.
 function levels(low, high, scale, pixels) {
-  const rough = (high - low) / scale / Math.max(2, Math.min(8, pixels / 38)), power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].find((times) => times * power >= rough * 0.999) * power, found = [];
+  const rough = (high - low) / scale / Math.max(2, Math.min(8, pixels / 28)), power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].find((times) => times * power >= rough * 0.999) * power, found = [];
   for (let k = Math.ceil(low / scale / step); k * step <= (high / scale) * (1 + 1e-12); k++) {
-    const value = k * step, digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    const value = k * step, digits = (String(Number(step.toPrecision(2))).split(".")[1] ?? "").length;
     const great = Math.max(Math.abs(low), Math.abs(high)) / scale;
     const text = great >= 1e5 || digits > 4 ? scientific(value, step) : value.toFixed(digits);
     found.push({ value: value * scale, text: text.replace("-", "−") });
@@ -226,10 +225,6 @@ function decades(low, high) {
   const every = Math.ceil((high - low) / 6), found = [];
   for (let k = Math.ceil(low / every) * every; k <= high; k += every) found.push({ value: k, text: `10${raised(k)}` });
   return found;
-}
-
-function raised(power) {
-  return String(power).replace("-", "⁻").replace(/\d/g, (digit) => SUPERS[digit]);
 }
 
 // A unit with raised powers: m^2 as m².

@@ -35,7 +35,7 @@ class Scene {
     if (!flat) this.normal = 2;
     this.home = {
       turn: flat && this.normal === 0 ? 0 : flat ? -Math.PI / 2 : -0.75, lift: !flat ? 0.4 : this.normal === 2 ? 1.4 : 0.1,
-      far: 2.4 * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
+      far: (flat ? 2.4 : 2.1) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
     };
     this.camera = { ...this.home };
     this.gl = canvas.getContext("webgl2", { antialias: true, alpha: true });

@@ -6,7 +6,7 @@ const REACHED = 1e-9; // a start is on the path if it is this close [m or rad]
 const MOST_SLOPE = 1e12; // rates that change faster are not computed with [1/s]
 const LARGEST = 1e10; // the bound of a state that is no joint's velocity
 const INSTANTS = 1000; // of a run that are kept, about; twice as many would not be seen
-const MOST_STEPS = 4e6; // of rk4 in one run; beyond it a page would stand still for seconds
+export const MOST_WORK = 4e6; // samples and steps of rk4 in one run; beyond it a page would stand still for seconds
 
 // What `Math` lacks of C's functions; a module that needs none of them imports none.
 const LIBRARY = {
@@ -157,9 +157,10 @@ export class Loop {
     return radius(J);
   }
 
-  // One run. `shift` moves the joints at the start; `tick` and `horizon` are the file's where none are given. Rows: the
-  // kept instants' times, states, and what is drawn of them.
-  simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon }) {
+  // One run. `shift` moves the joints at the start; `tick` and `horizon` are the file's where none are given; of more
+  // than `most` work only the begin is run, up to `short`. Found: the kept instants' times, their states in `log`, and
+  // in `drawn` what is drawn of them.
+  simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
     const { content, exports, places } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
     const { q, notice } = this.posed(p, shift);
     if (notice) notices.push(notice);
@@ -185,24 +186,23 @@ export class Loop {
         );
       }
     }
-    let run = this.run(start, tick, ticks, substeps);
+    let run = this.run(start, tick, ticks, substeps, most);
     if (run.divergence && content.step === null) {
       const h = Math.max(tick / substeps / 4, tick / content.solver.most);
-      const again = this.run(start, tick, ticks, steps(tick, h, content.solver.most));
+      const again = this.run(start, tick, ticks, steps(tick, h, content.solver.most), most);
       // one that ends as soon at shorter steps is the loop's own fault, not that of the integrator
       if (!again.divergence || again.divergence.time >= 1.5 * run.divergence.time) {
         run = again;
         notices.push(`at longer steps the integrator itself diverged: rk4 took steps of ${plain(h, "s")}`);
       }
     }
-    if (run.short) notices.push(`so short are the steps that only ${plain(run.short, "s")} are simulated`);
     return { ...this.shown(run, tick), ...run, start: q, tick, horizon: ticks * tick, notices };
   }
 
   // The state at kept instants, from a start on; `divergence` is where it left its bounds.
-  run(start, tick, wanted, substeps) {
+  run(start, tick, wanted, substeps, most) {
     const { exports, places, states } = this;
-    const ticks = Math.max(1, Math.min(wanted, Math.ceil(MOST_STEPS / substeps)));
+    const ticks = Math.max(1, Math.min(wanted, Math.ceil(most / (substeps + 1))));
     const every = Math.max(1, Math.ceil(ticks / INSTANTS)), rows = Math.floor(ticks / every) + 1;
     this.room(16 * ticks + 8 * states * (rows + 1));
     const given = this.free, log = given + 16 * ticks, buffer = exports.memory.buffer;
@@ -221,7 +221,7 @@ export class Loop {
     if (!divergence && ticks % every === 0) all.set(state, states * (rows - 1));
     const kept = Math.floor(done / every) + 1;
     const short = ticks < wanted && !divergence ? ticks * tick : 0;
-    return { log: all.slice(0, states * kept), kept, every, substeps, divergence, short };
+    return { log: all.slice(0, states * kept), kept, every, substeps, divergence, short, work: done * (substeps + 1) };
   }
 
   // Which state left its bound; one that is no number goes before others.

@@ -53,6 +53,15 @@ export function pretty(text) {
   return text.replaceAll("dV/dt", "V̇").replaceAll(" - ", " − ").replaceAll(">=", "≥");
 }
 
+// A number to three digits: 0.00311, 2.54·10⁻⁶.
 export function figure(value) {
-  return Number.isFinite(value) ? String(Number(value.toPrecision(3))).replace("-", "−") : String(value);
+  const size = Math.abs(value);
+  if (!Number.isFinite(value)) return String(value);
+  if (!size || (size >= 1e-3 && size < 1e5)) return String(Number(value.toPrecision(3))).replace("-", "−");
+  const [digits, power] = value.toExponential(2).split("e");
+  return `${String(Number(digits)).replace("-", "−")}·10${raised(Number(power))}`;
+}
+
+export function raised(power) {
+  return String(power).replace("-", "⁻").replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
 }
