@@ -183,9 +183,9 @@ function tell(p) {
   find("notice").classList.toggle("wild", Boolean(wild));
   showSliders(p);
   set("command", command(p));
-  find("conditions").replaceChildren(...verdict.rows.map(({ name, margin, holds }) =>
+  find("conditions").replaceChildren(...verdict.rows.map(({ name, how, margin, holds }) =>
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
-      ...[pretty(name), margin === null ? "" : figure(margin), holds ? "holds" : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
+      ...[name, margin === null ? "" : figure(margin), holds ? (how === "sampled" ? "sampled, not proved" : "holds") : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
   run.proved = verdict.state === "proved";
 }
 
@@ -382,7 +382,7 @@ function play(on) {
 find("graph").textContent = content.name;
 find("text").textContent = content.verdict.text;
 find("yaml").textContent = content.text;
-find("assumptions").append(...content.verdict.assumptions.map((text) => make("li", {}, pretty(text))));
+find("assumptions").append(...content.verdict.assumptions.map((text) => make("li", {}, text)));
 find("view").hidden = find("transport").hidden = !content.robot;
 find("play").onclick = () => play(!playing);
 find("scrub").oninput = () => { time = Number(find("scrub").value); play(false); };

@@ -234,7 +234,7 @@ function superscript(unit) {
 
 // A name with its index set low, as pieces for `make`: w_P as w and P below.
 function nice(text) {
-  return text.split(/(\p{L}[\u0300-\u036f]*_(?:\p{L}+\d*|\d+|⋆))(?![\p{L}_])/u).map((piece, k) => {
+  return text.split(/((?<![\p{L}\d_])\p{L}{1,2}[\u0300-\u036f]*_(?:\p{L}+\d*|\d+|⋆))(?![\p{L}_])/u).map((piece, k) => {
     if (k % 2 === 0) return piece;
     const [base, index] = piece.split("_");
     return make("span", {}, base, make("sub", {}, index));

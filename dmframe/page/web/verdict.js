@@ -2,13 +2,13 @@
 
 // The conditions at the numbers that `judged` was evaluated at; `moved`: these are not the file's.
 export function conditionsAt(content, judged, moved) {
-  return content.verdict.conditions.map(({ name, strict, value, holds, at, size }) => {
+  return content.verdict.conditions.map(({ name, how, strict, value, holds, at, size }) => {
     // not an expression of parameters: what was decided for the file's numbers is all that is known
-    if (at === null) return moved ? { name, strict, margin: null, holds: null } : { name, strict, margin: value, holds };
-    if (!size) return { name, strict, margin: null, holds };
+    if (at === null) return moved ? { name, how, strict, margin: null, holds: null } : { name, how, strict, margin: value, holds };
+    if (!size) return { name, how, strict, margin: null, holds };
     const margins = Array.from(judged.subarray(at, at + size));
     const margin = margins.some(Number.isNaN) ? NaN : Math.min(...margins);
-    return { name, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
+    return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
   });
 }
 
@@ -18,13 +18,13 @@ export function judgement(content, judged, moved) {
   const failing = rows.filter((row) => row.holds === false), open = rows.filter((row) => row.holds === null);
   const found = (state, headline, ...says) => ({ state, headline, says: says.filter(Boolean), rows });
   if (verdict.outcome !== "proved") {
-    const headline = verdict.outcome === "refuted" ? "Refuted" : "Not proved";
-    const others = moved.p && "Found at the file's numbers; the command below with verify for run decides at these.";
+    const headline = verdict.outcome === "refuted" ? "Refuted:" : "Not proved:";
+    const others = moved.p && "So it was found at the file's numbers; the command below, with verify for run, decides at these.";
     return found("unproved", headline, sentence(verdict.reason), others);
   }
   const identity = sentence(verdict.reason.split(";")[0]);
   if (failing.length) {
-    const named = failing.map(({ name, strict, margin }) => `${name} (margin ${figure(margin)}, must ${strict ? "be above zero" : "not be below zero"})`);
+    const named = failing.map(({ name, margin }) => `${name} (margin ${figure(margin)})`);
     const which = `${failing.length > 1 ? `${failing.length} conditions fail` : "A condition fails"}: ${named.slice(0, 2).join("; ")}`;
     const more = failing.length > 2 ? `; and ${failing.length - 2} more` : "";
     return found("fails", "The proof does not apply at these values", `${which}${more}.`, "V may rise here.");
@@ -36,21 +36,20 @@ export function judgement(content, judged, moved) {
     const rest = `${open.length > 1 ? `${open.length} conditions were` : "One condition was"} decided for the file's numbers only`;
     return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
-  const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${weight}.`;
-  const [follows] = verdict.conclusions, some = moved.p || moved.run;
-  const end = follows && (some ? `For the file's numbers it follows that ${follows}; for these that is not decided.` : `It follows that ${follows}.`);
-  const headline = sentence(moved.p ? verdict.headline.replace("proved", "proved at these values") : verdict.headline);
-  return found("proved", headline.slice(0, -1), identity, hold, end && pretty(end));
+  const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them found by samples, not proved)` : "";
+  const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${samples}${weight}.`;
+  const follows = verdict.conclusions.filter((text) => !text.startsWith("d")).join(" and that ");
+  const end = follows && (
+    moved.p ? `That ${follows} was concluded for the file's numbers; for these it is not decided.`
+      : moved.run ? `That ${follows} was concluded in continuous time and for the file's start.` : `It follows that ${follows}.`
+  );
+  const headline = moved.p ? verdict.headline.replace("proved", "proved at these values") : verdict.headline;
+  return found("proved", headline.charAt(0).toUpperCase() + headline.slice(1), identity, hold, end);
 }
 
+// A full stop behind a text; its first letter stays as it is, for it may be a symbol's or a block's.
 function sentence(text) {
-  const whole = pretty(text);
-  return `${whole.charAt(0).toUpperCase()}${whole.slice(1)}${/[.!]$/.test(whole) ? "" : "."}`;
-}
-
-// With the signs of a formula.
-export function pretty(text) {
-  return text.replaceAll("dV/dt", "V̇").replaceAll(" - ", " − ").replaceAll(">=", "≥");
+  return /[.!]$/.test(text) ? text : `${text}.`;
 }
 
 // A number to three digits: 0.00311, 2.54·10⁻⁶.
