@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -104,7 +103,7 @@ def test_a_lesson_runs_from_top_to_bottom(lesson: Path, tmp_path: Path, monkeypa
     monkeypatch.chdir(tmp_path)
     with mpl.rc_context():
         run(lesson.read_text(encoding="utf-8"), str(lesson))
-    assert os.path.samefile(os.getcwd(), tmp_path)
+    assert Path.cwd().samefile(tmp_path)
     plt.close("all")
 
 
