@@ -111,13 +111,14 @@ class Plot {
     }
     g.textAlign = "center";
     g.textBaseline = "top";
-    for (const { value, text } of levels(0, this.end, 1, this.width * 0.4)) {
+    const times = levels(0, this.end, 1, this.width * 0.4);
+    for (const { value, text } of times) {
       const x = Math.round(this.x(value)) + 0.5;
       g.strokeStyle = ink("--grid");
       line(g, x, TOP, x, TOP + this.height);
-      const edge = x > LEFT + this.width - 16;
+      const edge = x > LEFT + this.width - 20;
       g.textAlign = edge ? "right" : "center";
-      g.fillText(edge ? `${text} s` : text, edge ? LEFT + this.width + RIGHT - 2 : x, TOP + this.height + 6);
+      g.fillText(value === times.at(-1).value ? `${text} s` : text, edge ? LEFT + this.width + RIGHT - 2 : x, TOP + this.height + 6);
     }
     g.save();
     g.beginPath();

@@ -64,15 +64,14 @@ def test_an_address_keeps_what_was_moved(tab: Browser, tmp_path: Path) -> None:
     assert tab.value(HEADLINE) == "Proved at these values"
     tab.dragged("move-task.alpha_bar", 0.7, 0.8)
     tab.until("!location.hash.includes('alpha_bar=1.5&')")
-    assert "clock=0.5" in tab.value("location.hash") and tab.said == []
+    assert "clock=0.5" in tab.value("location.hash")
+    assert tab.said == []
 
 
 def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
     told = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
-    inside = assembled(content("arm2_joint")).replace(
-        "</body>",
-        "<script>setInterval(() => parent.postMessage(document.getElementById('headline').textContent, '*'), 50)</script></body>",
-    )
+    says = f"setInterval(() => parent.postMessage({HEADLINE}, '*'), 50)"
+    inside = assembled(content("arm2_joint")).replace("</body>", f"<script>{says}</script></body>")
     tab.opened(saved(tmp_path, f"<!doctype html>{told}{notebook.framed(inside, 'live', 800)}"))
     tab.until("document.title === 'Proved'")
     assert tab.said == []
@@ -83,7 +82,8 @@ def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path:
     tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
     tab.until(f"{HEADLINE} === 'Proved'")
     assert tab.value("document.documentElement.scrollWidth") == 360
-    nameless = "[...document.querySelectorAll('input, button, select')].filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
+    controls = "[...document.querySelectorAll('input, button, select')]"
+    nameless = f"{controls}.filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
     assert tab.value(f"{nameless}.map((e) => e.outerHTML)") == []
     tab.ask("Emulation.clearDeviceMetricsOverride")
 

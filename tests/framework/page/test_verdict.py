@@ -34,7 +34,8 @@ def margins(*values: float) -> dict[str, Any]:
 def test_at_the_files_numbers_a_page_judges_as_verify_does(name: str) -> None:
     data = content(name)
     (found,) = said(data, {"p": data["p"], "moved": FILE})
-    assert found["state"] == "proved" and found["headline"] == "Proved"
+    assert found["state"] == "proved"
+    assert found["headline"] == "Proved"
     assert "It follows that" in found["says"][-1]
     for row, condition in zip(found["rows"], data["verdict"]["conditions"], strict=True):
         assert row["holds"] is condition["holds"], row["name"]
@@ -48,7 +49,8 @@ def test_a_gain_that_breaks_a_condition_takes_the_proof_away() -> None:
     for k in range(slider["at"], slider["at"] + slider["size"]):
         p[k] *= 0.02
     (found,) = said(data, {"p": p, "moved": MOVED})
-    assert found["state"] == "fails" and "does not apply" in found["headline"]
+    assert found["state"] == "fails"
+    assert "does not apply" in found["headline"]
     assert "M̄ ≥ 0" in found["says"][0]
 
 
@@ -56,7 +58,8 @@ def test_a_margin_that_is_zero_holds_where_the_condition_is_not_strict() -> None
     data = stated({"strict": True}, {"strict": False})
     strict, loose, none = said(data, margins(0.0, 1.0), margins(1.0, 0.0), margins(1.0, math.nan))
     assert (strict["state"], loose["state"], none["state"]) == ("fails", "proved", "fails")
-    assert "condition 0" in strict["says"][0] and "condition 1" in none["says"][0]
+    assert "condition 0" in strict["says"][0]
+    assert "condition 1" in none["says"][0]
 
 
 def test_the_least_of_several_margins_decides() -> None:
@@ -67,21 +70,25 @@ def test_the_least_of_several_margins_decides() -> None:
 def test_what_was_decided_for_the_files_numbers_alone_is_open_elsewhere() -> None:
     data = stated({"at": None, "size": None}, {"at": 0})
     here, there = said(data, {**margins(1.0), "moved": FILE}, margins(1.0))
-    assert here["state"] == "proved" and there["state"] == "undecided"
-    assert "condition 0" in there["says"][-1] and "file's numbers only" in there["says"][-1]
+    assert here["state"] == "proved"
+    assert there["state"] == "undecided"
+    assert "condition 0" in there["says"][-1]
+    assert "file's numbers only" in there["says"][-1]
 
 
 def test_conclusions_are_of_the_files_numbers() -> None:
     here, moved, clock = said(stated({}), *({**margins(1.0), "moved": where} for where in (FILE, MOVED, CLOCK)))
     assert here["says"][-1] == "It follows that x goes to zero."
-    assert "not decided" in moved["says"][-1] and moved["headline"] == "Proved at these values"
+    assert "not decided" in moved["says"][-1]
+    assert moved["headline"] == "Proved at these values"
     assert "continuous time" in clock["says"][-1]
 
 
 def test_a_loop_without_a_proof_says_why() -> None:
     reason = "inverse: a kinematic_command has no certificate"
     (found,) = said(stated(outcome="not_applicable", headline="not applicable", reason=reason), margins())
-    assert found["state"] == "unproved" and reason in found["says"][0]
+    assert found["state"] == "unproved"
+    assert reason in found["says"][0]
     (refuted,) = said(stated(outcome="refuted", headline="refuted", reason="task: a sign"), margins())
     assert refuted["headline"].startswith("Refuted")
 
