@@ -58,7 +58,7 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
     place = data["pose"]["at"]
     expected = start_state(graph.diagram, graph.experiment.start)
     np.testing.assert_allclose(found[0]["states"][0], expected, atol=1e-8)
-    np.testing.assert_allclose(found[1]["start"], [*expected[place : place + 2], 0.1, -0.2], atol=1e-8)
+    np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + np.array([0.1, -0.2]), atol=1e-8)
 
 
 def test_a_path_out_of_reach_is_said_to_be_so() -> None:
