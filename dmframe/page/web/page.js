@@ -41,7 +41,7 @@ function simulate(quick) {
 // What is proved where the sliders stand, and what became of the run.
 function tell(p) {
   const verdict = judgement(content, run.judged, sliders.state);
-  find("verdict").className = verdict.state;
+  find("verdict").className = verdict.state + (content.verdict.headline === "proved" ? "" : " partly");
   set("headline", verdict.headline);
   set("says", verdict.says.join(" "));
   const notices = run.notices.map((notice) => `${notice}.`), wild = run.divergence;

@@ -222,9 +222,14 @@ function scientific(value, step) {
   return `${(value / 10 ** power).toFixed(Math.min(digits, 3))}·10${raised(power)}`;
 }
 
+// Marks of a logarithmic axis; between two powers of ten, also twice and five times.
 function decades(low, high) {
   const every = Math.ceil((high - low) / 6), found = [];
-  for (let k = Math.ceil(low / every) * every; k <= high; k += every) found.push({ value: k, text: `10${raised(k)}` });
+  for (let k = Math.ceil(low / every - 1) * every; k <= high; k += every)
+    for (const times of high - low < 2.5 ? [1, 2, 5] : [1]) {
+      const value = k + Math.log10(times);
+      if (value >= low && value <= high) found.push({ value, text: times === 1 ? `10${raised(k)}` : `${times}·10${raised(k)}` });
+    }
   return found;
 }
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_node import asked, content
+from in_node import asked, content, content_of_graph
 
 import dmframe as dm
 from dmframe.graph.graph import Graph
@@ -61,16 +61,27 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
     np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + np.array([0.1, -0.2]), atol=1e-8)
 
 
-def test_a_path_out_of_reach_is_said_to_be_so() -> None:
-    data, p = content("panda_full"), list(content("panda_full")["p"])
-    assert data["pose"]["sought"]
+@pytest.fixture(scope="module")
+def sought() -> Graph:
+    """A robot whose start pose is not given, but follows from the path of its tool."""
+    held = dm.load("ur10_fast_kinematic").set({"start": {"near": [1.5, -1.0, 1.0]}})
+    assert held.experiment.start == {"near": [1.5, -1.0, 1.0]}
+    return held
+
+
+def test_a_pose_for_a_tools_place_is_found_from_the_files_pose_on(sought: Graph) -> None:
+    data = content_of_graph(sought)
+    p, far = list(data["p"]), list(data["p"])
     at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "path.center[0]")
-    p[at] += 3.0
-    (found,) = asked(data, runs=[{"p": p, "horizon": 0.01}])["answers"]
-    assert "no pose within the joints' limits is on the path's start" in found["notices"][0]
-    pose = data["pose"]
-    assert np.all(np.array(found["start"]) >= pose["lower"])
-    assert np.all(np.array(found["start"]) <= pose["upper"])
+    p[at : at + 3] = [p[at] + 0.1, p[at + 1] - 0.1, p[at + 2] + 0.1]
+    far[at] += 3.0
+    near, away = asked(data, runs=[{"p": p, "horizon": 0.01}, {"p": far, "horizon": 0.01}])["answers"]
+    moved = sought.set({"path.center": p[at : at + 3]})
+    np.testing.assert_allclose(near["states"][0], start_state(moved.diagram, moved.experiment.start), atol=1e-7)
+    assert near["notices"] == []
+    assert "no pose within the joints' limits is on the path's start" in away["notices"][0]
+    assert np.all(np.array(away["start"]) >= data["pose"]["lower"])
+    assert np.all(np.array(away["start"]) <= data["pose"]["upper"])
 
 
 def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
