@@ -18,7 +18,7 @@ from dmframe.errors import OutputError
 from dmframe.files import check_place, expanded, write_text
 from dmframe.page.content import content_of
 
-SCRIPTS: Final = ("solver.js", "verdict.js", "scene.js", "plot.js", "page.js")
+SCRIPTS: Final = ("solver.js", "verdict.js", "plot.js", "scene.js", "sliders.js", "page.js")
 """In the order in which they stand in the page."""
 ENDINGS: Final = (".html", ".htm")
 HEIGHT: Final = 860

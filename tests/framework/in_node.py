@@ -13,6 +13,7 @@ import pytest
 
 import dmframe as dm
 import dmframe.page
+from dmframe.graph.graph import Graph
 from dmframe.page.content import content_of
 
 WEB: Final = Path(dmframe.page.__file__).parent / "web"
@@ -22,7 +23,12 @@ DRIVER: Final = Path(__file__).parent / "page" / "drive.mjs"
 @cache
 def content(name: str) -> dict[str, Any]:
     """A packaged graph's page as data; not to be changed."""
-    page = dm.load(name).page()
+    return content_of_graph(dm.load(name))
+
+
+def content_of_graph(graph: Graph) -> dict[str, Any]:
+    """A graph's page as data."""
+    page = graph.page()
     return content_of(page.experiment, page.diagram, page.verdict)
 
 

@@ -111,13 +111,14 @@ class Plot {
     }
     g.textAlign = "center";
     g.textBaseline = "top";
-    for (const { value, text } of levels(0, this.end, 1, this.width * 0.4)) {
+    const times = levels(0, this.end, 1, this.width * 0.4);
+    for (const { value, text } of times) {
       const x = Math.round(this.x(value)) + 0.5;
       g.strokeStyle = ink("--grid");
       line(g, x, TOP, x, TOP + this.height);
-      const edge = x > LEFT + this.width - 16;
+      const edge = x > LEFT + this.width - 20;
       g.textAlign = edge ? "right" : "center";
-      g.fillText(edge ? `${text} s` : text, edge ? LEFT + this.width + RIGHT - 2 : x, TOP + this.height + 6);
+      g.fillText(value === times.at(-1).value ? `${text} s` : text, edge ? LEFT + this.width + RIGHT - 2 : x, TOP + this.height + 6);
     }
     g.save();
     g.beginPath();
@@ -221,9 +222,14 @@ function scientific(value, step) {
   return `${(value / 10 ** power).toFixed(Math.min(digits, 3))}·10${raised(power)}`;
 }
 
+// Marks of a logarithmic axis; between two powers of ten, also twice and five times.
 function decades(low, high) {
   const every = Math.ceil((high - low) / 6), found = [];
-  for (let k = Math.ceil(low / every) * every; k <= high; k += every) found.push({ value: k, text: `10${raised(k)}` });
+  for (let k = Math.ceil(low / every - 1) * every; k <= high; k += every)
+    for (const times of high - low < 2.5 ? [1, 2, 5] : [1]) {
+      const value = k + Math.log10(times);
+      if (value >= low && value <= high) found.push({ value, text: times === 1 ? `10${raised(k)}` : `${times}·10${raised(k)}` });
+    }
   return found;
 }
 

@@ -6,7 +6,7 @@ const REACHED = 1e-9; // a start is on the path if it is this close [m or rad]
 const MOST_SLOPE = 1e12; // rates that change faster are not computed with [1/s]
 const LARGEST = 1e10; // the bound of a state that is no joint's velocity
 const INSTANTS = 1000; // of a run that are kept, about; twice as many would not be seen
-export const MOST_WORK = 4e6; // samples and steps of rk4 in one run; beyond it a page would stand still for seconds
+export const MOST_WORK = 1e6; // samples and steps of rk4 in one run; beyond it a page would stand still for a second or more
 
 // What `Math` lacks of C's functions; a module that needs none of them imports none.
 const LIBRARY = {
@@ -216,6 +216,8 @@ export class Loop {
     const done = exports.run(
       places.state, places.p, tick, substeps, 0, ticks, given, every, places.kept, states, log, places.bounds,
     );
+    // one that blew up is run once more, so that as many instants are kept of its shorter time
+    if (done < ticks && every > 1 && done < ticks / 2) return this.run(start, tick, done + 1, substeps, most);
     const divergence = done < ticks ? this.beyond(state, (done + 1) * tick) : null;
     const all = new Float64Array(buffer, log, states * rows);
     if (!divergence && ticks % every === 0) all.set(state, states * (rows - 1));

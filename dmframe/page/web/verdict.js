@@ -6,8 +6,7 @@ export function conditionsAt(content, judged, moved) {
     // not an expression of parameters: what was decided for the file's numbers is all that is known
     if (at === null) return moved ? { name, how, strict, margin: null, holds: null } : { name, how, strict, margin: value, holds };
     if (!size) return { name, how, strict, margin: null, holds };
-    const margins = Array.from(judged.subarray(at, at + size));
-    const margin = margins.some(Number.isNaN) ? NaN : Math.min(...margins);
+    const margin = Math.min(...judged.subarray(at, at + size)); // NaN where one of them is
     return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
   });
 }

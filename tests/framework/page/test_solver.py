@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from in_node import asked, content
+from in_node import asked, content, content_of_graph
 
 import dmframe as dm
 from dmframe.graph.graph import Graph
@@ -29,7 +29,8 @@ def test_a_page_simulates_what_run_does(name: str) -> None:
     (found,) = asked(content(name), runs=[{"horizon": 1.0}])["answers"]
     expected = columns(simulated(dm.load(name), 1.0))[:: found["every"]]
     np.testing.assert_allclose(found["states"], expected[: found["kept"]], rtol=1e-7, atol=1e-9)
-    assert found["divergence"] is None and found["notices"] == []
+    assert found["divergence"] is None
+    assert found["notices"] == []
 
 
 def test_numbers_that_a_slider_moved_give_what_set_gives() -> None:
@@ -57,18 +58,30 @@ def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
     place = data["pose"]["at"]
     expected = start_state(graph.diagram, graph.experiment.start)
     np.testing.assert_allclose(found[0]["states"][0], expected, atol=1e-8)
-    np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + [0.1, -0.2], atol=1e-8)
+    np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + np.array([0.1, -0.2]), atol=1e-8)
 
 
-def test_a_path_out_of_reach_is_said_to_be_so() -> None:
-    data, p = content("panda_full"), list(content("panda_full")["p"])
-    assert data["pose"]["sought"]
+@pytest.fixture(scope="module")
+def sought() -> Graph:
+    """A robot whose start pose is not given, but follows from the path of its tool."""
+    held = dm.load("ur10_fast_kinematic").set({"start": {"near": [1.5, -1.0, 1.0]}})
+    assert held.experiment.start == {"near": [1.5, -1.0, 1.0]}
+    return held
+
+
+def test_a_pose_for_a_tools_place_is_found_from_the_files_pose_on(sought: Graph) -> None:
+    data = content_of_graph(sought)
+    p, far = list(data["p"]), list(data["p"])
     at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "path.center[0]")
-    p[at] += 3.0
-    (found,) = asked(data, runs=[{"p": p, "horizon": 0.01}])["answers"]
-    assert "no pose within the joints' limits is on the path's start" in found["notices"][0]
-    pose = data["pose"]
-    assert np.all(np.array(found["start"]) >= pose["lower"]) and np.all(np.array(found["start"]) <= pose["upper"])
+    p[at : at + 3] = [p[at] + 0.1, p[at + 1] - 0.1, p[at + 2] + 0.1]
+    far[at] += 3.0
+    near, away = asked(data, runs=[{"p": p, "horizon": 0.01}, {"p": far, "horizon": 0.01}])["answers"]
+    moved = sought.set({"path.center": p[at : at + 3]})
+    np.testing.assert_allclose(near["states"][0], start_state(moved.diagram, moved.experiment.start), atol=1e-7)
+    assert near["notices"] == []
+    assert "no pose within the joints' limits is on the path's start" in away["notices"][0]
+    assert np.all(np.array(away["start"]) >= data["pose"]["lower"])
+    assert np.all(np.array(away["start"]) <= data["pose"]["upper"])
 
 
 def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
@@ -79,7 +92,8 @@ def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
     (found,) = asked(data, runs=[{"p": p, "horizon": 0.08}])["answers"]
     run = simulated(dm.load("ur10_fast").set({"servo.K_D": p[place]}), 0.08)
     assert found["notices"][0] in run.notices
-    assert run.solver.step is not None and found["substeps"] == int(np.ceil(0.008 / run.solver.step))
+    assert run.solver.step is not None
+    assert found["substeps"] == int(np.ceil(0.008 / run.solver.step))
     np.testing.assert_allclose(found["states"][-1], columns(run)[-1], rtol=1e-6, atol=1e-9)
 
 
@@ -89,13 +103,16 @@ def test_a_run_that_blows_up_ends_where_run_says_it_does() -> None:
     p[at] = 200.0
     (found,) = asked(data, runs=[{"p": p}])["answers"]
     run = simulated(dm.load("arm2_joint").set({"task.alpha_bar": 200}), 20.0)
-    assert found["divergence"] is not None and found["divergence"] == str(run.divergence)
+    assert found["divergence"] is not None
+    assert found["divergence"] == str(run.divergence)
 
 
 def test_an_instant_is_kept_at_the_end_and_a_run_too_long_is_cut() -> None:
     data = content("ur10_fast")
     whole, cut = asked(data, runs=[{"horizon": 8.0}, {"horizon": 8.0, "most": 900}])["answers"]
-    assert whole["times"][-1] == pytest.approx(8.0) and whole["kept"] == 1001 and whole["short"] == 0
+    assert whole["times"][-1] == pytest.approx(8.0)
+    assert whole["kept"] == 1001
+    assert whole["short"] == 0
     assert cut["short"] == pytest.approx(cut["times"][-1]) == pytest.approx(0.8)
 
 

@@ -1,0 +1,167 @@
+// What a reader moves: sliders in groups, the numbers of the loop where they stand, and the same as a command.
+
+const SLOWEST = 32; // a clock may be moved by this factor
+const FASTEST = 0.00025; // and down to this period [s]
+
+class Sliders {
+  // `ask` is called with whether the slider is still being moved; `about` with what a slider's number does.
+  constructor(content, holder, ask, about) {
+    Object.assign(this, { content, ask, about });
+    this.moved = new Map(); // by a slider's label: its factor, or its shift
+    this.held = false;
+    this.rows = [];
+    const proved = content.verdict.outcome === "proved", groups = {
+      controller: ["Controller", ""],
+      hidden: ["Servo and robot", "The truth, hidden from the controller."],
+      clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
+        : proved ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
+          : "How often the controller samples."],
+      path: ["Path", ""],
+      start: ["Start", content.pose?.sought ? "Each joint beside the pose that lies on the path." : "Each joint beside the file's start."],
+    };
+    const all = this.known();
+    for (const [group, [title, hint]] of Object.entries(groups)) {
+      const mine = all.filter((slider) => slider.group === group);
+      if (!mine.length && group !== "clock") continue;
+      const box = make("details", {}, make("summary", {}, title));
+      box.open = group === "controller" || (innerWidth > 760 && (group === "hidden" || group === "clock"));
+      if (hint) box.append(make("p", { class: "hint" }, hint));
+      for (const slider of mine) box.append(this.row(slider));
+      holder.append(box);
+    }
+    addEventListener("pointerup", () => (this.held = false));
+    addEventListener("hashchange", () => this.recall());
+  }
+
+  known() {
+    const { clock, pose } = this.content, all = this.content.sliders.map((slider) => ({ ...slider, least: -1 }));
+    if (clock !== null) {
+      const least = -Math.min(1, Math.max(0, Math.log(clock / FASTEST) / Math.log(SLOWEST)));
+      const says = "How often the controller samples, and the servo gets a new command.";
+      all.push({ label: "clock", group: "clock", block: "", name: "period", says, unit: "s", kind: "factor", most: SLOWEST, least });
+    }
+    pose?.names.forEach((name, joint) => {
+      const unit = pose.units[joint], says = "Where this joint is at the start, beside the rest.";
+      all.push({ label: `start[${joint}]`, group: "start", block: "", name, says, unit, kind: "shift", most: unit === "m" ? 0.1 : 0.5, least: -1, joint });
+    });
+    return all;
+  }
+
+  row(slider) {
+    const id = `move-${slider.label}`, says = `${slider.block ? `${slider.block}.` : ""}${slider.name}: ${slider.says}`;
+    const input = make("input", { type: "range", id, min: slider.least, max: 1, step: 0.005, value: 0, title: slider.says });
+    const output = make("output", { for: id });
+    const reset = make("button", { type: "button", "aria-label": `Reset ${slider.block} ${slider.name}`, title: "Back to the file's value" }, "↺");
+    const label = make("label", { for: id }, ...nice(slider.name.replace(/([a-z]{3})_/g, "$1 ")), " ", make("small", {}, slider.block));
+    const element = make("div", { class: "slider" }, label, output, reset, input);
+    input.onpointerdown = () => (this.held = true);
+    input.onfocus = input.onmouseenter = () => this.about(says);
+    input.oninput = () => this.move(slider, valueAt(slider, Number(input.value)));
+    input.onchange = () => { this.held = false; this.settle(); };
+    input.ondblclick = reset.onclick = () => { this.move(slider, rest(slider)); this.settle(); };
+    this.rows.push({ ...slider, input, output, element });
+    return element;
+  }
+
+  move(slider, value) {
+    if (value === rest(slider)) this.moved.delete(slider.label); else this.moved.set(slider.label, value);
+    this.ask(this.held);
+  }
+
+  // The address keeps what was moved, so that a link shows the same.
+  settle() {
+    try {
+      const fragment = [...this.moved].map((pair) => pair.map(encodeURIComponent).join("=")).join("&");
+      history.replaceState(null, "", fragment ? `#${fragment}` : location.pathname + location.search);
+    } catch { /* a page inside another has no address of its own */ }
+    this.ask(false);
+  }
+
+  recall() {
+    this.moved.clear();
+    const found = new URLSearchParams(location.hash.slice(1));
+    for (const slider of this.rows) {
+      const value = Number(found.get(slider.label) ?? NaN), place = placeOf(slider, value);
+      const within = Number.isFinite(place) && place >= slider.least - 1e-6 && place <= 1 + 1e-6;
+      if (within && value !== rest(slider)) this.moved.set(slider.label, value);
+    }
+    this.ask(false);
+  }
+
+  reset() {
+    this.moved.clear();
+    this.settle();
+  }
+
+  // The loop's numbers; what moved is rounded, so that a command can say it in full.
+  get numbers() {
+    const p = this.content.p.slice();
+    for (const { label, kind, at, size } of this.content.sliders) {
+      if (!this.moved.has(label)) continue;
+      const value = this.moved.get(label);
+      for (let k = at; k < at + size; k++) p[k] = Number((kind === "factor" ? p[k] * value : p[k] + value).toPrecision(6));
+    }
+    return p;
+  }
+
+  get tick() { return Number((this.content.tick * (this.moved.get("clock") ?? 1)).toPrecision(6)); }
+  get shift() { return this.content.pose && this.content.pose.names.map((_, k) => this.moved.get(`start[${k}]`) ?? 0); }
+
+  // Whether numbers of the loop have moved, and whether its start or its clock has.
+  get state() {
+    const ofRun = (label) => label === "clock" || label.startsWith("start["), labels = [...this.moved.keys()];
+    return { p: labels.some((label) => !ofRun(label)), run: labels.some(ofRun) };
+  }
+
+  // Where all of them stand, given the numbers and the pose at the start.
+  show(p, start) {
+    for (const slider of this.rows) {
+      const value = this.moved.get(slider.label) ?? rest(slider), place = placeOf(slider, value), { input, least } = slider;
+      if (document.activeElement !== input || Math.abs(Number(input.value) - place) > 0.01) input.value = place;
+      const zero = -least / (1 - least), now = (place - least) / (1 - least), part = Math.abs(now - zero);
+      input.style.setProperty("--zero", `${100 * zero}%`);
+      input.style.setProperty("--part", `${100 * part}%`);
+      input.style.setProperty("--from", `${part < 1 ? (100 * Math.min(now, zero)) / (1 - part) : 0}%`);
+      slider.element.classList.toggle("moved", this.moved.has(slider.label));
+      slider.output.textContent = this.text(slider, value, p, start);
+      input.setAttribute("aria-valuetext", slider.output.textContent);
+    }
+  }
+
+  text({ label, at, size, unit, joint }, factor, p, start) {
+    if (label === "clock") return plain(this.tick, "s");
+    const values = joint === undefined ? p.slice(at, at + size) : [start[joint]];
+    if (values.some((value) => value !== values[0])) return `× ${figure(factor)}`;
+    return superscript(`${String(Number(values[0].toPrecision(4))).replace("-", "−")} ${unit}`).trim();
+  }
+
+  // The same run from a command line.
+  command(p, start) {
+    const { name, horizon, sliders, pose } = this.content, words = [`dmframe run ${name}`, `--set duration=${horizon}`], lacking = [];
+    const say = (label, values) => words.push(`--set '${label}=${values.length > 1 ? `[${values.join(", ")}]` : values[0]}'`);
+    const moved = sliders.filter(({ label }) => this.moved.has(label));
+    for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
+      const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
+      if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(base);
+      else say(base, whole.flatMap(({ at, size }) => p.slice(at, at + size)));
+    }
+    // another path has other poses that begin it, of which a command would take its own
+    const sought = pose?.sought && moved.some(({ group }) => group === "path");
+    if (sought || this.shift?.some(Boolean)) say("start.q", start.map((angle) => Number(angle.toPrecision(12))));
+    if (this.moved.has("clock")) say("clock", [this.tick]);
+    return words.join(" ") + (lacking.length ? `   # and ${lacking.join(" and ")}, which the robot's file says` : "");
+  }
+}
+
+function rest({ kind }) {
+  return kind === "factor" ? 1 : 0;
+}
+
+function placeOf({ kind, most }, value) {
+  return kind === "factor" ? Math.log(value) / Math.log(most) : value / most;
+}
+
+function valueAt(slider, place) {
+  const value = slider.kind === "factor" ? slider.most ** place : slider.most * place;
+  return Math.abs(place) < 1e-9 ? rest(slider) : Number(value.toPrecision(3));
+}

@@ -1,0 +1,132 @@
+"""A live page in a browser, opened from a disk: what it says of the proof while a slider is dragged."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from in_browser import Browser, browser
+from in_node import content
+
+from dmframe import notebook
+from dmframe.cli.graphs import graphs_of
+from dmframe.page.page import assembled
+from dmframe.simulate.start import start_state
+
+HEADLINE = "document.getElementById('headline').textContent"
+SAYS = "document.getElementById('says').textContent"
+K_C = "move-inverse.K_c"
+
+
+def judges_truly(tab: Browser, page: Path) -> None:
+    """Open the page, break a condition by hand, and come back."""
+    tab.opened(page)
+    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == "Proved"
+    assert "All 16 conditions hold" in tab.value(SAYS)
+    tab.dragged(K_C, 0.5, 0.02)
+    tab.until("document.getElementById('command').textContent.includes('inverse.K_c=[0.0')")
+    assert "does not apply" in tab.value(HEADLINE)
+    assert "M̄ ≥ 0" in tab.value(SAYS)
+    tab.value("document.getElementById('reset').click()")
+    assert tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.said == []
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("profile")) as found:
+        calm = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+        found.ask("Emulation.setEmulatedMedia", features=calm)  # a robot that stands still leaves time for the rest
+        yield found
+
+
+def saved(folder: Path, html: str) -> Path:
+    page = folder / "page.html"
+    page.write_text(html, "utf-8")
+    return page
+
+
+def test_a_page_from_a_disk_says_truly_what_is_proved_where_its_sliders_stand(tab: Browser, tmp_path: Path) -> None:
+    judges_truly(tab, saved(tmp_path, assembled(content("ur10_fast"))))
+
+
+def test_a_page_whose_margins_were_wrong_would_be_noticed(tab: Browser, tmp_path: Path) -> None:
+    right = assembled(content("ur10_fast"))
+    wrong = right.replace("strict ? margin > 0 : margin >= 0", "true")
+    assert wrong != right
+    with pytest.raises(AssertionError, match="does not apply"):
+        judges_truly(tab, saved(tmp_path, wrong))
+
+
+COMMAND = "document.getElementById('command').textContent"
+
+
+def test_an_address_keeps_what_was_moved(tab: Browser, tmp_path: Path) -> None:
+    tab.opened(saved(tmp_path, assembled(content("arm2_joint"))), "#task.alpha_bar=1.5&clock=0.5")
+    tab.until(f"{COMMAND}.includes('task.alpha_bar=3')")
+    assert tab.value(HEADLINE) == "Proved at these values"
+    tab.dragged("move-task.alpha_bar", 0.54, 0.6)
+    tab.until("location.hash && !location.hash.includes('alpha_bar=1.5')")
+    assert "clock=0.5" in tab.value("location.hash")
+    assert tab.said == []
+
+
+def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_path: Path) -> None:
+    moved = "task.alpha_bar=1.5&inverse.Lambda=4&path.center[0]=0.2&start[1]=-0.1&clock=0.5"
+    tab.opened(saved(tmp_path, assembled(content("arm2_joint"))), f"#{moved}")
+    words = shlex.split(tab.until(f"{COMMAND}.includes('alpha_bar') && {COMMAND}"))
+    assert words[:3] == ["dmframe", "run", "arm2_joint"]
+    assert words[3::2] == ["--set"] * 6
+    (graph,) = graphs_of(["arm2_joint"], words[4::2], trust=False)
+    place = content("arm2_joint")["pose"]["at"]
+    start = start_state(graph.diagram, graph.experiment.start)[place : place + 2]
+    expected = np.array(content("arm2_joint")["state"])[place : place + 2] + np.array([0.2, -0.1])
+    np.testing.assert_allclose(start, expected, atol=1e-5)
+    assert (graph.clock, graph.duration) == (0.001, 20.0)
+    assert graph.blocks["task"].alpha_bar == 3.0  # type: ignore[attr-defined] # a block's own parameter
+    assert graph.diagram.loop.p_values[0] == pytest.approx(np.pi / 4 + 0.2, abs=1e-5)
+
+
+def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
+    told = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
+    says = f"setInterval(() => parent.postMessage({HEADLINE}, '*'), 50)"
+    inside = assembled(content("arm2_joint")).replace("</body>", f"<script>{says}</script></body>")
+    tab.opened(saved(tmp_path, f"<!doctype html>{told}{notebook.framed(inside, 'live', 800)}"))
+    tab.until("document.title === 'Proved'")
+    assert tab.said == []
+
+
+def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, tmp_path: Path) -> None:
+    page, now = saved(tmp_path, assembled(content("arm2_joint"))), "Number(document.getElementById('scrub').value)"
+    tab.opened(page)
+    tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.value("document.getElementById('play').ariaLabel") == "Play"
+    assert tab.value(now) == 0
+    tab.value("document.getElementById('play').click()")
+    tab.until(f"{now} > 0.05")
+    tab.ask("Emulation.setEmulatedMedia", features=[])
+    tab.opened(page)
+    tab.until(f"{now} > 0.05")
+    assert tab.said == []
+
+
+def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path: Path) -> None:
+    tab.ask("Emulation.setDeviceMetricsOverride", width=360, height=740, deviceScaleFactor=1, mobile=True)
+    tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.value("document.documentElement.scrollWidth") == 360
+    controls = "[...document.querySelectorAll('input, button, select')]"
+    nameless = f"{controls}.filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
+    assert tab.value(f"{nameless}.map((e) => e.outerHTML)") == []
+    tab.ask("Emulation.clearDeviceMetricsOverride")
+
+
+@pytest.mark.parametrize("name", ["ur10_fast", "arm2_joint"])
+def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
+    html = assembled(content(name))
+    assert len(html.encode()) < 200_000
+    assert not re.search(r"(src|href)=[\"'](?!data:)|@import|url\(|fetch\(|importScripts|https?:", html)
