@@ -64,7 +64,7 @@ class InverseDynamics(AbstractBlock):
             ("the plant has no Coulomb friction", truth.D),
             ("the maker compensates no gravity", 1 - truth.g_share),
         )
-        says = "it is not the robot of (1): estimate it instead, see `dynamic_compensator`"
+        otherwise = "what the plant has beyond the links of (1) has to be estimated: see `dynamic_compensator`"
         return tuple(
-            Inequality(name, -zero * zero, "eq. (3)", strict=False, otherwise=says) for name, zero in lacking
+            Inequality(says, -rest * rest, "eq. (3)", strict=False, otherwise=otherwise) for says, rest in lacking
         )

@@ -19,7 +19,8 @@ class TorqueCommand(AbstractBlock):
 
     .. math::
 
-        \dot q_{ref} = \dot q_r, \quad \sigma = \dot q - \dot q_{ref}, \quad \tau_c = \tau_{dc} - K_\sigma \sigma   \tag{1}
+        \dot q_{ref} = \dot q_r, \quad \sigma = \dot q - \dot q_{ref}, \quad
+        \tau_c = \tau_{dc} - K_\sigma \sigma   \tag{1}
 
     There is no servo to invert, and nothing is stored:
 

@@ -133,8 +133,10 @@ def test_where_an_estimate_starts_is_not_known_unless_a_rate_pulls_it_back_there
     assert leaking.held_by["inertia"] == ("a_d_nominal",)
 
 
-def test_no_packaged_controller_knows_the_inertia() -> None:
+def test_no_packaged_controller_knows_the_inertia_but_the_one_that_is_there_to_be_compared_with() -> None:
+    leaks = set[tuple[str, str]]()
     for name in graphs():
         for block, item in of(name).items():
-            leaks = [group for group in item.groups if group == "inertia" and item.held_by[group] != ("a_d_nominal",)]
-            assert not leaks, (name, block)
+            if "inertia" in item.groups and item.held_by["inertia"] != ("a_d_nominal",):
+                leaks.add((name, block))
+    assert leaks == {("computed_torque", "torque")}  # computed torque from a known model
