@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from threading import RLock
 from typing import Any, Final, final
-from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -120,13 +119,11 @@ def model_block(
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    signals = signals_of(name, inputs, states, {**parameters, **starts}, mine)
+    recalled = None if mine is None else _Recalled(mine)
+    signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled)
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
-    asked = repr((block, sizes.bound, mine and mine.chain))
-    if asked not in _STEADY.setdefault(type(block), set()):
-        _check_steady(name, equations, stated_by(name, block, signals, sizes))
-        _STEADY[type(block)].add(asked)
+    _check_steady(name, equations, stated_by(name, block, signals, sizes))
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -139,6 +136,34 @@ def model_block(
     parameters |= {key: leaf for key, leaf in starts.items() if used & symbols_in([leaf])}
     values = with_starts(values, states)
     return BlockModel(name, block, inputs, states, parameters, values, mine, equations, starts, tuple(inverted))
+
+
+@final
+class _Recalled:
+    """A robot that gives the answer of before where it is asked the same again: that takes most of a build's time."""
+
+    def __init__(self, robot: Any) -> None:
+        self._robot, self._answers = robot, dict[Any, tuple[Any, Any]]()
+
+    def __getattr__(self, name: str) -> Any:
+        found = getattr(self._robot, name)
+        if not callable(found):
+            return found
+
+        def answer(*given: Any, **named: Any) -> Any:
+            key = (name, *map(_identity, given), *((word, _identity(value)) for word, value in named.items()))
+            if key not in self._answers:  # with what it was asked for: an identity is one's own while it lives
+                self._answers[key] = (found(*given, **named), (given, named))
+            kept = self._answers[key][0]
+            return ca.SX(kept) if isinstance(kept, ca.SX) else kept  # a caller may write into it
+
+        return answer
+
+
+def _identity(value: Any) -> Any:
+    if not isinstance(value, ca.SX):
+        return id(value)
+    return (value.shape, tuple(value.sparsity().find()), tuple(item.element_hash() for item in value.nonzeros()))
 
 
 def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
@@ -157,10 +182,6 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
         _checked(name, "rate", moving, stated.rates, sizes),
         _checked(name, "next value", sampled, stated.next, sizes),
     )
-
-
-_STEADY: WeakKeyDictionary[type[AbstractBlock], set[str]] = WeakKeyDictionary()
-"""Blocks of which it was seen that they state the same when they are asked again, each with its sizes and robot."""
 
 
 def _check_steady(name: str, first: Equations, second: Equations) -> None:

@@ -139,7 +139,7 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     unknown = [row for row, value in enumerate(start) if value is None]
     if known and (projection.kind == "box" or not unknown):
         begin = start_expression(projection.name, numbers, given)
-        room = None if begin is None else _room_at(projection, begin)
+        room = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
         least = partial(_least_room, projection, numbers, start)
         yield decided(text, shown, SOURCE, least, strict=False, margin=room)
     if unknown:

@@ -50,7 +50,7 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
 
 
 def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
-    """The same as an expression in the parameters; None where it is none of them alone."""
+    """The same as an expression, of which elements may hold more than parameters; None of a start that is a fault."""
     claim, (block, _, state) = numbers.claim, label.partition(".")
     model = claim.diagram.models[block]
     size = model.states[state].numel()
@@ -68,8 +68,7 @@ def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> 
             said = model.block.composed_start(seen.u, seen.p, seen.truth).get(state)
     except BlockError:
         return None
-    (joined,) = claim.loop.joined([ca.SX.zeros(size) if said is None else ca.vec(ca.densify(ca.SX(said)))])
-    return joined if symbols_in([joined]) <= numbers.known else None
+    return claim.loop.joined([ca.SX.zeros(size) if said is None else ca.vec(ca.densify(ca.SX(said)))])[0]
 
 
 def _spread(values: Any, size: int) -> np.ndarray:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.claim import certificates_of
 from dmframe.certify.form import NotApplicableError
-from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram import Diagram
 
 
-def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
-    """The estimates, by state label, each with what it estimates at the diagram's own parameters.
+def estimated(diagram: Diagram) -> dict[str, SX | None]:
+    """The estimates, by state label, each with what it estimates as an expression in the diagram's parameters.
 
     None stands for a true value that is no function of parameters alone, and for all of a diagram that claims nothing.
     """
-    found = dict[str, np.ndarray | None]()
+    loop, found = diagram.loop, dict[str, SX | None]()
+    known = symbols_in(parameter.symbol for parameter in loop.parameters)
     for name, model in diagram.models.items():
         found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
     try:
@@ -26,15 +28,23 @@ def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
     for name, certificate in certificates.items():
         for state, true in certificate.estimates.items():
             value = ca.SX(true.value) + ca.SX.zeros(*diagram.models[name].states[state].shape)
-            found[f"{name}.{state}"] = _number(diagram.loop, value)
+            value = ca.vec(ca.densify(*loop.joined([value])))
+            found[f"{name}.{state}"] = value if symbols_in([value]) <= known else None
     return found
+
+
+def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
+    """`estimated` at the diagram's own numbers."""
+    loop = diagram.loop
+
+    def number(value: SX | None) -> np.ndarray | None:
+        if value is None:
+            return None
+        return np.asarray(ca.Function("truth", [loop.p], [value])(loop.p_values).full().ravel())
+
+    return {label: number(value) for label, value in estimated(diagram).items()}
 
 
 def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
     """What each estimate estimates, of those of which it is known."""
     return {label: value for label, value in estimates_of(diagram).items() if value is not None}
-
-
-def _number(loop: ClosedLoop, value: SX) -> np.ndarray | None:
-    function = ca.Function("truth", [loop.p], [ca.densify(*loop.joined([value]))], {"allow_free": True})
-    return None if function.has_free() else np.asarray(function(loop.p_values).full().ravel())

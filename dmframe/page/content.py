@@ -60,9 +60,9 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "horizon": min(HORIZON, file.duration),
         "solver": {"plain": PLAIN_STEP, "takes": RK4_TAKES, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
         "sizes": _sizes(functions),
-        "p": loop.p_values.tolist(),
-        "state": state.tolist(),
-        "bounds": bounds_of(diagram).tolist(),
+        "p": _numbers(loop.p_values),
+        "state": _numbers(state),
+        "bounds": _numbers(bounds_of(diagram)),
         "states": [
             {"label": v.label, "name": _signal(v.label), "size": v.symbol.numel(), "unit": v.unit}
             for v in loop.variables
@@ -73,7 +73,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "goal": None if functions.goal is None else _group(diagram, functions.goal),
         "groups": [_group(diagram, group, verdict) for group in functions.groups],
         "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",
-        "robot": _robot(experiment, diagram, functions),
+        "robot": _robot(experiment, diagram, functions, state),
         "verdict": _verdict(experiment.name, verdict, functions),
     }
 
@@ -117,6 +117,12 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
+def _numbers(values: np.ndarray) -> list[float | str]:
+    """As JSON can hold them, and as JavaScript's ``Number`` reads them."""
+    words = {np.inf: "Infinity", -np.inf: "-Infinity"}
+    return [value if np.isfinite(value) else words.get(value, "NaN") for value in values.tolist()]
+
+
 def _group(diagram: Diagram, group: Group, verdict: Verdict | None = None) -> dict[str, Any]:
     names = _rows(diagram, group)
     if group.kind == "storage" and verdict is not None and verdict.claim is not None:
@@ -149,27 +155,25 @@ def _rows(diagram: Diagram, group: Group) -> list[str]:
     return [element.name for element in elements(diagram, letter, group.size)] if letter else []
 
 
-def _robot(experiment: Experiment, diagram: Diagram, functions: Functions) -> dict[str, Any] | None:
+def _robot(experiment: Experiment, diagram: Diagram, functions: Functions, state: np.ndarray) -> dict[str, Any] | None:
     chain = experiment.robot
     if chain is None or not functions.scene or functions.posed is None:
         return None
     section = experiment.file.robot
     source = robot_source(experiment)
     hold = {**(source.hold if source else {}), **(section.hold or {} if section is not None else {})}
-    base = frames_at_rest(diagram, functions)
     return {
         "name": chain.name,
         "joints": chain.n,
-        "reach": float(np.abs(base).max()) if base.size else 1.0,
+        "reach": float(np.abs(_places(diagram, functions, state)).max()),
         "prismatic": [joint.kind == "prismatic" for joint in chain.joints],
         "meshes": meshes_of(chain, source.urdf if source else None, hold),
     }
 
 
-def frames_at_rest(diagram: Diagram, functions: Functions) -> np.ndarray:
-    """The origins of joints and tool at the start [m], a column each."""
-    state = ca.DM(start_state(diagram, {}))
-    found = functions.shown(state, 0, 1, diagram.loop.p_values).full().ravel()[: functions.scene]
+def _places(diagram: Diagram, functions: Functions, state: np.ndarray) -> np.ndarray:
+    """The origins of joints and tool at a state [m], a column each."""
+    found = functions.shown(ca.DM(state), 0, 1, diagram.loop.p_values).full().ravel()[: functions.scene]
     joints = found[:-3].reshape(-1, 12)[:, 9:]
     return np.vstack([joints, found[-3:]]).T
 
@@ -189,7 +193,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
             {
                 "name": condition.name,
                 "strict": condition.strict,
-                "value": condition.value,
+                "value": None if condition.value is None else _finite(condition.value),
                 "holds": condition.holds,
                 "at": None if place is None else place[0],
                 "size": None if place is None else place[1],

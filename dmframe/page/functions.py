@@ -7,23 +7,20 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import casadi as ca
-import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
-from dmframe.certify.claim import certificates_of
-from dmframe.certify.form import NotApplicableError
 from dmframe.certify.payment import least_kappa
+from dmframe.certify.true_values import estimated
 from dmframe.diagram import ClosedLoop, Diagram, Variable
-from dmframe.diagram.closed_loop import Followed, stack
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
+from dmframe.results.metrics import goal_of
 from dmframe.robot.frames import frames, tool
 from dmframe.simulate.start import NEAR, symbolic_start
 from dmframe.simulate.step import build_parts
-
-PREFERRED = ("x", "q")
 
 
 @final
@@ -101,7 +98,7 @@ class Functions:
 
 def functions_of(diagram: Diagram, clock: float | None, start: Mapping[str, Any], verdict: Verdict) -> Functions:
     """All of them for one diagram; V is drawn where it is proved."""
-    loop, posed, followed = diagram.loop, _posed(diagram), _followed(diagram.loop)
+    loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
     judged, margins = _margins(loop, verdict)
     kappa = None
@@ -129,8 +126,9 @@ def functions_of(diagram: Diagram, clock: float | None, start: Mapping[str, Any]
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
             add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol))
-    for label, variable, true in _estimates(diagram):
-        first = _place(loop, variable)
+    truths = estimated(diagram)
+    for variable in (variable for variable in loop.controller if variable.label in truths):
+        label, true, first = variable.label, truths[variable.label], _place(loop, variable)
         groups.append(
             Group(
                 "estimate",
@@ -186,12 +184,6 @@ def _scene(diagram: Diagram, posed: Variable | None) -> SX:
     return ca.vertcat(ca.vec(frames(robot, posed.symbol)), tool(robot, posed.symbol))
 
 
-def _followed(loop: ClosedLoop) -> Followed | None:
-    """What the error of a run is taken of: at the task where there is one, else at the joints."""
-    pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(loop.followed)}
-    return next((pairs[name] for name in (*PREFERRED, *pairs) if name in pairs), None)
-
-
 def _place(loop: ClosedLoop, variable: Variable) -> int:
     sizes = {other.label: other.symbol.numel() for other in loop.variables}
     labels = list(sizes)
@@ -239,27 +231,3 @@ def _terms(verdict: Verdict) -> SX:
         return column
     least = _chosen_least(verdict)
     return ca.substitute(column, claim.kappa, ca.if_else(least > 0, 2 * least, 1))
-
-
-def _estimates(diagram: Diagram) -> list[tuple[str, Variable, SX | None]]:
-    """The controller's estimates, each with its true value as an expression in parameters, where it is one."""
-    loop, found = diagram.loop, dict[str, SX | None]()
-    for name, model in diagram.models.items():
-        found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
-    try:
-        certificates = certificates_of(diagram)[0]
-    except NotApplicableError:
-        certificates = {}
-    known = symbols_in(parameter.symbol for parameter in loop.parameters)
-    for name, certificate in certificates.items():
-        for state, true in certificate.estimates.items():
-            value = ca.SX(true.value) + ca.SX.zeros(*diagram.models[name].states[state].shape)
-            value = ca.vec(ca.densify(*loop.joined([value])))
-            found[f"{name}.{state}"] = value if symbols_in([value]) <= known else None
-    return [(v.label, v, found[v.label]) for v in loop.controller if v.label in found]
-
-
-def numbers_of(function: Any, *columns: Any) -> list[np.ndarray]:
-    """A function's results as columns of numbers."""
-    found = function(*columns)
-    return [each.full().ravel(order="F") for each in (found if isinstance(found, tuple) else (found,))]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, final
 
 from dmframe import notebook
+from dmframe.copies import shared
 from dmframe.errors import OutputError
 from dmframe.files import expanded, write_bytes, writing
 from dmframe.plotting import files_of
@@ -23,7 +24,6 @@ from dmframe.results.place import FIGURES, OF_EACH
 from dmframe.results.ran import Ran
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
-from dmframe.two import shared
 
 
 @final
@@ -83,7 +83,7 @@ def figures_of(runs: Mapping[str, Ran]) -> Figures:
 
 @contextmanager
 def drawing(runs: Mapping[str, Ran]) -> Iterator[Callable[[], dict[str, bytes]]]:
-    """Begin to draw `figures_of`, on a second core where there is one; what is yielded returns their files.
+    """Begin to draw `figures_of`, on other cores where there are some; what is yielded returns their files.
 
     Matplotlib takes most of a short run's time: within, the data may be written meanwhile.
     """

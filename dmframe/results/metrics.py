@@ -7,6 +7,7 @@ from typing import final
 
 import numpy as np
 
+from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.simulate import Recording
 from dmframe.units import plain
 
@@ -57,13 +58,19 @@ class TrackingError:
         return f"<TrackingError {self.signal}: {first} in the first eighth, {last} in the last>"
 
 
+def goal_of(loop: ClosedLoop) -> Followed | None:
+    """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
+    pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(loop.followed)}
+    return next((pairs[name] for name in (*_PREFERRED, *pairs) if name in pairs), None)
+
+
 def tracking_error(run: Recording) -> TrackingError | None:
     """The tracking error of a run: at the task where there is one, else at the joints; None without a goal."""
-    pairs = {pair.actual.split(".", 1)[1]: pair[:2] for pair in reversed(run.diagram.loop.followed)}
-    name = next((name for name in (*_PREFERRED, *pairs) if name in pairs), None)
-    if name is None:
+    goal = goal_of(run.diagram.loop)
+    if goal is None:
         return None
-    desired, actual = pairs[name]
+    desired, actual = goal.desired, goal.actual
+    name = actual.split(".", 1)[1]
     values = np.asarray(run[actual] - run[desired])
     norm = euclidean(values)
     signal = next(signal for signal in run.diagram.loop.outputs if signal.label == actual)

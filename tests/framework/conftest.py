@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,6 +9,8 @@ import pytest
 from dmframe.build import library
 from dmframe.config.experiment import load_experiment
 from dmframe.simulate import Recording, simulate
+
+sys.path.insert(0, str(Path(__file__).parent))  # what several folders share
 
 Runner = Callable[..., Recording]
 

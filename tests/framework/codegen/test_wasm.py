@@ -6,8 +6,6 @@ import ctypes
 import math
 import shutil
 import subprocess
-from collections.abc import Callable
-from ctypes.util import find_library
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -37,50 +35,12 @@ from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import Step
 
-wasmtime = pytest.importorskip("wasmtime", reason="wasmtime is not installed")
+pytest.importorskip("wasmtime", reason="wasmtime is not installed")
+
+from in_wasm import Loaded
 
 GCC: Final = shutil.which("gcc")
 needs_gcc = pytest.mark.skipif(GCC is None, reason="needs gcc")
-LIBRARY: Final = ctypes.CDLL(find_library("m"))
-
-
-def host(name: str) -> Callable[..., float]:
-    """The C library's function, which C calls, too."""
-    function = getattr(LIBRARY, name)
-    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double] * HOST[f"env.{name}"]
-    return lambda *numbers: float(function(*numbers))
-
-
-class Loaded:
-    """A module, called with arrays: they are laid out in its memory, and read back."""
-
-    def __init__(self, binary: bytes) -> None:
-        engine = wasmtime.Engine()
-        wasmtime.Module.validate(engine, binary)
-        loaded = wasmtime.Module(engine, binary)
-        self.asked = {item.name for item in loaded.imports}
-        self.store = wasmtime.Store(engine)
-        given = [wasmtime.Func(self.store, item.type, host(item.name)) for item in loaded.imports]
-        self.exports = wasmtime.Instance(self.store, loaded, given).exports(self.store)
-
-    def __call__(self, entry: str, *given: Any) -> Any:
-        memory, end = self.exports["memory"], self.exports["heap"].value(self.store)
-        places, words = list[tuple[int, np.ndarray]](), list[Any]()
-        for value in given:
-            if isinstance(value, np.ndarray):
-                places.append((end, value))
-                words.append(end)
-                end += value.nbytes
-            else:
-                words.append(value)
-        memory.grow(self.store, max(0, -(-(end - memory.data_len(self.store)) // 65536)))
-        for place, array in places:
-            memory.write(self.store, array.tobytes(), place)
-        found = self.exports[entry](self.store, *words)
-        for place, array in places:
-            read = memory.read(self.store, place, place + array.nbytes)
-            array[...] = np.frombuffer(read, array.dtype).reshape(array.shape)
-        return found
 
 
 class InWasm:
@@ -133,7 +93,7 @@ def whole_table() -> Any:
 
 
 def alone(body: Function) -> Loaded:
-    return Loaded(module({**ARITHMETIC, "f": body}, "f", HOST, 0))
+    return Loaded(module({**ARITHMETIC, "f": body}, ("f",), HOST, 0))
 
 
 def at_points(points: Any) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from importlib import util
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -25,6 +26,10 @@ MARKS = re.compile(r"\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|t
 def test_what_is_told_and_printed_of_a_packaged_graph_is_valid_and_whole(name):
     found = dm.verify(name)
     VALIDATOR.validate(json.loads(json.dumps(found.summary, allow_nan=False)))
+    if util.find_spec("wasmtime") is not None:
+        from page_checks import check_functions
+
+        check_functions(found)
     claim = found.verdict.claim
     if claim is None:
         assert name.endswith("_kinematic")  # it claims nothing

@@ -1,0 +1,105 @@
+"""What a live page evaluates, held to what a run, the interpreter and the verdict say."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from in_wasm import Loaded
+
+from dmframe.certify.along import along
+from dmframe.certify.claim import claim_of
+from dmframe.codegen import loop_module
+from dmframe.exact.rational import as_float
+from dmframe.page.functions import Functions, functions_of
+from dmframe.report import Verification
+from dmframe.results.metrics import tracking_error
+from dmframe.simulate import simulate
+from dmframe.simulate.start import start_state
+
+
+def functions(found: Verification) -> Functions:
+    graph = found.experiment
+    return functions_of(found.diagram, graph.file.clock, graph.start, found.verdict)
+
+
+def check_functions(found: Verification) -> None:
+    """The page's functions say of the file's own numbers what the rest of the framework says of them."""
+    made, loop = functions(found), found.diagram.loop
+    p, state = loop.p_values, start_state(found.diagram, found.experiment.start)
+    check_start(found, made, state, p)
+    check_judged(found, made, p)
+    check_module(made, state, p)
+
+
+def check_start(found: Verification, made: Functions, state: np.ndarray, p: np.ndarray) -> None:
+    """From the pose alone, the whole start follows; and a pose that is sought is on the path."""
+    period = found.experiment.file.clock or found.experiment.solver.output
+    pose = np.zeros(0)
+    if made.posed is not None:
+        labels = [v.label for v in found.diagram.loop.variables]
+        sizes = [v.symbol.numel() for v in found.diagram.loop.variables]
+        at = sum(sizes[: labels.index(made.posed.label)])
+        pose = state[at : at + made.posed.symbol.numel()]
+    np.testing.assert_allclose(made.begin(pose, period, p).full().ravel(), state, rtol=1e-12, atol=1e-12)
+    if made.reach is not None:
+        assert np.abs(made.reach(pose, p)[0].full()).max() < 1e-8
+
+
+def check_judged(found: Verification, made: Functions, p: np.ndarray) -> None:
+    """Each condition's least margin is the value that was decided exactly."""
+    judged, verdict = made.judged(p).full().ravel(), found.verdict
+    for condition, place in zip(made.conditions, made.margins, strict=True):
+        if place is None:  # a search finds its Lyapunov matrix: the page says that it judged the file's numbers alone
+            assert "stays exponentially stable" in condition.name
+            continue
+        least = judged[place[0] : sum(place)].min() if place[1] else 0.0
+        assert (least > 0 if condition.strict and place[1] else least >= 0) == condition.holds, condition.name
+        if condition.value is not None and place[1] and "pays for the cascade" not in condition.name:
+            assert abs(least - condition.value) <= 1e-8 * (1 + abs(least)), condition.name
+    if verdict.outcome == "proved" and verdict.kappa is not None and made.kappa is not None:
+        assert np.isclose(judged[made.kappa], as_float(verdict.kappa.least), rtol=1e-12)
+
+
+def check_module(made: Functions, state: np.ndarray, p: np.ndarray) -> None:
+    """In WebAssembly each function gives CasADi's numbers, at a random state too."""
+    loaded = Loaded(loop_module(made.parts, made.exported))
+    rng = np.random.default_rng(0)
+    for function in made.exported:
+        given = [rng.uniform(0.2, 1.0, function.numel_in(i)) for i in range(function.n_in())]
+        if function.name() in ("flow", "shown"):
+            given[0] = state + rng.uniform(-0.01, 0.01, state.size)
+        given[-1] = p
+        results = [np.zeros(function.numel_out(j)) for j in range(function.n_out())]
+        loaded(function.name(), *given, *results)
+        expected = function(*map(ca.DM, given))
+        for mine, theirs in zip(results, expected if isinstance(expected, tuple) else [expected], strict=True):
+            np.testing.assert_allclose(mine, theirs.full().ravel(order="F"), rtol=1e-9, atol=1e-9)
+
+
+def check_along_a_run(found: Verification) -> None:
+    """Error and V of the page's functions are those of a run, instant by instant."""
+    made, graph = functions(found), found.experiment
+    run = simulate(
+        found.diagram, 0.5, clock=graph.file.clock, solver=graph.solver, start=graph.start, engine="interpreted"
+    )
+    states = np.hstack([run.states[v.label] for v in found.diagram.loop.variables])
+    period = graph.file.clock or graph.solver.output
+    rows = np.array(
+        [
+            made.shown(x, t, period, run.diagram.loop.p_values).full().ravel()
+            for x, t in zip(states, run.time, strict=True)
+        ]
+    )
+    drawn = {group.kind: group for group in made.groups}
+    error = tracking_error(run)
+    assert error is not None
+    np.testing.assert_allclose(_of(rows, drawn["error"]), error.values, atol=1e-12)
+    kappa = found.verdict.kappa
+    followed = along(claim_of(found.diagram), run, as_float(kappa.chosen) if kappa else 1.0)
+    np.testing.assert_allclose(_of(rows, drawn["storage"]).sum(axis=1), followed.V, rtol=1e-9)
+
+
+def _of(rows: np.ndarray, group: Any) -> np.ndarray:
+    return rows[:, group.first : group.first + group.size]
