@@ -14,8 +14,6 @@ import shutil
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-
 from site_parts import api, references
 from site_parts.pages import CATALOGUE, DOCS, PAGES, ROOT, linked, shown_place, shown_text, sources
 
@@ -29,11 +27,13 @@ def gathered(folder: Path) -> dict[str, str | bytes]:
         files[place] = linked(text, DOCS / place, place, shown.add)
     files |= api.pages() | {"reference/references.rst": references.text()}
     files |= {shown_place(path): shown_text(path) for path in shown}
-    for path in DOCS.rglob("*"):
-        inner = path.relative_to(DOCS)
-        if path.suffix in PAGES[1:] and not inner.parts[0].startswith("_"):
-            files[str(inner)] = path.read_bytes()
-    return files
+    return files | {place: path.read_bytes() for place, path in beside().items()}
+
+
+def beside() -> dict[str, Path]:
+    """Pictures and tables that the pages show, by their place in the site."""
+    found = {str(path.relative_to(DOCS)): path for path in DOCS.rglob("*") if path.suffix in PAGES[1:]}
+    return {place: path for place, path in found.items() if not place.startswith("_")}
 
 
 def made(folder: Path) -> dict[str, str]:
@@ -82,7 +82,7 @@ def main() -> int:
     if status:
         shutil.rmtree(cache, ignore_errors=True)  # or the next build would pass over what this one warned of
     else:
-        print(f"the site: {site / 'index.html'}")
+        sys.stdout.write(f"the site: {site / 'index.html'}\n")
     return status
 
 

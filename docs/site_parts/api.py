@@ -7,7 +7,17 @@ from typing import Final, NamedTuple
 
 
 class Chapter(NamedTuple):
-    """A page: its title, what it is for, and what it documents: modules but for some names, names with their module, bases or not."""
+    """A page of the interface.
+
+    Parameters
+    ----------
+    modules, names
+        What it documents: modules, and single names with their module.
+    but
+        Names of the modules that stand elsewhere.
+    bases
+        Whether it says what classes inherit.
+    """
 
     title: str
     says: str
@@ -76,7 +86,14 @@ def pages() -> dict[str, str]:
     lines = _title("Python interface")
     lines += ["Made from the types and docstrings of the code.", ""]
     for caption, names in (("To use it", USERS), ("To write blocks", authors)):
-        lines += [".. toctree::", f"   :caption: {caption}", "   :maxdepth: 1", "", *(f"   {name}" for name in names), ""]
+        lines += [
+            ".. toctree::",
+            f"   :caption: {caption}",
+            "   :maxdepth: 1",
+            "",
+            *(f"   {name}" for name in names),
+            "",
+        ]
     return {"reference/api/index.rst": "\n".join(lines), **found}
 
 

@@ -59,8 +59,8 @@ def embedded(address: str, title: str, height: int = HEIGHT, *, still: str = "",
         f'<figure class="live"><div class="live-frame"{behind}>'
         f'<iframe loading="lazy" title="{escape(title)}" src="{escape(address)}" '
         f'height="{height}"></iframe></div>'
-        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{said}.</figcaption>'
-        "</figure>"
+        f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{said}.'
+        "</figcaption></figure>"
     )
 
 

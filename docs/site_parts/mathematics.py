@@ -14,7 +14,9 @@ _OUTER: Final = re.compile(
 _TOKEN: Final = re.compile(r"\\(?:begin|end)\{\w+\*?\}|\\(?:left|right)\b|\\[a-zA-Z]+|\\.|.", re.DOTALL)
 _TAG: Final = re.compile(r"\\tag\*?\{([^{}]*)\}")
 _SCRIPT: Final = re.compile(r'<mi mathvariant="script">([A-Z])</mi>')
-_DOUBLE: Final = re.compile(r"\\(?:DeclareMathOperator|newcommand|def)\b")
+_DEFINES: Final = re.compile(r"\\(?:DeclareMathOperator|newcommand|renewcommand|def)\b")
+_UNKNOWN: Final = re.compile(r"<m\w+[^>]*>\\")
+"""A command that the library does not know, and sets as it is typed."""
 SCRIPT_CAPITALS: Final = "𝒜ℬ𝒞𝒟ℰℱ𝒢ℋℐ𝒥𝒦ℒℳ𝒩𝒪𝒫𝒬ℛ𝒮𝒯𝒰𝒱𝒲𝒳𝒴𝒵"
 
 
@@ -46,10 +48,13 @@ def display(latex: str) -> str:
 
 
 def _set(latex: str, *, display: bool) -> str:
-    if _DOUBLE.search(latex):
+    if _DEFINES.search(latex):
         raise MathError(f"cannot set {latex}: it defines a command")
+    braces = [token for token in _TOKEN.findall(latex) if token in "{}"]
+    if braces.count("{") != braces.count("}"):
+        raise MathError(f"cannot set {latex}: its braces do not match")
     found = mathml(latex, display=display, joined=display and latex.startswith(("+", "-")))
-    if not found.startswith("<math"):
+    if not found.startswith("<math") or _UNKNOWN.search(found):
         raise MathError(f"cannot set {latex}")
     # browsers know the letters, but not the attribute
     found = _SCRIPT.sub(lambda letter: f"<mi>{SCRIPT_CAPITALS[ord(letter[1]) - ord('A')]}</mi>", found)

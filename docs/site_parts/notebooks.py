@@ -62,8 +62,7 @@ def _shown(graph: str, options: dict[str, str]) -> str:
     import shlex
 
     values = ", ".join(
-        f"{key!r}: {value!r}"
-        for key, _, value in (item.partition("=") for item in shlex.split(options.get("set", "")))
+        f"{key!r}: {value!r}" for key, _, value in (item.partition("=") for item in shlex.split(options.get("set", "")))
     )
     return f"import dmframe as dm\n\ndm.load({graph!r}){f'.set({{{values}}})' if values else ''}.page()"
 

@@ -53,7 +53,9 @@ def shown_place(path: Path) -> str:
 def shown_text(path: Path) -> str:
     """A page that shows a file of the repository, out of the navigation and of the search."""
     name, text = str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
-    return f"---\norphan: true\nnosearch: true\n---\n\n# {name}\n\n``````{SHOWN[path.suffix]}\n{text.rstrip()}\n``````\n"
+    return (
+        f"---\norphan: true\nnosearch: true\n---\n\n# {name}\n\n``````{SHOWN[path.suffix]}\n{text.rstrip()}\n``````\n"
+    )
 
 
 def linked(text: str, page: Path, place: str, show: Callable[[Path], object]) -> str:
