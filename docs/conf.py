@@ -49,6 +49,7 @@ html_theme = "furo"
 html_title = "dmframe"
 html_static_path = [str(Path(__file__).parent / "_static")]
 html_css_files = ["site.css"]
+html_js_files = ["offline.js"]
 html_favicon = str(Path(__file__).parent / "_static" / "mark.svg")
 html_math_renderer = "dmframe"
 html_show_sphinx = False

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -62,6 +63,14 @@ def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
             path.unlink()
 
 
+def _quiet_kernels(folder: Path) -> None:
+    """Lessons run without what a reader has set for notebooks of his own, and kernels tell errors alone."""
+    profile = folder / "profile_default"
+    profile.mkdir(parents=True, exist_ok=True)
+    profile.joinpath("ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n")
+    os.environ["IPYTHONDIR"] = str(folder)
+
+
 def main() -> int:
     """Returns Sphinx's status."""
     parser = argparse.ArgumentParser(description="Build the site.")
@@ -75,6 +84,7 @@ def main() -> int:
         return 0
     if not site.is_dir():
         shutil.rmtree(cache, ignore_errors=True)  # it says which pages need not be set again
+    _quiet_kernels(cache / "ipython")
     from sphinx.cmd.build import build_main
 
     words = ["-W", "--keep-going", "-q", "-j", "2", "-c", str(DOCS), "-d", str(cache)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import time
 from pathlib import Path
 from typing import Any, ClassVar
@@ -25,8 +26,8 @@ class Live(SphinxDirective):
     """``{live} GRAPH``: the live page of a graph, written and embedded.
 
     The graph is a packaged one or a file beside the page. Options: `set`, values as after ``--set``, several between
-    blanks; `height` [pixels]; `title`; `still`, a picture that is seen until the page is loaded. A body, where there is
-    one, is the graph itself, and the argument its name.
+    blanks; `height` [pixels]; `title`; `still`, a picture that is seen until the page is loaded; `wide`, wider than the
+    text. A body, where there is one, is the graph itself, and the argument its name.
     """
 
     required_arguments = 1
@@ -36,6 +37,7 @@ class Live(SphinxDirective):
         "height": directives.positive_int,
         "title": directives.unchanged,
         "still": directives.unchanged,
+        "wide": directives.flag,
     }
 
     def run(self) -> list[nodes.Node]:
@@ -57,12 +59,13 @@ class Live(SphinxDirective):
             LOG.warning("live %s: %s", name, error, location=self.get_location(), type="live")
             return [nodes.raw("", live.missing(name, "this version cannot write it."), format="html")]
         packaged = not self.content and not name.endswith((".yaml", ".yml"))
-        words = ["dmframe", "page", name, *(word for item in _items(settings) for word in ("--set", item))]
+        words = ["dmframe", "page", name, *(word for item in shlex.split(settings) for word in ("--set", item))]
         html = live.embedded(
             up + place,
             self.options.get("title") or graph.title or graph.name,
             self.options.get("height", live.HEIGHT),
             still=self._still(up),
+            wide="wide" in self.options,
             command=words if packaged else (),
         )
         return [nodes.raw("", html, format="html")]
@@ -86,12 +89,6 @@ class Live(SphinxDirective):
 
 _written: set[Path] = set()
 """Live pages of this build, so that a graph that several pages show is written once."""
-
-
-def _items(settings: str) -> list[str]:
-    import shlex
-
-    return shlex.split(settings)
 
 
 def inline_math(self: Any, node: nodes.math) -> None:

@@ -41,7 +41,9 @@ def write(graph: Graph, path: Path) -> Path:
     return path
 
 
-def embedded(address: str, title: str, height: int = HEIGHT, *, still: str = "", command: Sequence[str] = ()) -> str:
+def embedded(
+    address: str, title: str, height: int = HEIGHT, *, still: str = "", wide: bool = False, command: Sequence[str] = ()
+) -> str:
     """The HTML that shows a live page within another: it is loaded when a reader scrolls near it.
 
     Parameters
@@ -50,13 +52,15 @@ def embedded(address: str, title: str, height: int = HEIGHT, *, still: str = "",
         Of the live page, from the page that shows it.
     still
         Address of a picture that is seen until then.
+    wide
+        Wider than the text around it.
     command
         What gives the same page on a reader's own machine.
     """
     behind = f' style="background-image:url({escape(still)})"' if still else ""
     said = f" or by <code>{escape(shlex.join(command))}</code>" if command else ""
     return (
-        f'<figure class="live"><div class="live-frame"{behind}>'
+        f'<figure class="live{" wide" * wide}"><div class="live-frame"{behind}>'
         f'<iframe loading="lazy" title="{escape(title)}" src="{escape(address)}" '
         f'height="{height}"></iframe></div>'
         f'<figcaption>{escape(title)}. <a href="{escape(address)}" target="_blank">Open it alone</a>{said}.'

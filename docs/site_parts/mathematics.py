@@ -13,6 +13,10 @@ _OUTER: Final = re.compile(
 )
 _TOKEN: Final = re.compile(r"\\(?:begin|end)\{\w+\*?\}|\\(?:left|right)\b|\\[a-zA-Z]+|\\.|.", re.DOTALL)
 _TAG: Final = re.compile(r"\\tag\*?\{([^{}]*)\}")
+_CAPITAL: Final = re.compile(r"<mi>(&#x003(?:9[1-9A-F]|A[0-9]);)</mi>")
+"""Greek, which stands upright where Latin letters lean."""
+_BIG: Final = re.compile(r"\\[bB]igg?[lrm]?(?![a-zA-Z])[ ]*")
+"""A size of brackets, which grow with what they hold anyway."""
 _SCRIPT: Final = re.compile(r'<mi mathvariant="script">([A-Z])</mi>')
 _DEFINES: Final = re.compile(r"\\(?:DeclareMathOperator|newcommand|renewcommand|def)\b")
 _UNKNOWN: Final = re.compile(r"<m\w+[^>]*>\\")
@@ -53,11 +57,12 @@ def _set(latex: str, *, display: bool) -> str:
     braces = [token for token in _TOKEN.findall(latex) if token in "{}"]
     if braces.count("{") != braces.count("}"):
         raise MathError(f"cannot set {latex}: its braces do not match")
-    found = mathml(latex, display=display, joined=display and latex.startswith(("+", "-")))
+    found = mathml(_BIG.sub("", latex), display=display, joined=display and latex.startswith(("+", "-")))
     if not found.startswith("<math") or _UNKNOWN.search(found):
         raise MathError(f"cannot set {latex}")
     # browsers know the letters, but not the attribute
     found = _SCRIPT.sub(lambda letter: f"<mi>{SCRIPT_CAPITALS[ord(letter[1]) - ord('A')]}</mi>", found)
+    found = _CAPITAL.sub(r'<mi mathvariant="normal">\1</mi>', found)
     return found.replace("<mo>&#x022A4;</mo>", '<mi mathvariant="normal">T</mi>')
 
 

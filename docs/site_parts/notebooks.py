@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from typing import Any, Final
 
 from site_parts.pages import LINK
@@ -59,8 +60,6 @@ def _tags(options: dict[str, str]) -> list[str]:
 
 def _shown(graph: str, options: dict[str, str]) -> str:
     """The cell that shows a live page in a notebook."""
-    import shlex
-
     values = ", ".join(
         f"{key!r}: {value!r}" for key, _, value in (item.partition("=") for item in shlex.split(options.get("set", "")))
     )
