@@ -19,6 +19,7 @@ from dmframe.formula.names import unicode_name
 from dmframe.page.functions import Functions, Group, functions_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
+from dmframe.report.notation import spelled
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
 from dmframe.results.resolved import resolved_text, robot_source
@@ -182,16 +183,17 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
     return {
         "outcome": verdict.outcome,
         "headline": verdict.headline,
-        "reason": verdict.reason,
+        "reason": spelled(verdict.reason),
         "text": verdict_text(name, verdict),
-        "conclusions": [f"{item.signal} {item.says}" for item in verdict.statements if item.concludes]
+        "conclusions": [spelled(f"{item.signal} {item.says}") for item in verdict.statements if item.concludes]
         if verdict.outcome == "proved"
         else [],
-        "assumptions": [item.text for item in verdict.assumptions],
+        "assumptions": [spelled(item.text) for item in verdict.assumptions],
         "kappa": functions.kappa,
         "conditions": [
             {
-                "name": condition.name,
+                "name": spelled(condition.name),
+                "how": condition.how,
                 "strict": condition.strict,
                 "value": None if condition.value is None else _finite(condition.value),
                 "holds": condition.holds,

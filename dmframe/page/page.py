@@ -18,7 +18,7 @@ from dmframe.errors import OutputError
 from dmframe.files import check_place, expanded, write_text
 from dmframe.page.content import content_of
 
-SCRIPTS: Final = ("solver.js", "scene.js", "plot.js", "page.js")
+SCRIPTS: Final = ("solver.js", "verdict.js", "scene.js", "plot.js", "page.js")
 """In the order in which they stand in the page."""
 ENDINGS: Final = (".html", ".htm")
 HEIGHT: Final = 860
@@ -72,7 +72,7 @@ def check_page_place(path: Path) -> None:
 def assembled(content: dict[str, Any]) -> str:
     """The page of some data, as HTML."""
     web = files("dmframe.page").joinpath("web")
-    texts = {name: web.joinpath(name).read_text("utf-8") for name in ("page.html", "page.css", *SCRIPTS)}
+    texts = {name: _bare(web.joinpath(name).read_text("utf-8")) for name in ("page.html", "page.css", *SCRIPTS)}
     parts = {
         "TITLE": _escaped(content["title"] or content["name"]),
         "STYLE": texts["page.css"],
@@ -81,6 +81,11 @@ def assembled(content: dict[str, Any]) -> str:
         "SCRIPT": "\n".join(texts[name] for name in SCRIPTS),
     }
     return re.sub("@(TITLE|STYLE|DATA|SCRIPT)@", lambda mark: parts[mark[1]], texts["page.html"])
+
+
+def _bare(text: str) -> str:
+    """Without indentation and without lines that are a comment: a sixth of a page's text."""
+    return re.sub(r"^[ \t]*(//.*)?\n?", "", text, flags=re.MULTILINE)
 
 
 def _escaped(text: str) -> str:

@@ -101,6 +101,32 @@ def test_the_kinematic_command_is_the_reference() -> None:
     close(answer("kinematic_command", dq_r=[1.5, -2])["dq_c"], [1.5, -2])
 
 
+def test_a_torque_command_damps_the_sliding_variable() -> None:
+    found = answer("torque_command", {"K_sigma": [2, 3]}, dq=[1, 2], dq_r=[0.5, 3], tau_dc=[10, 20])
+    close(found["dq_ref"], [0.5, 3])
+    close(found["sigma"], [0.5, -1])
+    close(found["tau_c"], [9, 23])
+
+
+def test_a_spring_and_a_damper_pull_the_joints_to_their_path() -> None:
+    given = {"K_e": [10, 20], "K_sigma": [2, 3]}
+    found = answer("pd_torque", given, q=[1, 2], q_d=[0.5, 3], dq=[4, 5], dq_d=[3, 6], tau_dc=[0.5, 0])
+    close(found["dq_ref"], [3, 6])
+    close(found["sigma"], [1, -1])
+    close(found["tau_c"], [0.5 - 5 - 2, 20 + 3])
+
+
+def test_inverse_dynamics_is_the_textbooks() -> None:
+    dq_ref, ddq_ref = np.array([0.3, 0.8]), np.array([-1.0, 2.0])
+    found = answer("inverse_dynamics", robot=load("arm2"), q=Q, dq=DQ, dq_ref=dq_ref, ddq_ref=ddq_ref)
+    moving = closed_form.mass_matrix(Q) @ ddq_ref + closed_form.coriolis(Q, DQ) @ dq_ref
+    np.testing.assert_allclose(found["tau_c"], moving + closed_form.gravity_torque(Q), rtol=1e-11)
+
+
+def test_a_torque_interface_gives_the_voltage_of_a_torque() -> None:
+    close(answer("torque_interface", tau_c=[6, 6], K=[2, 3])["u"], [3, 2])
+
+
 def test_the_compensator_adapts_down_the_gradient_and_adds_the_task_torque() -> None:
     Y_d = np.array([[1.0, 2, 3], [0, -1, 1]])
     given = {"Gamma": [1, 2, 4]}

@@ -27,7 +27,9 @@ from dmframe.config.document import read_document, read_file
 from dmframe.config.experiment import experiment_of
 
 ROOT = Path(__file__).parents[2]
+COURSE = ROOT / "docs" / "course"  # notebooks, which test_course.py runs
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.joinpath("docs").rglob("*.md"))]
+PAGES = [page for page in PAGES if COURSE not in page.parents]
 FENCE = re.compile(r"^```([^`\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"# ([\w/]+\.\w+)\n")
 DIRECTIVE = re.compile(r"\{(?:live|toctree)\}")

@@ -1,0 +1,79 @@
+"""Command of a robot whose joints take torques."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.naming import named
+from dmframe.parameter import Diagonal, Positive
+from dmframe.port import Access, Port
+
+
+@final
+class TorqueCommand(AbstractBlock):
+    r"""Adds a damping of the sliding variable to the dynamic compensation, as Slotine and Li do.
+
+    .. math::
+
+        \dot q_{ref} = \dot q_r, \quad \sigma = \dot q - \dot q_{ref}, \quad \tau_c = \tau_{dc} - K_\sigma \sigma   \tag{1}
+
+    There is no servo to invert, and nothing is stored:
+
+    .. math::
+
+        S      &= 0   \tag{2} \\
+        \dot S &= -\sigma^\top (K_\sigma + B) \sigma - \sigma^\top (K u - \tau_{dc} - B \sigma)   \tag{3}
+
+    which says that the torque arrives, :math:`K u = \tau_c`.
+
+    Parameters
+    ----------
+    K_sigma : diagonal (n,), N m s/rad, > 0
+        Damping of the sliding variable. Larger is stiffer and passes more velocity noise.
+
+    Notes
+    -----
+    Not for: a robot behind a closed servo, which takes no torques; see `pi_inverse` and `pid_inverse`.
+
+    References
+    ----------
+    [SlotineLi1987]_; [SlotineLi1991]_ Section 9.2.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq", "n", "rad/s"),
+        Port("dq_r", "n", "rad/s"),
+        Port("tau_dc", "n", "N m"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("tau_c", "n", "N m", Access.COMMANDED),
+        Port("dq_ref", "n", "rad/s"),
+        Port("sigma", "n", "rad/s"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("K", "n", "N m/V"),
+        Port("B", "n", "N m s/rad"),
+        Port("u", "n", "V"),
+    )
+
+    K_sigma: Diagonal = Positive("n", "N m s/rad")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        sigma = u.dq - u.dq_r
+        return Equations(
+            outputs={"tau_c": u.tau_dc - p.K_sigma * sigma, "dq_ref": u.dq_r, "sigma": sigma},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(2) and (3)."""
+        sigma = named("sigma", u.dq - u.dq_r)
+        return Certificate(
+            dissipation=(Square(sigma, p.K_sigma + truth.B),),
+            pays=(1,),
+            supply=-ca.dot(sigma, truth.K * truth.u - u.tau_dc - truth.B * sigma),
+        )

@@ -1,0 +1,66 @@
+// What may be said of the proof where the sliders stand. Nothing here knows of a page.
+
+// The conditions at the numbers that `judged` was evaluated at; `moved`: these are not the file's.
+export function conditionsAt(content, judged, moved) {
+  return content.verdict.conditions.map(({ name, how, strict, value, holds, at, size }) => {
+    // not an expression of parameters: what was decided for the file's numbers is all that is known
+    if (at === null) return moved ? { name, how, strict, margin: null, holds: null } : { name, how, strict, margin: value, holds };
+    if (!size) return { name, how, strict, margin: null, holds };
+    const margins = Array.from(judged.subarray(at, at + size));
+    const margin = margins.some(Number.isNaN) ? NaN : Math.min(...margins);
+    return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
+  });
+}
+
+// A headline, and sentences. `moved.p`: numbers of the loop are not the file's; `moved.run`: its start or its clock.
+export function judgement(content, judged, moved) {
+  const { verdict } = content, rows = conditionsAt(content, judged, moved.p);
+  const failing = rows.filter((row) => row.holds === false), open = rows.filter((row) => row.holds === null);
+  const found = (state, headline, ...says) => ({ state, headline, says: says.filter(Boolean), rows });
+  if (verdict.outcome !== "proved") {
+    const headline = verdict.outcome === "refuted" ? "Refuted:" : "Not proved:";
+    const others = moved.p && "So it was found at the file's numbers; the command below, with verify for run, decides at these.";
+    return found("unproved", headline, sentence(verdict.reason), others);
+  }
+  const identity = sentence(verdict.reason.split(";")[0]);
+  if (failing.length) {
+    const named = failing.map(({ name, margin }) => `${name} (margin ${figure(margin)})`);
+    const which = `${failing.length > 1 ? `${failing.length} conditions fail` : "A condition fails"}: ${named.slice(0, 2).join("; ")}`;
+    const more = failing.length > 2 ? `; and ${failing.length - 2} more` : "";
+    return found("fails", "The proof does not apply at these values", `${which}${more}.`, "V may rise here.");
+  }
+  const kappa = verdict.kappa === null ? NaN : judged[verdict.kappa];
+  const weight = kappa > 0 ? `, with any κ above ${figure(kappa)}` : "";
+  if (open.length) {
+    const names = open.map(({ name }) => name).slice(0, 2).join("; ");
+    const rest = `${open.length > 1 ? `${open.length} conditions were` : "One condition was"} decided for the file's numbers only`;
+    return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
+  }
+  const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them found by samples, not proved)` : "";
+  const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${samples}${weight}.`;
+  const follows = verdict.conclusions.filter((text) => !text.startsWith("d")).join(" and that ");
+  const end = follows && (
+    moved.p ? `That ${follows} was concluded for the file's numbers; for these it is not decided.`
+      : moved.run ? `That ${follows} was concluded in continuous time and for the file's start.` : `It follows that ${follows}.`
+  );
+  const headline = moved.p ? verdict.headline.replace("proved", "proved at these values") : verdict.headline;
+  return found("proved", headline.charAt(0).toUpperCase() + headline.slice(1), identity, hold, end);
+}
+
+// A full stop behind a text; its first letter stays as it is, for it may be a symbol's or a block's.
+function sentence(text) {
+  return /[.!]$/.test(text) ? text : `${text}.`;
+}
+
+// A number to three digits: 0.00311, 2.54·10⁻⁶.
+export function figure(value) {
+  const size = Math.abs(value);
+  if (!Number.isFinite(value)) return String(value);
+  if (!size || (size >= 1e-3 && size < 1e5)) return String(Number(value.toPrecision(3))).replace("-", "−");
+  const [digits, power] = value.toExponential(2).split("e");
+  return `${String(Number(digits)).replace("-", "−")}·10${raised(Number(power))}`;
+}
+
+export function raised(power) {
+  return String(power).replace("-", "⁻").replace(/\d/g, (digit) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[digit]);
+}

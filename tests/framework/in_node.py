@@ -1,0 +1,38 @@
+"""A page's scripts in Node, where there is one."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+import dmframe as dm
+import dmframe.page
+from dmframe.page.content import content_of
+
+WEB: Final = Path(dmframe.page.__file__).parent / "web"
+DRIVER: Final = Path(__file__).parent / "page" / "drive.mjs"
+
+
+@cache
+def content(name: str) -> dict[str, Any]:
+    """A packaged graph's page as data; not to be changed."""
+    page = dm.load(name).page()
+    return content_of(page.experiment, page.diagram, page.verdict)
+
+
+def asked(content: dict[str, Any], *, web: Path = WEB, **asked: Any) -> dict[str, Any]:
+    """What `drive.mjs` answers; the test is skipped where there is no Node."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed")
+    text = json.dumps({"web": web.as_uri(), "content": content, **asked})
+    found = subprocess.run([node, str(DRIVER)], input=text, capture_output=True, text=True, check=False)
+    assert found.returncode == 0, found.stderr
+    answers: dict[str, Any] = json.loads(found.stdout)
+    return answers

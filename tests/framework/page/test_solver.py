@@ -1,0 +1,106 @@
+"""What a page simulates, against `dmframe run` on the same numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from in_node import asked, content
+
+import dmframe as dm
+from dmframe.graph.graph import Graph
+from dmframe.simulate import Recording, simulate
+from dmframe.simulate.start import start_state
+
+
+def simulated(graph: Graph, seconds: float, **options: Any) -> Recording:
+    file = graph.experiment.file
+    given = {"clock": file.clock, "solver": graph.experiment.solver, "start": graph.experiment.start} | options
+    return simulate(graph.diagram, seconds, **given)
+
+
+def columns(recording: Recording) -> np.ndarray:
+    return np.hstack([recording.states[v.label] for v in recording.diagram.loop.variables])
+
+
+@pytest.mark.parametrize("name", ["arm2_joint", "pendulum", "ur10_fast"])
+def test_a_page_simulates_what_run_does(name: str) -> None:
+    (found,) = asked(content(name), runs=[{"horizon": 1.0}])["answers"]
+    expected = columns(simulated(dm.load(name), 1.0))[:: found["every"]]
+    np.testing.assert_allclose(found["states"], expected[: found["kept"]], rtol=1e-7, atol=1e-9)
+    assert found["divergence"] is None and found["notices"] == []
+
+
+def test_numbers_that_a_slider_moved_give_what_set_gives() -> None:
+    data, p = content("arm2_joint"), list(content("arm2_joint")["p"])
+    at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "task.alpha_bar")
+    p[at] = 3.0
+    (found,) = asked(data, runs=[{"p": p, "horizon": 0.5}])["answers"]
+    expected = columns(simulated(dm.load("arm2_joint").set({"task.alpha_bar": 3}), 0.5))
+    np.testing.assert_allclose(found["states"][-1], expected[-1], rtol=1e-7, atol=1e-9)
+    still = columns(simulated(dm.load("arm2_joint"), 0.5))
+    assert np.max(np.abs(np.array(found["states"][-1]) - still[-1])) > 1e-5  # what moved has an effect
+
+
+def test_a_clock_that_a_slider_moved_gives_what_set_gives() -> None:
+    (found,) = asked(content("ur10_fast"), runs=[{"tick": 0.02, "horizon": 1.0}])["answers"]
+    expected = columns(simulated(dm.load("ur10_fast").set(clock="20 ms"), 1.0))
+    np.testing.assert_allclose(found["states"][-1], expected[-1], rtol=1e-7, atol=1e-9)
+
+
+def test_a_start_is_put_onto_a_path_that_moved_and_then_shifted() -> None:
+    data, p = content("arm2_joint"), list(content("arm2_joint")["p"])
+    p[0] += 0.3  # path.center
+    found = asked(data, runs=[{"p": p, "horizon": 0.01}, {"p": p, "shift": [0.1, -0.2], "horizon": 0.01}])["answers"]
+    graph = dm.load("arm2_joint").set({"path.center": p[:2]})
+    place = data["pose"]["at"]
+    expected = start_state(graph.diagram, graph.experiment.start)
+    np.testing.assert_allclose(found[0]["states"][0], expected, atol=1e-8)
+    np.testing.assert_allclose(found[1]["start"], expected[place : place + 2] + [0.1, -0.2], atol=1e-8)
+
+
+def test_a_path_out_of_reach_is_said_to_be_so() -> None:
+    data, p = content("panda_full"), list(content("panda_full")["p"])
+    assert data["pose"]["sought"]
+    at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "path.center[0]")
+    p[at] += 3.0
+    (found,) = asked(data, runs=[{"p": p, "horizon": 0.01}])["answers"]
+    assert "no pose within the joints' limits is on the path's start" in found["notices"][0]
+    pose = data["pose"]
+    assert np.all(np.array(found["start"]) >= pose["lower"]) and np.all(np.array(found["start"]) <= pose["upper"])
+
+
+def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
+    data, p = content("ur10_fast"), list(content("ur10_fast")["p"])
+    slider = next(slider for slider in data["sliders"] if slider["label"] == "servo.K_D")
+    place = slice(slider["at"], slider["at"] + slider["size"])
+    p[place] = [20 * number for number in p[place]]
+    (found,) = asked(data, runs=[{"p": p, "horizon": 0.08}])["answers"]
+    run = simulated(dm.load("ur10_fast").set({"servo.K_D": p[place]}), 0.08)
+    assert found["notices"][0] in run.notices
+    assert run.solver.step is not None and found["substeps"] == int(np.ceil(0.008 / run.solver.step))
+    np.testing.assert_allclose(found["states"][-1], columns(run)[-1], rtol=1e-6, atol=1e-9)
+
+
+def test_a_run_that_blows_up_ends_where_run_says_it_does() -> None:
+    data, p = content("arm2_joint"), list(content("arm2_joint")["p"])
+    at = next(slider["at"] for slider in data["sliders"] if slider["label"] == "task.alpha_bar")
+    p[at] = 200.0
+    (found,) = asked(data, runs=[{"p": p}])["answers"]
+    run = simulated(dm.load("arm2_joint").set({"task.alpha_bar": 200}), 20.0)
+    assert found["divergence"] is not None and found["divergence"] == str(run.divergence)
+
+
+def test_an_instant_is_kept_at_the_end_and_a_run_too_long_is_cut() -> None:
+    data = content("ur10_fast")
+    whole, cut = asked(data, runs=[{"horizon": 8.0}, {"horizon": 8.0, "most": 900}])["answers"]
+    assert whole["times"][-1] == pytest.approx(8.0) and whole["kept"] == 1001 and whole["short"] == 0
+    assert cut["short"] == pytest.approx(cut["times"][-1]) == pytest.approx(0.8)
+
+
+def test_quantities_are_written_as_python_writes_them() -> None:
+    from dmframe.units import plain
+
+    found = asked(content("pendulum"))["plain"]
+    assert found == [plain(value, "s") for value in (90e-3, 2.5e-5, 1e10, 0.0)]
