@@ -1,4 +1,4 @@
-# make run | make test | make benchmark | make peers | make mutants | make soak | make setup | make lint | make lock | make clean
+# make run | make test | make docs | make benchmark | make peers | make mutants | make soak | make setup | make lint | make lock | make clean
 # Needs Python 3.11 or later with venv and pip, git, make and gcc; choose the Python with PYTHON=python3.12.
 
 SHELL := /bin/bash
@@ -9,12 +9,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+SITE := $(VENV)/.installed-docs
 WORKERS ?= 2
 FAST := ur10_fast ur10_fast_kinematic ur10_fast_tuned
 SLOW := ur10_slow ur10_slow_kinematic ur10_slow_tuned
 SOURCES := dmframe blocks plants tests
 
-.PHONY: run test mutants soak setup lint lock clean benchmark peers
+.PHONY: run test docs mutants soak setup lint lock clean benchmark peers
 
 # The paper's two experiments: a table and a folder of figures each.
 run: setup
@@ -61,10 +62,20 @@ benchmark: setup
 	$(BIN)/python tests/benchmarks/certify.py
 	$(BIN)/python -m tests.benchmarks $(BENCHMARK)
 
+# The site, as plain files that need no server and no network: build/docs/index.html. Every warning stops it. What it needs
+# beside the project, some 100 megabytes, is installed the first time.
+docs: $(SITE)
+	$(BIN)/python docs/make_site.py
+
+$(SITE): pyproject.toml $(STAMP)
+	$(BIN)/python -m pip install -qq --disable-pip-version-check --upgrade "pip>=25.1"
+	$(BIN)/python -m pip install -qq --disable-pip-version-check --group docs
+	touch $@
+
 # The other tools: some hundred megabytes.
 peers: setup
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --upgrade "pip>=25.1"
 	$(BIN)/python -m pip install -qq --disable-pip-version-check --group peers
 
 clean:
-	rm -rf $(VENV) dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,100 @@
+"""Build the site: gather its pages into a folder of their own, then have Sphinx set them.
+
+    python docs/make_site.py [--check] [FOLDER]
+
+The site is written to FOLDER, ``build/docs`` by default, as plain files. Pages that are made from the code, such as
+those of the blocks, never stand among those that people write. ``--check`` gathers the pages, and sets none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import shutil
+import sys
+from pathlib import Path
+
+from site_parts import api, references
+from site_parts.pages import CATALOGUE, DOCS, PAGES, ROOT, linked, shown_place, shown_text, sources
+
+
+def gathered(folder: Path) -> dict[str, str | bytes]:
+    """All files from which the site is set, by their place in it; blocks' pages are written to `folder` before."""
+    shown, files = set[Path](), dict[str, str | bytes]()
+    for place, path in sources().items():
+        files[place] = linked(path.read_text(encoding="utf-8"), path, place, shown.add)
+    for place, text in made(folder).items():
+        files[place] = linked(text, DOCS / place, place, shown.add)
+    files |= api.pages() | {"reference/references.rst": references.text()}
+    files |= {shown_place(path): shown_text(path) for path in shown}
+    return files | {place: path.read_bytes() for place, path in beside().items()}
+
+
+def beside() -> dict[str, Path]:
+    """Pictures and tables that the pages show, by their place in the site."""
+    found = {str(path.relative_to(DOCS)): path for path in DOCS.rglob("*") if path.suffix in PAGES[1:]}
+    return {place: path for place, path in found.items() if not place.startswith("_")}
+
+
+def made(folder: Path) -> dict[str, str]:
+    """The pages of the blocks, where the generator is; their pictures stay in `folder`."""
+    if not DOCS.joinpath("make_blocks.py").exists():
+        return {}
+    mine = folder / CATALOGUE
+    shutil.rmtree(mine, ignore_errors=True)
+    mine.mkdir(parents=True)
+    importlib.import_module("make_blocks").write(mine)
+    return {str(path.relative_to(folder)): path.read_text(encoding="utf-8") for path in sorted(mine.rglob("*.md"))}
+
+
+def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
+    """Write what has changed, and take away what is no longer there: Sphinx reads again what is new alone."""
+    for place, content in files.items():
+        path, data = folder / place, content.encode() if isinstance(content, str) else content
+        if not path.is_file() or path.read_bytes() != data:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(data)
+    pictures = folder / CATALOGUE
+    for path in list(folder.rglob("*")):
+        place = str(path.relative_to(folder))
+        ours = path.is_relative_to(pictures) and path.suffix != ".md"
+        if path.is_file() and place not in files and not ours:
+            path.unlink()
+
+
+def _quiet_kernels(folder: Path) -> None:
+    """Lessons run without what a reader has set for notebooks of his own, and kernels tell errors alone."""
+    profile = folder / "profile_default"
+    profile.mkdir(parents=True, exist_ok=True)
+    profile.joinpath("ipython_kernel_config.py").write_text("get_config().IPKernelApp.log_level = 40\n")
+    os.environ["IPYTHONDIR"] = str(folder)
+
+
+def main() -> int:
+    """Returns Sphinx's status."""
+    parser = argparse.ArgumentParser(description="Build the site.")
+    parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build" / "docs", metavar="FOLDER")
+    parser.add_argument("--check", action="store_true", help="gather the pages only")
+    asked = parser.parse_args()
+    site: Path = asked.folder.resolve()
+    sources_folder, cache = site.with_name(f"{site.name}-source"), site.with_name(f"{site.name}-cache")
+    lay_out(gathered(sources_folder), sources_folder)
+    if asked.check:
+        return 0
+    if not site.is_dir():
+        shutil.rmtree(cache, ignore_errors=True)  # it says which pages need not be set again
+    _quiet_kernels(cache / "ipython")
+    from sphinx.cmd.build import build_main
+
+    words = ["-W", "--keep-going", "-q", "-j", "2", "-c", str(DOCS), "-d", str(cache)]
+    status = build_main([*words, str(sources_folder), str(site)])
+    if status:
+        shutil.rmtree(cache, ignore_errors=True)  # or the next build would pass over what this one warned of
+    else:
+        sys.stdout.write(f"the site: {site / 'index.html'}\n")
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

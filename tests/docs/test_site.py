@@ -1,0 +1,294 @@
+"""The site, without setting it: its pages, its navigation, its links, and what it adds to Sphinx."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import sys
+import tomllib
+from collections import Counter
+from fnmatch import fnmatch
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import dmframe
+
+ROOT = Path(__file__).parents[2]
+
+
+def part(name: str) -> Any:
+    """A module that stands with the documentation."""
+    sys.path.insert(0, str(ROOT / "docs"))
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.path.remove(str(ROOT / "docs"))
+
+
+make_site = part("make_site")
+api, live, mathematics = part("site_parts.api"), part("site_parts.live"), part("site_parts.mathematics")
+notebooks, pages, references = part("site_parts.notebooks"), part("site_parts.pages"), part("site_parts.references")
+
+LOADS = re.compile(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//|url\(\s*["']?(?:https?:)?//|@import|<link|cdn\.""", re.I)
+"""How a page, a style or a configuration names something that a browser fetches by itself."""
+PLAIN_LINK = re.compile(r"(?<!!)\[[^\]]*\]\(https?://")
+
+
+@pytest.fixture(scope="module")
+def files() -> dict[str, str | bytes]:
+    """All sources of the site but the blocks' pages, which have tests of their own."""
+    shown = set[Path]()
+    found: dict[str, str | bytes] = {
+        place: pages.linked(path.read_text(encoding="utf-8"), path, place, shown.add)
+        for place, path in pages.sources().items()
+    }
+    found |= {place: path.read_bytes() for place, path in make_site.beside().items()}
+    found |= api.pages() | {"reference/references.rst": references.text()}
+    return found | {pages.shown_place(path): pages.shown_text(path) for path in shown}
+
+
+def navigation(files: dict[str, str | bytes]) -> Counter[str]:
+    """How often each page is listed in a table of contents."""
+    names = {re.sub(r"\.(md|rst)$", "", place): place for place in files if place.endswith((".md", ".rst"))}
+    listed = Counter[str]()
+    for place, text in files.items():
+        if isinstance(text, str) and not place.startswith("files/"):
+            for line in entries(place, text):
+                name = os.path.normpath(Path(place).parent / line)
+                several = [
+                    known
+                    for known in names
+                    if fnmatch(known, name) and "/" not in known[len(str(Path(name).parent)) + 1 :]
+                ]
+                assert several or name.startswith(pages.CATALOGUE), f"{place}: {line} is no page"
+                listed.update(several if "*" in name else [name])
+    return listed
+
+
+def entries(place: str, text: str) -> list[str]:
+    if place.endswith(".md"):
+        return pages.children(text)
+    return re.findall(r"^   (\w+)$", text, re.MULTILINE) if place.endswith("api/index.rst") else []
+
+
+def test_every_page_is_in_the_navigation_once(files: dict[str, str | bytes]) -> None:
+    listed = navigation(files)
+    wanted = {re.sub(r"\.(md|rst)$", "", place) for place in files if place.endswith((".md", ".rst"))}
+    wanted = {name for name in wanted if not name.startswith("files/") and name != "index"}
+    assert len(wanted) > 50
+    assert {name for name, count in listed.items() if count > 1} == set()
+    assert wanted - set(listed) == set()
+
+
+def test_a_page_that_is_listed_twice_or_nowhere_is_seen() -> None:
+    tree = "```{toctree}\n:hidden:\n\na\nsub/*\na\n```\n"
+    listed = navigation({"index.md": tree, "a.md": "", "b.md": "", "sub/c.md": "", "sub/deep/d.md": ""})
+    assert listed == {"a": 2, "sub/c": 1}
+
+
+def test_every_link_of_a_gathered_page_leads_to_a_page_of_the_site(files: dict[str, str | bytes]) -> None:
+    found = 0
+    for place, text in files.items():
+        if place.endswith(".md") and isinstance(text, str):
+            for is_prose, part in pages.parted(text):
+                for link in pages.LINK.finditer(part) if is_prose and not place.startswith("files/") else ():
+                    target, _, anchor = link["target"].partition("#")
+                    if "://" in target:
+                        continue
+                    found += 1
+                    goal = os.path.normpath(Path(place).parent / target) if target else place
+                    assert goal in files or goal.startswith(pages.CATALOGUE), f"{place}: {link['target']}"
+                    assert not anchor or anchor in anchors(str(files[goal])), f"{place}: {link['target']}"
+    assert found > 200
+
+
+def anchors(text: str) -> set[str]:
+    """What a page's headings are called, as GitHub and MyST call them."""
+    heads = [
+        line.lstrip("#").strip()
+        for is_prose, part in pages.parted(text)
+        if is_prose
+        for line in re.findall(r"^#+ .*$", part, re.M)
+    ]
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def test_a_link_that_leads_nowhere_is_refused() -> None:
+    page = ROOT / "docs" / "index.md"
+    with pytest.raises(pages.LinkError, match=r"docs/index\.md: nosuch\.md leads nowhere"):
+        pages.linked("see [this](nosuch.md)", page, "index.md", print)
+
+
+def test_links_lead_where_the_site_has_the_page() -> None:
+    page, shown = ROOT / "docs" / "how_to" / "laws.md", list[Path]()
+    text = (
+        "[a](../../CLAIMS.md#proof) [`b`](../../dmframe/errors.py) ![c](../images/ur10_fast.png) [d](../../plants) "
+        "[e](https://example.org) [f](../../README.md)\n```text\n[g](nosuch.md)\n```\n"
+        ":::{note}\n[h](proofs.md)\n```console\n[i](nosuch.md)\n```\n:::\n[j](rank.md)"
+    )
+    assert pages.linked(text, page, "how_to/laws.md", shown.append) == (
+        "[a](../CLAIMS.md#proof) [`b`](../files/dmframe/errors.py.md) ![c](../images/ur10_fast.png) d "
+        "[e](https://example.org) [f](../index.md)\n```text\n[g](nosuch.md)\n```\n"
+        ":::{note}\n[h](proofs.md)\n```console\n[i](nosuch.md)\n```\n:::\n[j](rank.md)"
+    )
+    assert shown == [ROOT / "dmframe" / "errors.py"]
+
+
+def test_nothing_is_loaded_from_a_network(files: dict[str, str | bytes]) -> None:
+    texts = {
+        place: str(text)
+        for place, text in files.items()
+        if place.endswith((".md", ".rst")) and not place.startswith("files/")
+    }
+    own = [
+        *(ROOT / "docs" / "_static").iterdir(),
+        *(ROOT / "docs" / "site_parts").glob("*.py"),
+        ROOT / "docs" / "conf.py",
+    ]
+    texts |= {
+        str(path): path.read_text(encoding="utf-8") for path in own if path.suffix in (".py", ".css", ".js", ".svg")
+    }
+    prose = {
+        place: PLAIN_LINK.sub("", "".join(part for is_prose, part in pages.parted(text) if is_prose))
+        for place, text in texts.items()
+    }
+    assert {place: LOADS.findall(text) for place, text in prose.items() if LOADS.search(text)} == {}
+    assert not [place for place, text in prose.items() if re.search(r"!\[[^\]]*\]\((?:https?:)?//", text)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ['<img src="https://a.org/b.png">', "url(//fonts.org/x.woff2)", "@import 'x.css'", "<script src=//cdn.org/m.js>"],
+)
+def test_a_remote_resource_is_seen(text: str) -> None:
+    assert LOADS.search(text)
+
+
+def test_the_configuration_sets_formulas_without_a_script() -> None:
+    text = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
+    assert 'html_math_renderer = "dmframe"' in text
+    assert "mathjax" not in text.lower()
+    assert "nb_execution_raise_on_error = True" in text
+    assert '"-W"' in (ROOT / "docs" / "make_site.py").read_text(encoding="utf-8")
+
+
+def test_a_live_page_is_written_once_for_each_graph_and_its_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain, faster = live.graph_of("pendulum"), live.graph_of("pendulum", "dynamics.Gamma=20 clock='2 ms'")
+    assert (faster.blocks["dynamics"].Gamma, faster.clock) == (20, 0.002)
+    assert live.file_of(plain) == "live/pendulum.html"
+    settings = "dynamics.Gamma=20 clock='2 ms'"
+    assert re.fullmatch(r"live/pendulum-[0-9a-f]{8}\.html", live.file_of(faster, settings))
+    other = live.graph_of("pendulum", "dynamics.Gamma=30")
+    assert live.file_of(faster, settings) != live.file_of(other, "dynamics.Gamma=30")
+    monkeypatch.setattr(type(plain), "page", lambda self: SimpleNamespace(html=f"<!doctype html>{self.name}"))
+    path = live.write(plain, tmp_path / live.file_of(plain))
+    assert path.read_text(encoding="utf-8") == "<!doctype html>pendulum"
+    assert [item.name for item in path.parent.iterdir()] == ["pendulum.html"]
+
+
+def test_a_live_page_is_embedded_lazily_with_its_title_a_still_picture_and_a_link() -> None:
+    html = live.embedded("../live/a.html", 'A "b" < c', 700, still="../_images/a.png", command=["dmframe", "page", "a"])
+    assert re.search(r'<iframe loading="lazy" title="A &quot;b&quot; &lt; c" src="../live/a.html" height="700">', html)
+    assert "background-image:url(../_images/a.png)" in html
+    assert '<a href="../live/a.html" target="_blank">' in html
+    assert "<code>dmframe page a</code>" in html
+
+
+def test_formulas_are_aligned_and_numbered() -> None:
+    html = mathematics.display(r"\dot w &= -\Lambda \tau \sigma \tag{1} \\ S &= \tfrac12 |w|^2 \tag{2}")
+    assert html.count("<tr>") == 2
+    assert html.count("<td><math") == 4
+    assert re.findall(r'class="tag">\((\w+)\)', html) == ["1", "2"]
+    assert 'class="aligned"' in html
+
+
+def test_a_matrix_keeps_its_own_rows() -> None:
+    html = mathematics.display(r"\begin{aligned} A &= \begin{pmatrix} a & b \\ c & d \end{pmatrix} \end{aligned}")
+    assert (html.count("<tr>"), html.count("<mtr>")) == (1, 2)
+
+
+@pytest.mark.parametrize("latex", [r"\newcommand{\a}{b} \a", r"\frac{a", r"\nosuchcommand{x}"])
+def test_a_formula_that_cannot_be_set_is_told(latex: str) -> None:
+    with pytest.raises(mathematics.MathError):
+        mathematics.inline(latex)
+
+
+LESSON = """---
+kernelspec:
+  name: python3
+---
+
+# A lesson, see [the notation](../notation.md)
+
+```{code-cell} python
+:tags: [hide-input]
+
+x = 1
+```
+
++++
+
+Look at $x$, or [there](https://example.org):
+
+```{live} pendulum
+:set: dynamics.Gamma=20
+:title: A pendulum
+```
+
+````{note}
+```text
+no cell
+```
+````
+"""
+
+
+def test_a_lesson_becomes_a_notebook_in_which_live_pages_are_cells() -> None:
+    assert notebooks.is_notebook(LESSON)
+    assert not notebooks.is_notebook("# A page\n")
+    data = json.loads(notebooks.notebook(LESSON))
+    assert (data["nbformat"], data["metadata"]["kernelspec"]["name"]) == (4, "python3")
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in data["cells"]]
+    assert cells[:4] == [
+        ("markdown", "# A lesson, see the notation"),
+        ("code", "x = 1"),
+        ("markdown", "Look at $x$, or [there](https://example.org):"),
+        ("code", "import dmframe as dm\n\ndm.load('pendulum').set({'dynamics.Gamma': '20'}).page()"),
+    ]
+    assert data["cells"][1]["metadata"] == {"tags": ["hide-input"]}
+    assert len({cell["id"] for cell in data["cells"]}) == len(cells) == 5
+
+
+def test_the_python_interface_lists_all_public_modules() -> None:
+    said = set(re.findall(r"(?<!`)`(dmframe\.\w+)`(?!`)", dmframe.__doc__ or ""))
+    assert len(said) > 5
+    texts = "\n".join(api.pages().values())
+    assert [module for module in sorted(said) if f"automodule:: {module}\n" not in texts] == []
+
+
+def test_every_source_that_the_code_cites_is_on_the_page_of_references() -> None:
+    text = references.text()
+    cited = {
+        key
+        for path in (ROOT / "dmframe").rglob("*.py")
+        for key in re.findall(r"\[([A-Z]\w+)\]_", path.read_text(encoding="utf-8"))
+    }
+    assert "WangTAC2020" in cited
+    assert [key for key in sorted(cited) if f".. [{key}] " not in text] == []
+
+
+def test_the_site_installs_what_the_configuration_names() -> None:
+    group = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["dependency-groups"]["docs"]
+    names = {re.split(r"[<>=]", line)[0].replace("-", "_") for line in group}
+    asked = set(
+        re.findall(r'^    "(myst_nb|sphinx_\w+)",', (ROOT / "docs" / "conf.py").read_text(encoding="utf-8"), re.M)
+    )
+    assert len(asked) == 3
+    assert asked | {"furo", "sphinx", "ipykernel"} == names
