@@ -131,6 +131,20 @@ def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> N
 
 
 @app.command()
+def explain(
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    trust: Trust = False,
+) -> None:
+    """Say in sentences what each block of a graph does, which signals go where, and what its certificate says."""
+    from dmframe.cli.graphs import one_graph
+
+    found = one_graph(graph, overrides, trust=trust).explain()
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+
+
+@app.command()
 def run(
     graph: Graphs,
     until: Annotated[
