@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import unicodedata
 from collections.abc import Iterable, Sequence
 
@@ -19,6 +20,11 @@ def columns(rows: Iterable[Sequence[str]], indent: str = "  ", right: Sequence[i
 def width(text: str) -> int:
     """How many places a text takes: accents stand above their letters."""
     return sum(not unicodedata.combining(letter) for letter in text)
+
+
+def page_width() -> int:
+    """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
+    return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
 
 
 def _cell(text: str, wide: int, right: bool) -> str:

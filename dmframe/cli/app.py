@@ -9,13 +9,22 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from dmframe.cli.arguments import (
+    TUBE,
     AsJson,
+    Boxes,
+    Centre,
     Graphs,
+    Least,
     Listed,
     OneGraph,
     Overrides,
+    Rank,
+    Scale,
+    Shape,
     Trust,
+    Tube,
     graph_names,
+    lesson_numbers,
     robot_names,
     type_names,
 )
@@ -38,7 +47,7 @@ app = typer.Typer(
 
 SCHEMA = "dmframe.schema.json"
 """Beside a new graph; the editors' YAML server finds it by the graph's first line."""
-HORIZON, TUBE = "20", "0.05 rad"
+HORIZON = "20"
 
 
 def _home(path: Path | None) -> Path | None:
@@ -131,6 +140,20 @@ def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> N
 
 
 @app.command()
+def explain(
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    trust: Trust = False,
+) -> None:
+    """Say in sentences what each block of a graph does, which signals go where, and what its certificate says."""
+    from dmframe.cli.graphs import one_graph
+
+    found = one_graph(graph, overrides, trust=trust).explain()
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+
+
+@app.command()
 def run(
     graph: Graphs,
     until: Annotated[
@@ -197,34 +220,13 @@ def analyse(
         str | None,
         typer.Option(metavar="S", help="Length of the runs that look for the period.", show_default=HORIZON),
     ] = None,
-    rank: Annotated[
-        bool, typer.Option("--rank", help="Instead: the kinematic parameters with which J_hat keeps its rank.")
-    ] = False,
-    tube: Annotated[
-        str | None,
-        typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.", show_default=TUBE),
-    ] = None,
-    least: Annotated[
-        str | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
-    ] = None,
-    shape: Annotated[
-        str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball.", show_default="box")
-    ] = None,
-    centre: Annotated[
-        str | None, typer.Option(metavar="AT", help="With --rank: about the truth or the start.", show_default="truth")
-    ] = None,
-    scale: Annotated[
-        str | None,
-        typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.", show_default="uniform"),
-    ] = None,
-    boxes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="N",
-            help="With --rank: the most boxes; more take longer and find a larger region.",
-            show_default="40000",
-        ),
-    ] = None,
+    rank: Rank = False,
+    tube: Tube = None,
+    least: Least = None,
+    shape: Shape = None,
+    centre: Centre = None,
+    scale: Scale = None,
+    boxes: Boxes = None,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -331,6 +333,28 @@ def blocks(
         _tell_shelf(shelf(), as_json)
     else:
         tell(block_list(block_types()))
+
+
+@app.command()
+def learn(
+    lesson: Annotated[
+        str | None, typer.Argument(metavar="LESSON", help="Open this one.", autocompletion=lesson_numbers)
+    ] = None,
+    read: Annotated[bool, typer.Option("--read", help="Print it instead of writing a notebook.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write over a notebook that is there.")] = False,
+    as_json: Listed = False,
+) -> None:
+    """List the lessons of the course, or open one: write it as a notebook into this folder."""
+    from dmframe.cli.learn import list_lessons, open_lesson
+    from dmframe.cli.options import refuse
+
+    if lesson is None:
+        refuse({"--read": read, "--force": force}, "it does nothing without a lesson; name one")
+        list_lessons(as_json=as_json)
+    else:
+        refuse({"--json": as_json}, "it does nothing with a lesson; leave the lesson out for a list")
+        refuse({"--force": force and read}, "it does nothing with --read; leave one out")
+        open_lesson(lesson, read=read, force=force)
 
 
 @app.command()

@@ -34,6 +34,15 @@ def robot_names(begin: str) -> list[str]:
     return [name for name in known() if name.startswith(begin)]
 
 
+def lesson_numbers(begin: str) -> list[tuple[str, str]]:
+    """For a shell's completion: numbers of lessons, with their titles."""
+    from dmframe.lessons import lessons
+
+    return [(str(number), lesson.title) for number, lesson in lessons().items() if str(number).startswith(begin)]
+
+
+TUBE = "0.05 rad"
+
 Graphs = Annotated[
     list[str],
     typer.Argument(metavar="GRAPH...", help="Graph files, or names of packaged graphs.", autocompletion=graph_names),
@@ -56,3 +65,30 @@ Trust = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
+
+Rank = Annotated[
+    bool, typer.Option("--rank", help="Instead: the kinematic parameters with which J_hat keeps its rank.")
+]
+Tube = Annotated[
+    str | None,
+    typer.Option(metavar="ANGLE", help="With --rank: how far each joint may be from its path.", show_default=TUBE),
+]
+Least = Annotated[
+    str | None, typer.Option(metavar="C", help="With --rank: the least singular value that is asked for.")
+]
+Shape = Annotated[str | None, typer.Option(metavar="SHAPE", help="With --rank: box or ball.", show_default="box")]
+Centre = Annotated[
+    str | None, typer.Option(metavar="AT", help="With --rank: about the truth or the start.", show_default="truth")
+]
+Scale = Annotated[
+    str | None,
+    typer.Option(metavar="HOW", help="With --rank: half-widths uniform, or by length.", show_default="uniform"),
+]
+Boxes = Annotated[
+    str | None,
+    typer.Option(
+        metavar="N",
+        help="With --rank: the most boxes; more take longer and find a larger region.",
+        show_default="40000",
+    ),
+]

@@ -73,6 +73,8 @@ class PrintedLaw:
         Terms of the certificate, in its order; S is half the sum of the first.
     driven
         Of each `Driven` of the certificate, in its order, what is bounded.
+    estimates
+        What each estimate estimates, by the estimate's name.
     truths
         True values that the certificate states for others.
     supply, consumption
@@ -92,6 +94,7 @@ class PrintedLaw:
     dissipation: tuple[PrintedTerm, ...] = ()
     excess: tuple[PrintedTerm, ...] = ()
     driven: tuple[tuple[Formula, ...], ...] = ()
+    estimates: tuple[Line, ...] = ()
     truths: tuple[Line, ...] = ()
     supply: Formula | None = None
     consumption: PrintedTerm | None = None
@@ -160,6 +163,11 @@ class Energy:
             tuple(Formula(self._reader(*pair)) for pair in zip(mine.bounded, theirs.bounded, strict=True))
             for mine, theirs in pairs
         )
+
+    def estimates(self) -> tuple[Line, ...]:
+        """True values of the block's own estimates."""
+        mine, theirs = self._certificate.estimates, self._scalars.estimates
+        return lines([(Name(name), self._reader(mine[name].value, theirs[name].value)) for name in mine])
 
     def truths(self) -> tuple[Line, ...]:
         """True values for other blocks."""

@@ -336,6 +336,7 @@ class ReadBlock:
             dissipation=energy.terms("dissipation"),
             excess=energy.terms("excess"),
             driven=energy.driven(),
+            estimates=energy.estimates(),
             truths=energy.truths(),
             supply=Formula(energy.supply()) if claims else None,
             consumption=consumption,
@@ -389,4 +390,5 @@ def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
         found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
     found += [("its pays", item) for item in certificate.pays]
     found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
+    found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
     return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

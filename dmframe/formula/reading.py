@@ -281,7 +281,9 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         pays=tuple(map(convert, stated.pays)),
         driven=terms("driven"),
         truth={name: convert(value) for name, value in stated.truth.items()},
-        estimates={},
+        estimates={
+            name: true.with_pieces([convert(piece) for piece in true.pieces]) for name, true in stated.estimates.items()
+        },
     )
 
 

@@ -25,7 +25,7 @@ from dmframe.units import plain, shorten, to_unit
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
     from dmframe.page import Page
-    from dmframe.report import Analysis, Verification
+    from dmframe.report import Analysis, Explanation, Verification
     from dmframe.runtime import Controller
     from dmframe.simulate import Recording
     from dmframe.simulate.engine import Choice
@@ -233,6 +233,12 @@ class Graph:
                 f"{self.name}: expected a clock such as 8 ms, found continuous; set one: set(clock='8 ms')"
             )
         return Controller(self.diagram, self.clock, start=self.experiment.start, engine=engine)
+
+    def explain(self) -> Explanation:
+        """What each block does in it, which signals go where, and what its certificate says; the graph is proved."""
+        from dmframe.report import Explanation
+
+        return Explanation(self.experiment, self.diagram, self.verify().verdict)
 
     def draw(self) -> Drawing:
         """Its block diagram; a notebook shows it, and `Drawing.save` writes SVG, PNG, PDF or Mermaid."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import inspect
-import shutil
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.prose import about, prose
-from dmframe.columns import columns, width
+from dmframe.columns import columns, page_width, width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.wiring import Derived, Drawn, Period, Source, Time, Wire
@@ -115,11 +114,6 @@ def block_page(kind: type[AbstractBlock]) -> str:
     parts += ["\n".join(textwrap.fill(text, wide, **_INDENT) for text in lines)] * bool(lines)
     parts += [textwrap.fill(unmarked(text), wide) for text in (said.notes, said.source) if text]
     return "\n\n".join(parts)
-
-
-def page_width() -> int:
-    """Columns of a page: the terminal's, or COLUMNS; 120 where there is neither, and never more."""
-    return max(40, min(120, shutil.get_terminal_size((120, 24)).columns))
 
 
 _INDENT: Final[Mapping[str, Any]] = {"initial_indent": "  ", "subsequent_indent": "    "}

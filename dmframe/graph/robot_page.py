@@ -8,8 +8,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final
 
-from dmframe.columns import columns
-from dmframe.graph.pages import page_width
+from dmframe.columns import columns, page_width
 from dmframe.robot.library import RobotSource, find_robot, load
 from dmframe.units import plain
 

@@ -1,0 +1,67 @@
+"""``dmframe learn``: the lessons of the course, listed, written as a notebook, or read in a terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import pydoc
+import sys
+from pathlib import Path
+
+from dmframe.cli.options import whole
+from dmframe.cli.streams import tell
+from dmframe.columns import columns, page_width
+from dmframe.errors import MissingError, OutputError, UnknownNameError
+from dmframe.files import write_text
+from dmframe.lessons import Lesson, lessons, notebook, readable
+
+
+def list_lessons(*, as_json: bool) -> None:
+    """Print number, time, title and question of each lesson."""
+    found = _known()
+    if as_json:
+        keys = ("number", "name", "title", "question", "minutes")
+        tell(json.dumps([{key: getattr(lesson, key) for key in keys} for lesson in found.values()], indent=2))
+        return
+    rows = [row for lesson in found.values() for row in _rows(lesson)]
+    tell(f"{columns(rows, indent='')}\n\nopen one: dmframe learn {next(iter(found))}")
+
+
+def _rows(lesson: Lesson) -> list[tuple[str, str, str]]:
+    return [(str(lesson.number), f"{lesson.minutes} min", lesson.title), ("", "", lesson.question)]
+
+
+def open_lesson(text: str, *, read: bool, force: bool) -> None:
+    """Write a lesson as a notebook into the working folder, or print it: page by page where a terminal reads."""
+    known = _known()
+    number = whole("learn", text)
+    if number not in known:
+        raise UnknownNameError(f"learn {number}", "lesson", str(number), map(str, known))
+    lesson = known[number]
+    if read:
+        _show(readable(lesson, page_width()))
+        return
+    target = Path(f"lesson_{lesson.number:02}_{lesson.name}.ipynb")
+    if target.exists() and not force:
+        raise OutputError(f"{target}: expected a new file, found one; --force writes over it")
+    write_text(target, notebook(lesson), new=not force)
+    tell(
+        f"wrote {target}: {lesson.title}, {lesson.minutes} minutes\n"
+        f"open it: jupyter lab {target}, or in an editor that runs notebooks\n"
+        f"read it here: dmframe learn {lesson.number} --read"
+    )
+
+
+def _show(text: str) -> None:
+    if sys.stdout.isatty():
+        os.environ.setdefault("LESS", "FRX")  # as git has it: it ends by itself where all fits on the screen
+        pydoc.pager(text)
+    else:
+        tell(text.rstrip("\n"))
+
+
+def _known() -> dict[int, Lesson]:
+    found = lessons()
+    if not found:
+        raise MissingError("learn: expected the lessons of the course, found none; install dmframe anew")
+    return found

@@ -1,0 +1,132 @@
+"""A lesson: a page of MyST Markdown with cells of Python, ``NN_short_name.md``, whose header says what it asks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from dmframe.errors import ValueFault
+
+HOMES: Final = (Path(__file__).with_name("course"), Path(__file__).parents[2] / "docs" / "course")
+"""Folders of lessons: that of an installed package, that of a checkout. The first that is there counts."""
+_FILE: Final = re.compile(r"(\d\d)_(\w+)\.md")
+_HEADER: Final = re.compile(r"\A---\n(.*?)\n---\n", re.DOTALL)
+_FENCE: Final = re.compile(
+    r"^(?P<mark>`{3,})(?:\{(?P<directive>[\w-]+)\}[ ]*(?P<argument>[^\n]*)|\w*)\n(?P<body>.*?)^(?P=mark)[ ]*$\n?",
+    re.MULTILINE | re.DOTALL,
+)
+_OPTION: Final = re.compile(r":([\w-]+):[ ]*([^\n]*)\n")
+
+
+@final
+@dataclass(frozen=True)
+class Piece:
+    """A stretch of a lesson.
+
+    Parameters
+    ----------
+    kind
+        ``prose``, ``cell`` (Python), ``live`` (a graph's live page), or ``code`` (a fence of any other kind).
+    text
+        Of a live page, the graph itself where the lesson writes it out.
+    argument
+        Of a live page, the graph's name.
+    options
+        By name; the tags of a cell stand here.
+    """
+
+    kind: str
+    text: str
+    argument: str = ""
+    options: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def tags(self) -> tuple[str, ...]:
+        """A cell's tags, such as ``solution``."""
+        return tuple(re.findall(r"[\w-]+", dict(self.options).get("tags", "")))
+
+
+@final
+@dataclass(frozen=True)
+class Lesson:
+    """One lesson; `question` is what it asks, and `minutes` how long it takes."""
+
+    number: int
+    name: str
+    title: str
+    question: str
+    minutes: int
+    path: Path
+
+    @property
+    def body(self) -> str:
+        """Its page without the header."""
+        return _HEADER.sub("", self.path.read_text(encoding="utf-8"))
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Its text, cells and live pages, in order; what a test alone runs, tagged ``remove-cell``, is left out."""
+        return tuple(piece for piece in _pieces(self.body) if "remove-cell" not in piece.tags)
+
+
+def lessons(folder: Path | None = None) -> dict[int, Lesson]:
+    """The lessons by number; none where no course is installed. Raises `ValueFault` for one without its header."""
+    home = folder or next((home for home in HOMES if home.is_dir()), None)
+    found = dict[int, Lesson]()
+    for path in sorted(home.glob("*.md")) if home is not None else ():
+        if named := _FILE.fullmatch(path.name):
+            found[int(named[1])] = _lesson(path, int(named[1]), named[2])
+    return found
+
+
+def _lesson(path: Path, number: int, name: str) -> Lesson:
+    text = path.read_text(encoding="utf-8")
+    header, title = _HEADER.match(text), re.search(r"^# (.+)$", text, re.MULTILINE)
+    said = _read(header[1]) if header is not None else {}
+    try:
+        question, minutes = str(said["lesson"]["question"]), int(said["lesson"]["minutes"])
+    except (KeyError, TypeError, ValueError):
+        raise ValueFault(f"{path.name}: expected a header with lesson: {{question: ..., minutes: ...}}") from None
+    if title is None:
+        raise ValueFault(f"{path.name}: expected a title, a line that begins with #")
+    return Lesson(number, name, title[1].strip(), question, minutes, path)
+
+
+def _read(header: str) -> dict[str, Any]:
+    try:
+        said = YAML(typ="safe").load(header)
+    except YAMLError:
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def _pieces(body: str) -> Iterator[Piece]:
+    last = 0
+    for fence in _FENCE.finditer(body):
+        yield from _prose(body[last : fence.start()])
+        options, text = _options(fence["body"]) if fence["directive"] else ((), fence["body"])
+        kinds = {"code-cell": "cell", "live": "live"}
+        kind = kinds.get(fence["directive"] or "", "code")
+        yield Piece(kind, text.strip("\n"), (fence["argument"] or "").strip(), options)
+        last = fence.end()
+    yield from _prose(body[last:])
+
+
+def _prose(text: str) -> Iterator[Piece]:
+    if text.strip():
+        yield Piece("prose", text.strip("\n"))
+
+
+def _options(text: str) -> tuple[tuple[tuple[str, str], ...], str]:
+    """The options at the beginning of a directive, and the rest."""
+    found = list[tuple[str, str]]()
+    while option := _OPTION.match(text):
+        found.append((option[1], option[2].strip()))
+        text = text[option.end() :]
+    return tuple(found), text

@@ -1,0 +1,278 @@
+"""A graph in plain sentences: what each block does in it, which signals go where, and what its certificate says."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from html import escape
+from typing import Any, Final, NamedTuple, final
+
+from dmframe import notebook
+from dmframe.catalogue import graphs
+from dmframe.certify import Verdict
+from dmframe.columns import page_width
+from dmframe.config import Experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import listed
+from dmframe.exact.rational import as_float
+from dmframe.formula.names import unicode_name
+from dmframe.formula.unmarked import unmarked
+from dmframe.formula.wrap import wrapped
+from dmframe.parameter import specs
+from dmframe.port import Access, Side
+from dmframe.report.explained import BlockFacts, exchange, facts_of
+from dmframe.report.notation import spelled
+from dmframe.report.sentences import Said, signal, supplies, told
+from dmframe.report.verdict_text import HARD
+from dmframe.report.words import meaning_of
+from dmframe.units import plain
+
+_INDENT: Final = 2
+_UNIT: Final = re.compile(r" \[[^\]]*\]")
+"""It stays on the line of its signal."""
+_RATE: Final = r"\tfrac{d}{d t}"
+"""How `unmarked` leaves the one fraction of a verdict's sentence."""
+
+
+@final
+class Section(NamedTuple):
+    """A heading, and what is said under it."""
+
+    heading: str
+    said: tuple[Said, ...]
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Explanation:
+    """A graph, explained; ``str`` of it is the terminal's page, and a notebook shows the same.
+
+    Parameters
+    ----------
+    experiment, diagram
+        The graph.
+    verdict
+        What was found of its certificate.
+    """
+
+    experiment: Experiment
+    diagram: Diagram
+    verdict: Verdict
+
+    @property
+    def name(self) -> str:
+        """The graph's name."""
+        return self.experiment.name
+
+    @cached_property
+    def blocks(self) -> tuple[BlockFacts, ...]:
+        """What is known of each block, in the order in which signals pass them."""
+        return facts_of(self.experiment, self.diagram, self.verdict)
+
+    @cached_property
+    def sections(self) -> tuple[Section, ...]:
+        """All that is said: the whole first, then block by block, then what is hidden, and the certificate."""
+        blocks = [
+            Section(f"{place}. {block.name} ({block.type}): {', '.join(block.roles)}", tuple(told(block)))
+            for place, block in enumerate(self.blocks, start=1)
+        ]
+        head = f"{self.name}: {self.experiment.file.title}".rstrip(": ")
+        seen = Section("What the controller sees of the plant", tuple(map(Said, self._seen())))
+        return (
+            Section(head, tuple(map(Said, self._whole()))),
+            *blocks,
+            *[seen] * bool(seen.said),
+            Section("What the certificate says", tuple(self._certificate())),
+        )
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What ``dmframe explain --json`` prints: facts by block, and the sentences."""
+        return {
+            "graph": self.name,
+            "title": self.experiment.file.title,
+            "order": [block.name for block in self.blocks],
+            "blocks": [_data(block) for block in self.blocks],
+            "verdict": self.verdict.outcome,
+            "command": self.command,
+            "sections": [
+                {"heading": section.heading, "text": [item.text for item in section.said]} for section in self.sections
+            ],
+        }
+
+    @property
+    def command(self) -> str:
+        """The command that says all of the verdict."""
+        own, known = self.experiment.name, graphs()
+        packaged = own in known and str(known[own]) == self.experiment.document.name
+        changes = [word for text in self.experiment.overrides for word in ("--set", text)]
+        return shlex.join(["dmframe", "verify", own if packaged else self.experiment.document.name, *changes])
+
+    def _whole(self) -> Iterator[str]:
+        robot, file = self.diagram.robot, self.experiment.file
+        if robot is not None:
+            many = "joint moves" if robot.n == 1 else "joints move"
+            yield f"The robot is {robot.name}, of which {robot.n} {many}: {listed(list(robot.joint_names))}."
+        if any(block.side is Side.CONTROLLER for block in self.blocks):
+            runs = "in continuous time" if file.clock is None else f"every {plain(file.clock, 's')}"
+            yield f"The controller runs {runs}."
+        back = list(dict.fromkeys(item.block for b in self.blocks for item in b.taken if item.how == "measured"))
+        closed = f"; what is measured at {listed(back)} goes back to the controller" if back else ""
+        yield f"Signals pass the blocks in this order: {' → '.join(block.name for block in self.blocks)}{closed}."
+        if any(block.law is not None and block.law.S is not None for block in self.blocks):
+            yield "V is an energy-like function of the errors; each block states its part of V and of the rate dV/dt."
+
+    def _seen(self) -> Iterator[str]:
+        plant = [block for block in self.blocks if block.side is Side.PLANT]
+        if not plant:
+            return
+        told = [f"{listed(names)} of {block.name}" for block in plant if (names := _outputs(block, measured=True))]
+        yield f"Measured, and told to it: {'; '.join(told)}." if told else "It is told nothing."
+        own = [f"{listed(names)} of {block.name}" for block in plant if (names := self._hidden(block))]
+        if own:
+            yield (
+                f"Hidden from it: {'; '.join(own)}. Such signals and true values are there for the plant itself, for "
+                "the proof and for the results."
+            )
+
+    def _hidden(self, block: BlockFacts) -> list[str]:
+        """Outputs and parameters of a block of the plant that no block of the controller can read."""
+        kind = type(self.diagram.blocks[block.name])
+        return list(dict.fromkeys([*_outputs(block, measured=False), *map(unicode_name, specs(kind))]))
+
+    def _certificate(self) -> Iterator[Said]:
+        verdict = self.verdict
+        yield from map(Said, self._energy())
+        yield Said(f"`{self.command}` says: {verdict.headline}.".replace("`", ""))
+        clock = self.experiment.file.clock
+        meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
+        yield Said(meaning[:1].upper() + meaning[1:])
+        if clock is not None and verdict.outcome == "proved":
+            yield Said(
+                f"The proof is one of continuous time: it does not say what a clock of {plain(clock, 's')} changes."
+            )
+        if verdict.conditions:
+            failing = [spelled(item.name) for item in verdict.conditions if not item.holds]
+            held = f"All {len(verdict.conditions)} conditions hold at the numbers of this graph."
+            yield Said(f"Conditions that fail: {listed(failing)}." if failing else held)
+        if verdict.assumptions:
+            yield Said("It takes for granted that")
+            yield from (Said(f"- {spelled(item.text)}") for item in verdict.assumptions)
+
+    def _energy(self) -> Iterator[str]:
+        claim = self.verdict.claim
+        if claim is None:
+            return
+        servo = [part.block for part in claim.parts if part.certificate.storage and not part.cascade]
+        above = [part.block for part in claim.parts if part.certificate.storage and part.cascade]
+        weighed = f"κ times what {listed(servo)} store{'s' * (len(servo) == 1)}"
+        alone = f"what {listed(above)} store{'s' * (len(above) == 1)}"
+        if claim.cascaded:
+            yield f"V adds up {' and '.join([alone] * bool(above) + [weighed] * bool(servo))}."
+        else:
+            together = [part.block for part in claim.parts if part.certificate.storage]
+            yield f"V adds up what {listed(together)} store{'s' * (len(together) == 1)}."
+        found = exchange(self.verdict)
+        for group in found.groups if found is not None else ():
+            if len(group) == 1:
+                yield f"What is supplied to {group[0]} is zero."
+            else:
+                yield f"The supplies of {listed(group)} add up to zero: what one gives, the others take."
+        if found is not None and found.left:
+            yield f"What other blocks supply to {listed(found.left)} is not taken from any."
+        if self.verdict.kappa is not None:
+            payers = listed(list(dict.fromkeys(payer.block for _, payer in claim.payments if payer is not None)))
+            consumers = [part.block for part, _ in claim.payments]
+            consumed = f"what {listed(consumers)} consume{'s' * (len(consumers) == 1)}"
+            least = as_float(self.verdict.kappa.least)
+            yield f"With any κ above {least:.4g}, what {payers} spends pays for {consumed}."
+
+    def __repr__(self) -> str:
+        return f"<Explanation of {self.name}: {len(self.blocks)} blocks, {self.verdict.headline}>"
+
+    def __str__(self) -> str:
+        wide = page_width()
+        return "\n\n".join("\n".join(_lines(section, wide)) for section in self.sections)
+
+    def _repr_html_(self) -> str:
+        parts = []
+        for section in self.sections:
+            parts.append(notebook.heading(section.heading))
+            parts += [f"<p><code>{escape(s.text)}</code></p>" if s.formula else f"<p>{escape(s.text)}</p>"
+                      for s in section.said]  # fmt: skip
+        return "".join(parts)
+
+
+def _outputs(block: BlockFacts, *, measured: bool) -> list[str]:
+    """Its outputs that the controller may read, or may not."""
+    return [
+        signal(item.name, item.unit) if measured else unicode_name(item.name)
+        for item in block.given
+        if (item.access is Access.MEASURED) is measured
+    ]
+
+
+def _lines(section: Section, wide: int) -> Iterator[str]:
+    yield from textwrap.wrap(section.heading, wide, subsequent_indent=" " * _INDENT)
+    lead, deep = " " * _INDENT, " " * 2 * _INDENT
+    for item in section.said:
+        if item.formula:
+            first, *more = wrapped(item.text, wide - 3 * _INDENT)
+            yield from (f"{deep}{first}", *(f"{deep}{lead}{text}" for text in more))
+        else:
+            below = deep if item.text.startswith("- ") else lead
+            held = _UNIT.sub(lambda unit: unit[0].replace(" ", HARD), item.text)
+            lines = textwrap.wrap(held, wide, initial_indent=lead, subsequent_indent=below, break_on_hyphens=False)
+            yield from (line.replace(HARD, " ") for line in lines)
+
+
+def _data(block: BlockFacts) -> dict[str, Any]:
+    law = block.law
+    return {
+        "name": block.name,
+        "type": block.type,
+        "side": block.side.value,
+        "roles": list(block.roles),
+        "does": block.does,
+        "takes": [
+            {
+                "name": item.name,
+                "printed": unicode_name(item.name),
+                "unit": item.unit,
+                "how": item.how,
+                "from": f"{item.block}.{item.signal}" if item.block else item.signal,
+            }
+            for item in block.taken
+        ],
+        "hands_on": [
+            {
+                "name": item.name,
+                "printed": unicode_name(item.name),
+                "unit": item.unit,
+                "access": item.access.value,
+                "to": [f"{reader}.{port}" for reader, port in item.readers],
+            }
+            for item in block.given
+        ],
+        "states": [name for name, _ in block.states],
+        "estimates": [
+            {
+                "name": item.name,
+                "unit": item.unit,
+                "of": item.of.text if item.of is not None else None,
+                "true": None if item.true is None else item.true.tolist(),
+                "start": None if item.start is None else item.start.tolist(),
+            }
+            for item in block.estimates
+        ],
+        "stores": law.S.right.text if law is not None and law.S is not None else None,
+        "spends": [term.whole.text for term in law.dissipation] if law is not None else [],
+        "supply": law.supply.text if law is not None and law.supply is not None and supplies(law) else None,
+        "consumes": law.consumption.whole.text if law is not None and law.consumption is not None else None,
+        "payer": block.payer or None,
+        "knows": block.knows or None,
+    }

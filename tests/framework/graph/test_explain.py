@@ -1,0 +1,227 @@
+"""What `Graph.explain` says is so: each kind of sentence is held to a graph for which it would be false."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+import dmframe as dm
+from dmframe.report import Explanation
+from dmframe.report.exchange import exchange_of
+from dmframe.report.flow import order
+
+BLOCK = """
+from dmframe.block import AbstractBlock, Equations
+from dmframe.port import Access, Port
+
+
+class Plain(AbstractBlock):
+    {doc}
+    inputs = (Port("dq_r", "n", "rad/s"),)
+    outputs = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
+
+    def equations(self, u, x, p):
+        return Equations(outputs={{"dq_c": u.dq_r}})
+"""
+
+
+@cache
+def explained(name: str) -> Explanation:
+    return dm.load(name).explain()
+
+
+def said(name: str, block: str = "") -> str:
+    """All that is said of a block, or under the last heading, of one graph, in one line."""
+    sections = explained(name).sections
+    (found,) = [section for section in sections if f" {block} (" in section.heading] if block else sections[-1:]
+    return " ".join([found.heading, *(item.text for item in found.said)])
+
+
+@pytest.mark.parametrize("name", ["ur10_fast", "torque_direct_pi", "theorem_3", "ur10_fast_position"])
+def test_a_block_stands_behind_those_whose_outputs_its_own_need(name: str) -> None:
+    diagram = dm.load(name).diagram
+    places = {block: place for place, block in enumerate(order(diagram))}
+    sides = [diagram.blocks[block].side.value for block in order(diagram)]
+    assert sides == sorted(sides, key=["source", "controller", "plant"].index)
+    assert places["path"] == 0
+    assert places["task"] < places["inverse"] < places["servo"] < places["arm"]
+    assert "dynamics" not in places or places["model"] < places["dynamics"] < places["inverse"]
+    assert "torque" not in places or places["command"] < places["torque"] < places["inverse"]
+
+
+def test_signals_are_told_with_unit_origin_and_reader() -> None:
+    inverse = said("ur10_fast", "inverse")
+    assert "q_c [rad], measured at servo; q̇_r [rad/s] from task; and τ_dc [N m] from dynamics." in inverse
+    assert "It hands on q̇_c [rad/s] to servo, q̇_ref [rad/s] to model and σ [rad/s] to dynamics." in inverse
+    assert "ẋ_d [m/s], the time derivative of x_d" in said("ur10_fast", "task")
+    assert "q̇_c [rad/s], commanded by inverse" in said("ur10_fast", "servo")
+    model = said("torque_direct_pi", "model")
+    assert "q̇ [rad/s] as q̇_ref, measured at arm; and q̈_m [rad/s^2] as q̈_ref, measured at sensor" in model
+    assert "ε [rad^2/(N m s^3)] from adaptation" in said("torque_direct_pi", "inverse")  # its port takes any unit
+
+
+def test_what_nobody_drives_and_what_nobody_reads_depends_on_the_graph() -> None:
+    assert "Nothing drives q̇_null, which is zero here." in said("ur10_fast", "task")
+    assert "Nothing drives τ_task, a_d,nominal, Y_f and e_f, which are zero here." in said("ur10_fast", "dynamics")
+    assert "Nothing drives" not in said("torque_direct_pi", "adaptation")  # it takes a_d_nominal from its model
+    assert "No block reads w or w_I." in said("theorem_3", "inverse")
+    assert "No block reads" not in said("torque_indirect_filtered_pi", "inverse")
+
+
+def test_roles_follow_from_what_a_block_does_in_its_graph() -> None:
+    roles = {block.name: block.roles for name in ("ur10_fast", "theorem_3") for block in explained(name).blocks}
+    assert roles["path"] == ("source",)
+    assert roles["task"] == ("controller",)
+    assert roles["observer"] == ("controller", "has a memory")
+    assert roles["dynamics"] == ("controller", "adapts")
+    assert roles["inverse"] == ("controller", "adapts", "commands the plant")
+    assert (roles["servo"], roles["arm"]) == (("plant", "takes the commands"), ("plant", "the robot"))
+    kinematic = {block.name: block.roles for block in explained("ur10_slow_kinematic").blocks}
+    assert kinematic["inverse"] == ("controller", "commands the plant")
+
+
+def test_estimates_are_told_with_their_truth_and_start_at_the_graphs_numbers() -> None:
+    assert "It estimates K_P/K_D by w_P [1/s], which starts at 2; the truth is 2.2." in said("ur10_fast", "inverse")
+    changed = dm.load("pendulum").set({"servo.K_P": 50, "inverse.w_P": 7}).explain()
+    text = str(changed)
+    assert "It estimates K_P/K_D by w_P [1/s], which starts at 7; the truth is 2.5." in " ".join(text.split())
+    assert "the truth depends on more than parameters" in said("torque_direct_pi", "adaptation")  # on servo.i
+
+
+def test_what_the_controller_has_to_know_is_said_of_the_block_that_holds_it() -> None:
+    known = "Its equations hold the link lengths, the joint axes and the tool offset of the true robot"
+    assert known in said("ur10_fast", "geometry")
+    assert "Its equations hold the joint axes of the true robot" in said("theorem_3", "geometry")
+    assert "Its equations hold" not in said("ur10_fast", "task")
+
+
+def test_storage_spending_supply_and_consumption_are_the_blocks_own() -> None:
+    task = said("ur10_fast", "task")
+    assert "S = ½ |x − x_d|²" in task
+    assert "It consumes |s|²/γ, for which inverse has to pay." in task
+    assert "−σᵀ Y_d (â_d − a_d)" in said("ur10_fast", "dynamics")
+    assert "It has no part of its own in V and dV/dt." in said("ur10_fast", "servo")
+    assert "It has no part of its own" not in said("ur10_fast", "arm")
+    robust = dm.load("pendulum").set({"dynamics.leak": 0.1}).explain()
+    assert "Against that, its robust adaptation may add to dV/dt:" in str(robust)
+    assert "robust adaptation" not in str(explained("pendulum"))
+
+
+def test_what_is_hidden_from_the_controller_is_what_no_wire_may_carry() -> None:
+    seen = explained("ur10_fast").sections[-2]
+    told, hidden = (item.text for item in seen.said)
+    assert told == "Measured, and told to it: q_c [rad] of servo; q [rad], q̇ [rad/s] and x [m] of arm."
+    assert "u, i, K_D, K_P and K_I of servo" in hidden
+    assert "viscous, coulomb" in hidden
+    assert "q̈_m [rad/s^2] of sensor" in explained("torque_direct_pi").sections[-2].said[0].text
+
+
+def test_supplies_cancel_in_the_groups_in_which_they_do() -> None:
+    text = said("theorem_3")
+    assert "The supplies of dynamics, inverse and arm add up to zero" in text
+    assert "The supplies of geometry, observer and task add up to zero" in text
+    assert "The supplies of geometry, filter, task, dynamics, inverse and arm add up to zero" in said("theorem_1")
+
+
+def test_supplies_that_do_not_cancel_are_told(tmp_path: Path) -> None:
+    """A block whose own claim holds, but whose supply nobody takes away: sigma'Y counted twice."""
+    path = tmp_path / "twice.py"
+    path.write_text(
+        "from typing import ClassVar\n"
+        "from dmframe.certificate import Certificate, Square\n"
+        "from dmframe.block import AbstractBlock, Equations\n"
+        "from dmframe.port import Port, State\n\n\n"
+        "class Twice(AbstractBlock):\n"
+        '    """Gathers the sliding variable."""\n\n'
+        '    inputs = (Port("sigma", "n", "rad/s"),)\n'
+        '    states = (State("c", "n", "rad"),)\n\n'
+        "    def equations(self, u, x, p):\n"
+        '        return Equations(rates={"c": u.sigma})\n\n'
+        "    def certificate(self, u, x, p, truth):\n"
+        "        return Certificate(storage=(Square(x.c),), supply=x.c.T @ u.sigma)\n"
+    )
+    graph = dm.load("pendulum")
+    text = graph.text.replace("blocks:\n", "blocks:\n  extra: {type: 'twice.py:Twice'}\n", 1)
+    (tmp_path / "own.yaml").write_text(text)
+    found = dm.load(tmp_path / "own.yaml").explain()
+    assert found.verdict.claim is not None
+    assert exchange_of(found.verdict.claim).left == ("extra",)
+    page = " ".join(str(found).split())
+    assert "The supplies of dynamics, inverse and arm add up to zero" in page
+    assert "What other blocks supply to extra is not taken from any." in page
+    assert "own.yaml says: refuted." in page
+
+
+def test_the_verdict_is_that_of_verify_and_so_are_the_failing_conditions() -> None:
+    assert "dmframe verify ur10_fast says: proved." in said("ur10_fast")
+    assert "With any κ above 0.003109, what inverse spends pays for what task consumes." in said("ur10_fast")
+    assert "it does not say what a clock of 8 ms changes" in said("ur10_fast")
+    assert "it does not say what a clock" not in said("pendulum")
+    weak = dm.load("pendulum").set({"inverse.K_c": 0.1}).explain()
+    text = " ".join(item.text for item in weak.sections[-1].said)
+    assert "dmframe verify pendulum --set inverse.K_c=0.1 says: not applicable." in text
+    assert "Conditions that fail: inverse: M̄ ≥ 0" in text
+    assert "- geometry (kinematics) knows exactly the link lengths" in said("ur10_fast")
+
+
+def test_a_graph_without_a_claim_speaks_of_no_energy() -> None:
+    text = str(explained("ur10_slow_kinematic"))
+    assert "It states no certificate, so nothing is proved of a graph that holds it." in text
+    assert "dV/dt" not in text
+    assert "inverse: a kinematic_command has no certificate" in " ".join(text.split())
+
+
+@pytest.mark.parametrize(
+    ("doc", "does"), [("pass", "Its file does not say what it does."), ('"""Sends on."""', "Sends on.")]
+)
+def test_blocks_of_a_users_own_are_told_by_their_ports_alone(tmp_path: Path, doc: str, does: str) -> None:
+    (tmp_path / "plain.py").write_text(BLOCK.format(doc=doc))
+    graph = dm.load("ur10_slow_kinematic")
+    text = graph.text.replace("kinematic_command", "plain.py:Plain")
+    (tmp_path / "own.yaml").write_text(text)
+    own = {section.heading: section for section in dm.load(tmp_path / "own.yaml").explain().sections}
+    (found,) = [section for heading, section in own.items() if " inverse (" in heading]
+    assert [item.text for item in found.said] == [
+        does,
+        "It takes q̇_r [rad/s] from task.",
+        "It hands on q̇_c [rad/s] to servo.",
+        "It states no certificate, so nothing is proved of a graph that holds it.",
+    ]
+
+
+def test_a_page_keeps_to_the_terminal_and_a_unit_to_its_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    lines = str(explained("torque_indirect_filtered_pi")).splitlines()
+    assert max(len(line) for line in lines if " = " not in line and "|" not in line) <= 60 + 12  # accents take no room
+    assert not [line for line in lines if line.rstrip().endswith(("[N", "[rad/(N", "(N m"))]
+
+
+def test_the_notebooks_page_says_the_same_and_escapes_it() -> None:
+    found = dm.load("pendulum").set(title="a <b> & c").explain()
+    html = found._repr_html_()
+    assert "<b>pendulum: a &lt;b&gt; &amp; c</b>" in html
+    assert all(section.heading.partition(":")[0] in html for section in found.sections)
+    assert "<code>S = ½ |q − q_d|²</code>" in html
+
+
+def test_the_summary_is_plain_data() -> None:
+    data = json.loads(json.dumps(explained("ur10_fast").summary))
+    blocks = {block["name"]: block for block in data["blocks"]}
+    assert data["order"] == list(blocks)
+    estimate = {"name": "w_P", "unit": "1/s", "of": "K_P/K_D", "true": [2.2, 2.2, 2.2], "start": [2, 2, 2]}
+    assert blocks["inverse"]["estimates"][1] == estimate
+    command = {"name": "dq_c", "printed": "q̇_c", "unit": "rad/s", "how": "commanded", "from": "inverse.dq_c"}
+    assert command in blocks["servo"]["takes"]
+    assert blocks["task"]["consumes"] == "|s|^2/gamma"
+    assert (data["verdict"], data["command"]) == ("proved", "dmframe verify ur10_fast")
+
+
+def test_the_printed_truth_of_an_estimate_is_held_to_the_one_that_is_proved() -> None:
+    from dmframe.formula.law import PrintedLaw
+
+    laws = {block.name: block.law for block in explained("ur10_fast").blocks}
+    assert isinstance(laws["inverse"], PrintedLaw)
+    assert [line.whole.text for line in laws["inverse"].estimates] == ["w = 1/K_star", "w_P = K_P/K_D", "w_I = K_I/K_D"]
