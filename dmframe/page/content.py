@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import base64
+import shlex
 import zlib
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from dmframe.catalogue import graphs
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
@@ -55,6 +57,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "name": experiment.name,
         "title": file.title,
         "text": resolved_text(experiment),
+        "command": _command(experiment),
         "module": _packed(loop_module(functions.parts, functions.exported)),
         "clock": file.clock,
         "tick": file.clock if file.clock is not None else experiment.solver.output,
@@ -78,6 +81,15 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "robot": _robot(experiment, diagram, functions, state),
         "verdict": _verdict(experiment.name, verdict, functions),
     }
+
+
+def _command(experiment: Experiment) -> str:
+    """What runs the same graph: a packaged one with its changes, any other as the file that the page shows."""
+    known, own = graphs(), experiment.name
+    if own in known and str(known[own]) == experiment.document.name:
+        changes = [word for text in experiment.overrides for word in ("--set", text)]
+        return shlex.join(["dmframe", "run", own, *changes])
+    return shlex.join(["dmframe", "run", f"{own}.yaml"])
 
 
 def _packed(module: bytes) -> str:
