@@ -203,6 +203,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         else [],
         "assumptions": [spelled(item.text) for item in verdict.assumptions],
         "kappa": functions.kappa,
+        "uncertain": list(verdict.uncertain),
         "bounded": verdict.states is not None and not verdict.states.open and not verdict.bounds,
         "conditions": [
             _condition(condition, place, reads)

@@ -28,7 +28,7 @@ from dmframe.report.explained import BlockFacts, exchange, facts_of
 from dmframe.report.notation import spelled
 from dmframe.report.sentences import Said, signal, supplies, told
 from dmframe.report.verdict_text import HARD
-from dmframe.report.words import meaning_of
+from dmframe.report.words import everywhere, meaning_of
 from dmframe.units import plain
 
 _INDENT: Final = 2
@@ -157,7 +157,7 @@ class Explanation:
             )
         if verdict.conditions:
             failing = [spelled(item.name) for item in verdict.conditions if not item.holds]
-            held = f"All {len(verdict.conditions)} conditions hold at the numbers of this graph."
+            held = f"All {len(verdict.conditions)} conditions hold {unmarked(everywhere(verdict))}."
             yield Said(f"Conditions that fail: {listed(failing)}." if failing else held)
         if verdict.assumptions:
             yield Said("It takes for granted that")

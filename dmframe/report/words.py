@@ -40,15 +40,23 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
     return Meaning(verdict.headline.capitalize(), sentence, means, _limits(clock))
 
 
+def everywhere(verdict: Verdict) -> str:
+    """Where conditions that hold do."""
+    labels = listed([f"`{label}`" for label in verdict.uncertain])
+    return "at the numbers of this graph" + f" and anywhere in the intervals of {labels}" * bool(verdict.uncertain)
+
+
+def somewhere(verdict: Verdict) -> str:
+    """Where conditions that fail do: of intervals, not necessarily at the numbers themselves."""
+    labels = listed([f"`{label}`" for label in verdict.uncertain])
+    return f"somewhere in the intervals of {labels}" if verdict.uncertain else "at the numbers of this graph"
+
+
 def _where(verdict: Verdict) -> str:
     """At which numbers the rest was decided."""
     if not verdict.uncertain:
         return "the conditions, and what follows, were decided at the numbers of this graph."
-    labels = listed([f"`{label}`" for label in verdict.uncertain])
-    return (
-        f"the conditions were decided at the numbers of this graph and anywhere in the intervals of {labels}; what "
-        "follows, at the numbers."
-    )
+    return f"the conditions were decided {everywhere(verdict)}; what follows, at the numbers."
 
 
 def _open(verdict: Verdict) -> str:
@@ -192,13 +200,13 @@ def _not_applicable(verdict: Verdict, clock: float | None) -> Meaning:
     elif failing:
         means = (
             f"The identity for $\\dot V$ is exact. {_decided(verdict)}",
-            "But a theorem needs its conditions too, and at the numbers of this graph these fail: "
+            f"But a theorem needs its conditions too, and {somewhere(verdict)} these fail: "
             f"{'; '.join(map(marked, failing))}. The margins in the table say by how much.",
         )
         count = f"{len(failing)} of its {len(verdict.conditions)} conditions"
         fails = "fails" if len(failing) == 1 else "fail"
         why = (
-            f"the formula for $\\dot V$ is right, but {count} {fails} at the numbers of this graph, the first being "
+            f"the formula for $\\dot V$ is right, but {count} {fails} {somewhere(verdict)}, the first being "
             f"{marked(failing[0])}."
         )
     else:

@@ -49,7 +49,8 @@ export function judgement(content, judged, moved) {
     return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them found by samples, not proved)` : "";
-  const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${samples}${weight}.`;
+  const over = verdict.uncertain?.length ? ` and anywhere in the intervals of ${verdict.uncertain.join(", ")}` : "";
+  const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${over}${samples}${weight}.`;
   const concluded = verdict.conclusions.filter((text) => !text.startsWith("d"));
   // whether all states are bounded is concluded too, and at other numbers it may be otherwise
   const follows = (moved.p && verdict.bounded ? [...concluded, "the whole loop stays bounded"] : concluded).join(" and that ");

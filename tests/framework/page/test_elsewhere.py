@@ -261,3 +261,14 @@ def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
     assert content_of_graph(graph)["command"] == "dmframe run pd_torque --set command.K_e=50"
     other = dm.load(graph.text, name="mine")
     assert content_of_graph(other)["command"] == "dmframe run mine.yaml"
+
+
+def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncertain: Any) -> None:
+    graph, data = uncertain
+    holds, fails = str(graph.explain()), str(graph.set({"inverse.K_c": 0.5}).explain())
+    plain = [" ".join(text.split()) for text in (holds, fails)]
+    intervals = "the intervals of servo.K_D, servo.K_P and servo.K_I"
+    assert f"conditions hold at the numbers of this graph and anywhere in {intervals}." in plain[0]
+    assert f"conditions fail somewhere in {intervals}" in plain[1]
+    assert "at the numbers of this graph" not in plain[1]
+    assert "anywhere in the intervals of servo.K_D" in " ".join(judged(data, {})["says"])
