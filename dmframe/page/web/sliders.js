@@ -29,7 +29,10 @@ class Sliders {
       for (const slider of mine) box.append(this.row(slider));
       holder.append(box);
     }
-    addEventListener("pointerup", () => (this.held = false));
+    // a slider that is let go where it was taken tells of no change
+    const release = () => { if (this.held) { this.held = false; this.settle(); } };
+    addEventListener("pointerup", release);
+    addEventListener("pointercancel", release);
     addEventListener("hashchange", () => this.recall());
   }
 
