@@ -169,6 +169,14 @@ def test_a_remote_resource_is_seen(text: str) -> None:
     assert LOADS.search(text)
 
 
+def test_what_a_built_page_loads_from_a_network_is_found(tmp_path: Path) -> None:
+    tmp_path.joinpath("good.html").write_text('<a href="https://a.org">a</a><img src="_images/b.png"><pre>url(x)</pre>')
+    assert make_site.remote(tmp_path) == []
+    tmp_path.joinpath("bad.html").write_text('<script async src="https://cdn.org/a.js"></script><link href=//b.org/c>')
+    tmp_path.joinpath("bad.css").write_text("a { background: url('https://fonts.org/d.woff2') }")
+    assert [text.split(" loads ")[0] for text in make_site.remote(tmp_path)] == ["bad.css", "bad.html", "bad.html"]
+
+
 def test_the_configuration_sets_formulas_without_a_script() -> None:
     text = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
     assert 'html_math_renderer = "dmframe"' in text
