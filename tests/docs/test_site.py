@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import re
 import sys
@@ -32,7 +31,7 @@ def part(name: str) -> Any:
 
 make_site = part("make_site")
 api, live, mathematics = part("site_parts.api"), part("site_parts.live"), part("site_parts.mathematics")
-notebooks, pages, references = part("site_parts.notebooks"), part("site_parts.pages"), part("site_parts.references")
+pages, references = part("site_parts.pages"), part("site_parts.references")
 
 LOADS = re.compile(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//|url\(\s*["']?(?:https?:)?//|@import|<link|cdn\.""", re.I)
 """How a page, a style or a configuration names something that a browser fetches by itself."""
@@ -226,52 +225,6 @@ def test_a_matrix_keeps_its_own_rows() -> None:
 def test_a_formula_that_cannot_be_set_is_told(latex: str) -> None:
     with pytest.raises(mathematics.MathError):
         mathematics.inline(latex)
-
-
-LESSON = """---
-kernelspec:
-  name: python3
----
-
-# A lesson, see [the notation](../notation.md)
-
-```{code-cell} python
-:tags: [hide-input]
-
-x = 1
-```
-
-+++
-
-Look at $x$, or [there](https://example.org):
-
-```{live} pendulum
-:set: dynamics.Gamma=20
-:title: A pendulum
-```
-
-````{note}
-```text
-no cell
-```
-````
-"""
-
-
-def test_a_lesson_becomes_a_notebook_in_which_live_pages_are_cells() -> None:
-    assert notebooks.is_notebook(LESSON)
-    assert not notebooks.is_notebook("# A page\n")
-    data = json.loads(notebooks.notebook(LESSON))
-    assert (data["nbformat"], data["metadata"]["kernelspec"]["name"]) == (4, "python3")
-    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in data["cells"]]
-    assert cells[:4] == [
-        ("markdown", "# A lesson, see the notation"),
-        ("code", "x = 1"),
-        ("markdown", "Look at $x$, or [there](https://example.org):"),
-        ("code", "import dmframe as dm\n\ndm.load('pendulum').set({'dynamics.Gamma': '20'}).page()"),
-    ]
-    assert data["cells"][1]["metadata"] == {"tags": ["hide-input"]}
-    assert len({cell["id"] for cell in data["cells"]}) == len(cells) == 5
 
 
 def test_the_python_interface_lists_all_public_modules() -> None:
