@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -63,6 +64,25 @@ def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
             path.unlink()
 
 
+REMOTE = re.compile(
+    r"""<(?:script|img|iframe|source|video|audio|embed|object)\b[^>]*\s(?:src|data)\s*=\s*["']?(?:https?:)?//[^"'>\s]*"""
+    r"""|<link\b[^>]*\shref\s*=\s*["']?(?:https?:)?//[^"'>\s]*"""
+    r"""|url\(\s*["']?(?:https?:)?//[^"')]*|@import\s+["'](?:https?:)?//[^"']*""",
+    re.IGNORECASE,
+)
+"""What a browser fetches by itself from somewhere else."""
+
+
+def remote(site: Path) -> list[str]:
+    """What the pages and styles of a site load from a network, each with its file; nothing, as it should be."""
+    found = list[str]()
+    for path in sorted(site.rglob("*")):
+        if path.suffix in (".html", ".css", ".svg"):
+            loads = REMOTE.findall(path.read_text(encoding="utf-8"))
+            found += [f"{path.relative_to(site)} loads {text}" for text in loads]
+    return found
+
+
 def _quiet_kernels(folder: Path) -> None:
     """Lessons run without what a reader has set for notebooks of his own, and kernels tell errors alone."""
     profile = folder / "profile_default"
@@ -89,6 +109,9 @@ def main() -> int:
 
     words = ["-W", "--keep-going", "-q", "-j", "2", "-c", str(DOCS), "-d", str(cache)]
     status = build_main([*words, str(sources_folder), str(site)])
+    for text in remote(site):
+        sys.stderr.write(f"{text}\n")
+        status = 1
     if status:
         shutil.rmtree(cache, ignore_errors=True)  # or the next build would pass over what this one warned of
     else:

@@ -15,7 +15,8 @@ from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 from dmframe.errors import DmframeError
-from site_parts import live, mathematics, notebooks
+from dmframe.lessons import lessons, notebook
+from site_parts import live, mathematics
 
 LOG = logging.getLogger(__name__)
 COURSE = "course/"
@@ -116,13 +117,14 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
     """Beneath a lesson's title, the lesson as a notebook."""
     if not page.startswith(COURSE) or "body" not in context:
         return
-    text = Path(app.env.doc2path(page)).read_text(encoding="utf-8")
-    if not notebooks.is_notebook(text):
+    path = Path(app.env.doc2path(page))
+    lesson = next((lesson for lesson in lessons(path.parent).values() if lesson.path == path), None)
+    if lesson is None:
         return
-    name = f"{page.removeprefix(COURSE)}.ipynb"
-    path = Path(app.outdir, COURSE, name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(notebooks.notebook(text), encoding="utf-8")
+    name = f"lesson_{lesson.number:02}_{lesson.name}.ipynb"
+    folder = Path(app.outdir, COURSE)
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.joinpath(name).write_text(notebook(lesson), encoding="utf-8")
     link = f'<p class="take-away"><a href="{name}" download>Take this lesson away as a notebook</a></p>'
     context["body"] = context["body"].replace("</h1>", f"</h1>{link}", 1)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import re
 import sys
@@ -32,7 +31,7 @@ def part(name: str) -> Any:
 
 make_site = part("make_site")
 api, live, mathematics = part("site_parts.api"), part("site_parts.live"), part("site_parts.mathematics")
-notebooks, pages, references = part("site_parts.notebooks"), part("site_parts.pages"), part("site_parts.references")
+pages, references = part("site_parts.pages"), part("site_parts.references")
 
 LOADS = re.compile(r"""(?:src|href)\s*=\s*["']?(?:https?:)?//|url\(\s*["']?(?:https?:)?//|@import|<link|cdn\.""", re.I)
 """How a page, a style or a configuration names something that a browser fetches by itself."""
@@ -169,6 +168,14 @@ def test_a_remote_resource_is_seen(text: str) -> None:
     assert LOADS.search(text)
 
 
+def test_what_a_built_page_loads_from_a_network_is_found(tmp_path: Path) -> None:
+    tmp_path.joinpath("good.html").write_text('<a href="https://a.org">a</a><img src="_images/b.png"><pre>url(x)</pre>')
+    assert make_site.remote(tmp_path) == []
+    tmp_path.joinpath("bad.html").write_text('<script async src="https://cdn.org/a.js"></script><link href=//b.org/c>')
+    tmp_path.joinpath("bad.css").write_text("a { background: url('https://fonts.org/d.woff2') }")
+    assert [text.split(" loads ")[0] for text in make_site.remote(tmp_path)] == ["bad.css", "bad.html", "bad.html"]
+
+
 def test_the_configuration_sets_formulas_without_a_script() -> None:
     text = (ROOT / "docs" / "conf.py").read_text(encoding="utf-8")
     assert 'html_math_renderer = "dmframe"' in text
@@ -218,52 +225,6 @@ def test_a_matrix_keeps_its_own_rows() -> None:
 def test_a_formula_that_cannot_be_set_is_told(latex: str) -> None:
     with pytest.raises(mathematics.MathError):
         mathematics.inline(latex)
-
-
-LESSON = """---
-kernelspec:
-  name: python3
----
-
-# A lesson, see [the notation](../notation.md)
-
-```{code-cell} python
-:tags: [hide-input]
-
-x = 1
-```
-
-+++
-
-Look at $x$, or [there](https://example.org):
-
-```{live} pendulum
-:set: dynamics.Gamma=20
-:title: A pendulum
-```
-
-````{note}
-```text
-no cell
-```
-````
-"""
-
-
-def test_a_lesson_becomes_a_notebook_in_which_live_pages_are_cells() -> None:
-    assert notebooks.is_notebook(LESSON)
-    assert not notebooks.is_notebook("# A page\n")
-    data = json.loads(notebooks.notebook(LESSON))
-    assert (data["nbformat"], data["metadata"]["kernelspec"]["name"]) == (4, "python3")
-    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in data["cells"]]
-    assert cells[:4] == [
-        ("markdown", "# A lesson, see the notation"),
-        ("code", "x = 1"),
-        ("markdown", "Look at $x$, or [there](https://example.org):"),
-        ("code", "import dmframe as dm\n\ndm.load('pendulum').set({'dynamics.Gamma': '20'}).page()"),
-    ]
-    assert data["cells"][1]["metadata"] == {"tags": ["hide-input"]}
-    assert len({cell["id"] for cell in data["cells"]}) == len(cells) == 5
 
 
 def test_the_python_interface_lists_all_public_modules() -> None:
