@@ -15,6 +15,7 @@ from dmframe.lessons.notebook import unlinked
 
 _DISPLAYED: Final = re.compile(r"\$\$(.*?)\$\$", re.DOTALL)
 _MARKED: Final = re.compile(r"(\$[^$]+\$|`[^`]+`)")
+_BRACED: Final = r"\{((?:[^{}]|\{[^{}]*\})*)\}"
 _EMPHASIS: Final = re.compile(r"(?<![\w*])(\*{1,2})(?=\S)(.+?)(?<=\S)\1(?![\w*])", re.DOTALL)
 _ITEM: Final = re.compile(r"(?:[-*]|\d+\.) ")
 _BLANK: Final = re.compile(r"\n\s*\n")
@@ -72,9 +73,9 @@ def unicode_formula(text: str) -> str:
     text = re.sub(r"\\(?:underbrace)\{(.*?)\}_\{.*?\}(?=[^}]|$)", r"\1", text)
     text = re.sub(r"\\(?:text|mathrm|operatorname)\{([^{}]*)\}", lambda found: hold(found[1]), text)
     text = re.sub(r"\\t?frac(\d)(\d)", lambda found: _HALVES.get(found[1] + found[2], f"{found[1]}/{found[2]}"), text)
-    text = re.sub(r"\\t?frac\{([^{}]*)\}\{([^{}]*)\}", lambda found: f"{_grouped(found[1])}/{_grouped(found[2])}", text)
-    text = re.sub(r"\\t?frac(\d)\{([^{}]*)\}", lambda found: f"{found[1]}/{_grouped(found[2])}", text)
-    text = re.sub(r"\\sqrt\{([^{}]*)\}", lambda found: f"{hold('√')}({found[1]})", text)
+    text = re.sub(rf"\\t?frac{_BRACED}{_BRACED}", lambda found: f"{_grouped(found[1])}/{_grouped(found[2])}", text)
+    text = re.sub(rf"\\t?frac(\d){_BRACED}", lambda found: f"{found[1]}/{_grouped(found[2])}", text)
+    text = re.sub(rf"\\sqrt{_BRACED}", lambda found: f"{hold('√')}({found[1]})", text)
     text = re.sub(r"\\q?quad", lambda _: hold("   "), text)
     text = re.sub(r"\\([A-Za-z]+)", lambda found: hold(_SIGNS[found[1]]) if found[1] in _SIGNS else found[0], text)
     found = re.sub(r"\\([A-Za-z]+)", lambda left: LETTERS.get(left[1], left[1]), in_unicode(text.replace("&", " ")))
