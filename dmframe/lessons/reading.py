@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -11,7 +12,7 @@ from dmframe.columns import columns
 from dmframe.formula.latex import in_unicode
 from dmframe.formula.names import LETTERS
 from dmframe.lessons.lesson import Lesson, Piece
-from dmframe.lessons.notebook import unlinked
+from dmframe.lessons.notebook import LINK, unlinked
 
 _DISPLAYED: Final = re.compile(r"\$\$(.*?)\$\$", re.DOTALL)
 _MARKED: Final = re.compile(r"(\$[^$]+\$|`[^`]+`)")
@@ -42,13 +43,16 @@ def readable(lesson: Lesson, wide: int) -> str:
 
 def _parts(piece: Piece, wide: int) -> Iterator[str]:
     if piece.kind == "prose":
-        for place, part in enumerate(_DISPLAYED.split(unlinked(piece.text))):
+        text = LINK.sub(r"\1 (\2)", unlinked(piece.text))
+        for place, part in enumerate(_DISPLAYED.split(text)):
             if place % 2:
                 yield _displayed(part)
             else:
                 yield from (_block(block.strip("\n"), wide) for block in _BLANK.split(part) if block.strip())
     elif piece.kind == "live":
-        yield f"{_DEEP}(a live page: dmframe page {piece.argument})"
+        words = ["dmframe", "page", piece.argument]
+        words += [word for value in shlex.split(dict(piece.options).get("set", "")) for word in ("--set", value)]
+        yield _DEEP + ("(a live page; open the notebook)" if piece.text else f"(a live page: {shlex.join(words)})")
     elif "solution" in piece.tags:
         yield f"{_DEEP}(the solution is in the notebook)"
     else:
