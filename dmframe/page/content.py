@@ -31,6 +31,8 @@ from dmframe.version import version
 
 HORIZON = 20.0
 """Simulated time of a page [s]; a graph that runs for less is shown for as long as it runs."""
+KAPPA = ", with any kappa above"
+"""How the name of the cascade's condition ends where its value is the least kappa; a page shows that elsewhere."""
 
 
 def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> dict[str, Any]:
@@ -192,7 +194,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         "kappa": functions.kappa,
         "conditions": [
             {
-                "name": spelled(condition.name),
+                "name": spelled(condition.name.removesuffix(KAPPA)),
                 "how": condition.how,
                 "strict": condition.strict,
                 "value": None if condition.value is None else _finite(condition.value),

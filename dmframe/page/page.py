@@ -84,7 +84,7 @@ def assembled(content: dict[str, Any]) -> str:
 
 
 def _bare(text: str) -> str:
-    """Without indentation and without lines that are a comment: a sixth of a page's text."""
+    """Without indentation and without lines that are a comment, which only a reader of the source needs."""
     return re.sub(r"^[ \t]*(//.*)?\n?", "", text, flags=re.MULTILINE)
 
 

@@ -12,7 +12,7 @@ class Sliders {
     this.rows = [];
     const proved = content.verdict.outcome === "proved", groups = {
       controller: ["Controller", ""],
-      hidden: ["Servo and robot", "The truth, hidden from the controller."],
+      hidden: ["Servo and robot", "The truth. The controller knows no more of it than what stands under the assumptions."],
       clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
         : proved ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
           : "How often the controller samples."],
@@ -29,7 +29,10 @@ class Sliders {
       for (const slider of mine) box.append(this.row(slider));
       holder.append(box);
     }
-    addEventListener("pointerup", () => (this.held = false));
+    // a slider that is let go where it was taken tells of no change
+    const release = () => { if (this.held) { this.held = false; this.settle(); } };
+    addEventListener("pointerup", release);
+    addEventListener("pointercancel", release);
     addEventListener("hashchange", () => this.recall());
   }
 
