@@ -219,7 +219,7 @@ def test_formulas_are_aligned_and_numbered() -> None:
 def test_a_long_formula_may_break_between_its_terms_alone() -> None:
     html = mathematics.display(r"\dot S &= -|s|^2_{K + B} - \left(a + b\right)^2 + c")
     assert [re.findall(r"<m[in]>(\w)<", piece) for piece in html.split("<wbr>")] == [
-        ["S", "s", "2", "K", "B"],
+        ["S", "s", "K", "B", "2"],
         ["a", "b", "2"],
         ["c"],
     ]
