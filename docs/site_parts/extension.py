@@ -10,7 +10,8 @@ from typing import Any, ClassVar
 from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
-from sphinx.ext.napoleon import Config, NumpyDocstring
+from sphinx.ext.napoleon import Config
+from sphinx.ext.napoleon.docstring import NumpyDocstring
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
@@ -20,6 +21,8 @@ from site_parts import live, mathematics
 
 LOG = logging.getLogger(__name__)
 COURSE = "course/"
+BEGUN = time.time()
+"""A live page that is younger than this is of this build: each is written once, whichever process needs it first."""
 NUMPYDOC = Config(napoleon_use_ivar=True, napoleon_use_rtype=False, napoleon_attr_annotations=True)
 
 
@@ -48,12 +51,9 @@ class Live(SphinxDirective):
         try:
             graph = live.graph_of(self._source(name), settings)
             place = live.file_of(graph, settings)
-            begun = time.perf_counter()
             path = Path(self.env.app.outdir) / place
-            if path not in _written:
+            if not (path.is_file() and path.stat().st_mtime > BEGUN):
                 live.write(graph, path)
-                _written.add(path)
-                LOG.debug("live page %s: %.1f s", place, time.perf_counter() - begun)
         except DmframeError as error:
             raise self.error(f"live {name}: {error}") from None
         except FileNotFoundError as error:
@@ -86,10 +86,6 @@ class Live(SphinxDirective):
         self.env.note_dependency(absolute)
         self.env.images.add_file(self.env.docname, relative)
         return f"{up}_images/{Path(relative).name}"
-
-
-_written: set[Path] = set()
-"""Live pages of this build, so that a graph that several pages show is written once."""
 
 
 def inline_math(self: Any, node: nodes.math) -> None:
