@@ -258,5 +258,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), ask, (says) => (find("about").textContent = says));
 arrange();
 sliders.recall();
+const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // a link to one instant: #at=3.5
+if (moment >= 0) { time = moment; playing = false; }
 play(playing);
 colours();
