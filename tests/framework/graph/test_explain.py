@@ -11,6 +11,7 @@ import pytest
 import dmframe as dm
 from dmframe.certify import Verdict
 from dmframe.certify.claim import claim_of
+from dmframe.diagram import Diagram
 from dmframe.report import Explanation
 from dmframe.report.exchange import exchange_of
 from dmframe.report.flow import order
@@ -61,6 +62,14 @@ def test_a_block_stands_behind_those_whose_outputs_its_own_need(name: str) -> No
     assert places["task"] < places["inverse"] < places["servo"] < places["arm"]
     assert "dynamics" not in places or places["model"] < places["dynamics"] < places["inverse"]
     assert "torque" not in places or places["command"] < places["torque"] < places["inverse"]
+
+
+def test_the_order_is_that_of_the_signals_and_not_that_of_the_file() -> None:
+    experiment = dm.load("pendulum").experiment
+    backwards = dict(reversed(experiment.blocks.items()))
+    assert next(iter(backwards)) == "arm"
+    found = order(Diagram.build(backwards, robot=experiment.robot))
+    assert found == ["path", "task", "model", "dynamics", "inverse", "servo", "arm"]
 
 
 def test_signals_are_told_with_unit_origin_and_reader() -> None:
