@@ -110,10 +110,11 @@ class Sliders {
   get tick() { return Number((this.content.tick * (this.moved.get("clock") ?? 1)).toPrecision(6)); }
   get shift() { return this.content.pose && this.content.pose.names.map((_, k) => this.moved.get(`start[${k}]`) ?? 0); }
 
-  // Whether numbers of the loop have moved, and whether its start or its clock has.
+  // Whether numbers of the loop have moved and which, and whether its start or its clock has.
   get state() {
     const ofRun = (label) => label === "clock" || label.startsWith("start["), labels = [...this.moved.keys()];
-    return { p: labels.some((label) => !ofRun(label)), run: labels.some(ofRun) };
+    const at = new Set(this.content.sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
+    return { p: labels.some((label) => !ofRun(label)), at, run: labels.some(ofRun) };
   }
 
   // Where all of them stand, given the numbers and the pose at the start.

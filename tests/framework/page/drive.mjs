@@ -19,6 +19,8 @@ for (const { p = content.p, ...asked } of runs) {
     speed: loop.speed(run.log.subarray(0, loop.states), run.tick),
   });
 }
-for (const { p = null, margins = null, moved } of judged)
-  answers.push(judgement(content, p ? loop.judged(p) : Float64Array.from(margins, (value) => value ?? NaN), moved));
+for (const { p = null, margins = null, moved: { at, ...moved } } of judged) {
+  const found = p ? loop.judged(p) : Float64Array.from(margins, (value) => value ?? NaN);
+  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved));
+}
 process.stdout.write(JSON.stringify({ answers, plain: quantities.map((pair) => plain(...pair)) }));
