@@ -168,3 +168,17 @@ def test_a_title_is_text_and_breaks(tab: Browser, tmp_path: Path, title: str) ->
     assert tab.value("document.documentElement.scrollWidth") == 320
     tab.ask("Emulation.clearDeviceMetricsOverride")
     assert tab.said == []
+
+
+def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browser, tmp_path: Path) -> None:
+    canvas = "document.getElementById('robot')"
+    tab.opened(saved(tmp_path, assembled(content("arm2_joint"))))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    lost = f"{canvas}.getContext('webgl2')?.getExtension('WEBGL_lose_context').loseContext()"
+    tab.value(f"{lost}; new Promise((done) => setTimeout(done, 200))")
+    pixels = f"{canvas}.getContext('2d')?.getImageData(0, 0, {canvas}.width, {canvas}.height).data"
+    assert tab.until(f"{pixels}?.some((part) => part > 0)")
+    tab.value(f"{canvas}.focus()")
+    tab.ask("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+    tab.value("new Promise((done) => setTimeout(done, 100))")
+    assert tab.said == []
