@@ -20,6 +20,7 @@ from dmframe.formula.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
+from dmframe.report.command import command
 from dmframe.report.notation import spelled
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
@@ -46,15 +47,14 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     ValueFault
         It draws random numbers, which a page does not.
     """
+    check_chance(experiment, diagram)
     loop, file = diagram.loop, experiment.file
-    if loop.drawn.numel() or file.jitter:
-        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
-        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
     functions = functions_of(diagram, file.clock, experiment.start, verdict, experiment.intervals(diagram))
     state = start_state(diagram, experiment.start)
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),
         "module": _packed(loop_module(functions.parts, functions.exported)),
@@ -80,6 +80,14 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "robot": _robot(experiment, diagram, functions, state),
         "verdict": _verdict(experiment.name, verdict, functions),
     }
+
+
+def check_chance(experiment: Experiment, diagram: Diagram) -> None:
+    """Raise `ValueFault` for a loop that draws random numbers: to be asked before anything is computed."""
+    loop = diagram.loop
+    if loop.drawn.numel() or experiment.file.jitter:
+        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
+        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
 
 
 def _packed(module: bytes) -> str:

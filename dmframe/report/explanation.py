@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +11,6 @@ from html import escape
 from typing import Any, Final, NamedTuple, final
 
 from dmframe import notebook
-from dmframe.catalogue import graphs
 from dmframe.certify import Verdict
 from dmframe.columns import page_width
 from dmframe.config import Experiment
@@ -25,6 +23,7 @@ from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
 from dmframe.parameter import specs
 from dmframe.port import Access, Side
+from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
 from dmframe.report.notation import spelled
 from dmframe.report.sentences import Said, signal, supplies, told
@@ -108,10 +107,7 @@ class Explanation:
     @property
     def command(self) -> str:
         """The command that says all of the verdict."""
-        own, known = self.experiment.name, graphs()
-        packaged = own in known and str(known[own]) == self.experiment.document.name
-        changes = [word for text in self.experiment.overrides for word in ("--set", text)]
-        return shlex.join(["dmframe", "verify", own if packaged else self.experiment.document.name, *changes])
+        return command(self.experiment, "verify").text
 
     def _whole(self) -> Iterator[str]:
         robot, file = self.diagram.robot, self.experiment.file

@@ -16,7 +16,7 @@ class Plot {
     this.noteText = make("span", { class: "quiet" });
     const head = make("figcaption", {}, make("span", { class: "what" }, ...nice(spec.title)), this.unitText, this.noteText);
     if (spec.switch) {
-      const button = make("button", { type: "button", class: "small", "aria-pressed": Boolean(spec.log) }, "log");
+      const button = make("button", { type: "button", class: "small", "aria-pressed": Boolean(spec.log), "aria-label": `log: ${spec.title} on a logarithmic axis` }, "log");
       button.onclick = () => {
         this.log = !this.log;
         button.setAttribute("aria-pressed", this.log);

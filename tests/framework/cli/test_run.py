@@ -153,6 +153,14 @@ def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -
     assert not tmp_path.joinpath("mine").exists()
 
 
+def test_a_graph_that_has_no_page_is_told_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
+    assert said.status == 2
+    assert said.err.startswith("dmframe: page: expected a loop without chance")
+    assert said.out == ""
+    assert not tmp_path.joinpath("mine").exists()
+
+
 def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe(*UNSTABLE, "--out", "mine")
     assert (said.status, said.err) == (1, "")
