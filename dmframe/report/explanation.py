@@ -17,6 +17,7 @@ from dmframe.certify import Verdict
 from dmframe.columns import page_width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
+from dmframe.diagram.knowledge import WORDS
 from dmframe.errors import listed
 from dmframe.exact.rational import as_float
 from dmframe.formula.names import unicode_name
@@ -138,6 +139,9 @@ class Explanation:
                 f"Hidden from it: {'; '.join(own)}. Such signals and true values are there for the plant itself, for "
                 "the proof and for the results."
             )
+        known = {word for block in self.blocks for word in block.knows}
+        if self.diagram.robot is not None and (unknown := [word for word in WORDS.values() if word not in known]):
+            yield f"No block of the controller holds these numbers of the robot: {', '.join(unknown)}."
 
     def _hidden(self, block: BlockFacts) -> list[str]:
         """Outputs and parameters of a block of the plant that no block of the controller can read."""
@@ -274,5 +278,5 @@ def _data(block: BlockFacts) -> dict[str, Any]:
         "supply": law.supply.text if law is not None and law.supply is not None and supplies(law) else None,
         "consumes": law.consumption.whole.text if law is not None and law.consumption is not None else None,
         "payer": block.payer or None,
-        "knows": block.knows or None,
+        "knows": list(block.knows),
     }

@@ -79,13 +79,12 @@ class Live(SphinxDirective):
         return name
 
     def _still(self, up: str) -> str:
-        """The picture's address, which is copied to the site with all others."""
+        """The picture's address; it is copied here, since Sphinx copies those alone that it shows itself."""
         if "still" not in self.options:
             return ""
         relative, absolute = self.env.relfn2path(self.options["still"])
         self.env.note_dependency(absolute)
-        self.env.images.add_file(self.env.docname, relative)
-        return f"{up}_images/{Path(relative).name}"
+        return up + live.still(Path(absolute), Path(self.env.app.outdir))
 
 
 def inline_math(self: Any, node: nodes.math) -> None:

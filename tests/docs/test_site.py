@@ -208,6 +208,13 @@ def test_a_live_page_is_embedded_lazily_with_its_title_a_still_picture_and_a_lin
     assert "<code>dmframe page a</code>" in html
 
 
+def test_a_still_picture_is_copied_to_where_the_page_seeks_it(tmp_path: Path) -> None:
+    picture, site = tmp_path / "a.png", tmp_path / "site"
+    picture.write_bytes(b"a picture")
+    assert (site / live.still(picture, site)).read_bytes() == b"a picture"
+    assert live.still(picture, site) == "_images/a.png"
+
+
 def test_formulas_are_aligned_and_numbered() -> None:
     html = mathematics.display(r"\dot w &= -\Lambda \tau \sigma \tag{1} \\ S &= \tfrac12 |w|^2 \tag{2}")
     assert html.count("<tr>") == 2
