@@ -23,9 +23,10 @@ from dmframe.certify.claim import certificates_of
 from dmframe.certify.form import NotApplicableError
 from dmframe.condition import Assumption
 from dmframe.diagram.view import view
-from dmframe.formula import Line, PrintedLaw, printed
+from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.names import latex_name
+from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side
@@ -50,6 +51,8 @@ FAMILIES: Final = {
 """Titles and what they hold, in the order in which signals pass them."""
 REFERENCES: Final = frozenset({"dq_r", "dq_ref", "ddq_ref"})
 """What a reference generator hands on."""
+LONG: Final = 120
+"""Letters of LaTeX beyond which a sum is broken into lines."""
 WEIGHTS: Final = (
     "Beside them the weight of each term in V must be above zero, and of each term that is spent not below; "
     "`dmframe verify` checks them at a graph's numbers."
@@ -162,9 +165,19 @@ def _energy(law: PrintedLaw) -> Iterator[str]:
 
 
 def _aligned(lines: Sequence[Line]) -> str:
-    """Equations under one another."""
-    rows = dict.fromkeys(f"{line.left.latex} &= {line.right.latex}" for line in lines)
+    """Equations under one another; a long sum goes on below itself, a summand a line."""
+    rows = dict.fromkeys(map(_row, lines))
     return "$$\n\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}\n$$" if rows else ""
+
+
+def _row(line: Line) -> str:
+    whole = f"{line.left.latex} &= {line.right.latex}"
+    node = line.right.node
+    if not isinstance(node, Sum) or len(whole) < LONG:
+        return whole
+    first, *more = (Formula(term).latex for term in node.terms)
+    below = (f"&\\quad {'' if term.startswith('-') else '+ '}{term}" for term in more)
+    return " \\\\\n".join([f"{line.left.latex} &= {first}", *below])
 
 
 def _signals(kind: type[AbstractBlock]) -> Iterator[str]:

@@ -58,7 +58,7 @@ def test_a_page_prints_the_law_of_the_code(dynamics: str) -> None:
     found = plainest(KINDS["dynamic_compensator"])
     assert found is not None
     law = section(dynamics, "Law")
-    lines = [f"{line.left.latex} &= {line.right.latex}" for line in found[1].lines]
+    lines = [make_blocks._row(line) for line in found[1].lines]
     assert len(lines) > 3
     assert all(line in law for line in lines)
     assert r"| is supplied with | $-" in law
@@ -132,6 +132,16 @@ def test_a_value_that_cannot_be_is_told_and_the_others_are_tried() -> None:
     found = block_examples._tried(graph, "inverse.w_P", [1.0, -0.5, "x"], 0.1)
     assert [bool(row[0]) for row in found] == [True, True, False]
     assert "expected a quantity in 1/s" in found[2][2]
+
+
+def test_a_long_sum_is_broken_between_its_summands_and_says_the_same() -> None:
+    found = plainest(KINDS["pid_inverse"])
+    assert found is not None
+    for line in found[1].lines:
+        row = make_blocks._row(line)
+        whole = f"{line.left.latex} &= {line.right.latex}"
+        assert re.sub(r"\s*\\\\\s*&\\quad\s*", " ", row).replace("- ", "-") == whole.replace("- ", "-")
+    assert make_blocks._row(found[1].S).count("&") == 5  # a line for each of five squares
 
 
 def test_a_bar_in_a_cell_ends_no_column() -> None:
