@@ -112,7 +112,7 @@ def _told(make: Any, node: nodes.Element) -> str:
 
 
 def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: nodes.document | None) -> None:
-    """Beneath a lesson's title, the lesson as a notebook."""
+    """Beneath a lesson's title, its number, by which other lessons name it, and the lesson as a notebook."""
     if not page.startswith(COURSE) or "body" not in context:
         return
     text = Path(app.env.doc2path(page)).read_text(encoding="utf-8")
@@ -123,7 +123,8 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(notebooks.notebook(text), encoding="utf-8")
     link = f'<p class="take-away"><a href="{name}" download>Take this lesson away as a notebook</a></p>'
-    context["body"] = context["body"].replace("</h1>", f"</h1>{link}", 1)
+    number = f'<p class="take-away">Lesson {int(page.removeprefix(COURSE)[:2])} of the course</p>'
+    context["body"] = context["body"].replace("</h1>", f"</h1>{number}{link}", 1)
 
 
 def read_docstring(app: Sphinx, what: str, name: str, of: Any, options: Any, lines: list[str]) -> None:
