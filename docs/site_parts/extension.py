@@ -82,7 +82,7 @@ class Live(SphinxDirective):
         """The picture's address; it is copied here, since Sphinx copies those alone that it shows itself."""
         if "still" not in self.options:
             return ""
-        _, absolute = self.env.relfn2path(self.options["still"])
+        absolute = self.env.relfn2path(self.options["still"])[1]
         self.env.note_dependency(absolute)
         return up + live.still(Path(absolute), Path(self.env.app.outdir))
 
@@ -109,7 +109,7 @@ def _told(make: Any, node: nodes.Element) -> str:
 
 
 def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], doctree: nodes.document | None) -> None:
-    """Beneath a lesson's title, the lesson as a notebook."""
+    """Beneath a lesson's title, its number, by which other lessons name it, and the lesson as a notebook."""
     if not page.startswith(COURSE) or "body" not in context:
         return
     path = Path(app.env.doc2path(page))
@@ -121,7 +121,8 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
     folder.mkdir(parents=True, exist_ok=True)
     folder.joinpath(name).write_text(notebook(lesson), encoding="utf-8")
     link = f'<p class="take-away"><a href="{name}" download>Take this lesson away as a notebook</a></p>'
-    context["body"] = context["body"].replace("</h1>", f"</h1>{link}", 1)
+    number = f'<p class="take-away">Lesson {lesson.number} of the course</p>'
+    context["body"] = context["body"].replace("</h1>", f"</h1>{number}{link}", 1)
 
 
 def read_docstring(app: Sphinx, what: str, name: str, of: Any, options: Any, lines: list[str]) -> None:
