@@ -9,20 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
+from dmframe.block import AbstractBlock
+from dmframe.block.model import same_expressions, symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven
 from dmframe.certify.checked import Checked
 from dmframe.certify.claim import Claim
 from dmframe.certify.divisors import written
 from dmframe.certify.payment import kappa_needs
 from dmframe.certify.smoothness import followed_by_numbers
+from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import ValueFault
+from dmframe.diagram.view import View, view
+from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
 from dmframe.program import DIVISIONS, OPERATIONS
@@ -70,6 +73,43 @@ def least_kappa(claim: Claim, uncertain: Intervals) -> SX:
     """
     (needs,) = claim.loop.joined([kappa_needs(claim)])
     return ca.mmax(_ends(needs, _inside(claim, uncertain)).upper)
+
+
+def claims_alike(claim: Claim, changed: Diagram, name: str) -> bool:
+    """True where a block states the same in a diagram with other numbers: it reads none of them as a number."""
+    (ones, said), (others, too) = (
+        _stated_by(diagram.blocks[name], view(claim.diagram, name, claim.truths))
+        for diagram in (claim.diagram, changed)
+    )
+    return said == too and same_expressions(ones, others)
+
+
+def _stated_by(block: AbstractBlock, seen: View) -> tuple[list[SX], list[str]]:
+    """The expressions of a block's certificate and conditions, and all else that is in them, as texts."""
+    expressions, rest = list[SX](), list[str]()
+
+    def collect(item: Any) -> None:
+        if isinstance(item, ca.SX | ca.DM | float | int):
+            expressions.append(ca.SX(item))
+        elif is_dataclass(item):
+            rest.append(type(item).__name__)
+            collect([getattr(item, each.name) for each in fields(item)])
+        elif isinstance(item, Mapping):
+            collect(list(item.items()))
+        elif isinstance(item, list | tuple):
+            rest.append(str(len(item)))
+            for inner in item:
+                collect(inner)
+        else:
+            rest.append(str(item))
+
+    try:
+        collect(block.conditions(seen.p, seen.truth))
+        if type(block).certificate is not AbstractBlock.certificate:
+            collect(block.composed_certificate(seen.u, seen.x, seen.p, seen.truth))
+    except DmframeError as error:
+        rest.append(error.text)
+    return expressions, rest
 
 
 def _inside(claim: Claim, uncertain: Intervals) -> dict[int, tuple[float, float]]:

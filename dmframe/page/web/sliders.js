@@ -148,19 +148,25 @@ class Sliders {
   command(p, start) {
     const { command, horizon, sliders, pose } = this.content, words = [command.text, `--set duration=${horizon}`];
     const lacking = command.before ? [command.before] : [];
-    const say = (label, values) => words.push(`--set '${label}=${values.length > 1 ? `[${values.join(", ")}]` : values[0]}'`);
+    const say = (label, value) => words.push(`--set '${label}=${value}'`);
     const moved = sliders.filter(({ label }) => this.moved.has(label));
     for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
       const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
       if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot's file says`);
-      else say(base, whole.flatMap(({ at, size }) => p.slice(at, at + size)));
+      else say(base, listed(whole[0].written, (place) => p[whole[0].first + place]));
     }
     // another path has other poses that begin it, of which a command would take its own
     const sought = pose?.sought && moved.some(({ group }) => group === "path");
-    if (sought || this.shift?.some(Boolean)) say("start.q", start.map((angle) => Number(angle.toPrecision(12))));
-    if (this.moved.has("clock")) say("clock", [this.tick]);
+    if (sought || this.shift?.some(Boolean)) say("start.q", listed(start.map((_, k) => k), (k) => Number(start[k].toPrecision(12))));
+    if (this.moved.has("clock")) say("clock", this.tick);
     return words.join(" ") + (lacking.length ? `   # and ${lacking.join(", and ")}` : "");
   }
+}
+
+// As YAML has it: numbers at their places, in lists where they stand in lists.
+function listed(places, number) {
+  if (Array.isArray(places)) return `[${places.map((inner) => listed(inner, number)).join(", ")}]`;
+  return places === null ? "0" : String(number(places));
 }
 
 function rest({ kind }) {

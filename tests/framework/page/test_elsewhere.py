@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from in_node import asked, content_of_graph
+from pydantic import model_validator
 
 import dmframe as dm
 from dmframe.block import AbstractBlock, Equations
@@ -20,6 +21,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
 from dmframe.exact.ends import enclosing
 from dmframe.exact.rational import Interval, evaluate
+from dmframe.page.sliders import sliders_of
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import TIME, Port, Side, State
 from dmframe.terms import clip
@@ -185,3 +187,77 @@ def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> No
     (found,) = [item for item in elsewhere(verdict.conditions, verdict.claim, {}) if item.margin is None]
     assert found.checked.name == "path.r is continuous"
     assert [str(symbol) for symbol in ca.symvar(found.reads)] == ["path.end"]
+
+
+@final
+class Reader(AbstractBlock):
+    """x' = -x; its conditions read a number that its equations take as a symbol, and it refuses large ones."""
+
+    states: ClassVar[tuple[State, ...]] = (State("x"),)
+    k: Scalar = Positive("", "", default=2.0)
+    few: Scalar = Positive("", "", default=2.0)
+
+    @model_validator(mode="after")
+    def _small(self) -> Reader:
+        if self.few >= 5:
+            raise ValueError("expected few below 5")
+        return self
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(rates={"x": -p.few * p.k * x.x})
+
+    def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+        return Certificate((Square(x.x),), (Square(x.x, p.few * p.k),))
+
+    def conditions(self, p: Any, truth: Any) -> tuple[Inequality, ...]:
+        return (Inequality("k < 3", 3 - ca.SX(float(self.k)), "nobody"),)
+
+
+def test_a_slider_moves_no_number_that_a_claim_reads_as_such_and_reaches_none_that_is_refused() -> None:
+    diagram = Diagram.build({"toy": Reader()})
+    assert verify(Diagram.build({"toy": Reader(k=4.0)})).outcome == "not_applicable"
+    (slider,) = sliders_of(diagram, verify(diagram))
+    assert slider.label == "toy.few"
+    assert 2 * slider.most < 5
+    assert slider.most > 1.5
+
+
+def test_a_number_is_written_as_its_block_was_given_it() -> None:
+    nothing = Verdict("not_applicable", "")
+    size = dm.load("pendulum").diagram.models["dynamics"].states["a_d_hat"].numel()
+    gain = 5 * np.eye(size) + np.arange(size) / 100 + np.arange(size)[:, None] / 100 + 0.01
+    for graph, label, expected in (
+        (dm.load("pd_torque"), "path.q_d", [0]),
+        (dm.load("pd_torque"), "command.K_e", 0),
+        (dm.load("pendulum").set({"dynamics.Gamma": gain.tolist()}), "dynamics.Gamma", None),
+    ):
+        (slider,) = [slider for slider in sliders_of(graph.diagram, nothing) if slider.label == label]
+        assert expected is None or slider.written == expected
+        p = graph.diagram.loop.p_values[slider.first :]
+        again = graph.set({label: _filled(slider.written, p)}).diagram.loop.p_values
+        np.testing.assert_array_equal(again, graph.diagram.loop.p_values)
+
+
+def _filled(places: Any, p: np.ndarray) -> Any:
+    if isinstance(places, list):
+        return [_filled(inner, p) for inner in places]
+    return 0.0 if places is None else float(p[places])
+
+
+def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
+    nothing = Verdict("not_applicable", "")
+
+    def says(name: str) -> dict[str, str]:
+        return {slider.label: slider.says for slider in sliders_of(dm.load(name).diagram, nothing)}
+
+    assert says("pd_torque")["robot.gravity"] == "Gravity."
+    assert "the controller knows it" in says("pendulum")["robot.gravity"]
+    assert "knows" not in says("pendulum")["robot.inertia"]
+    assert "the controller knows it" in says("computed_torque")["robot.inertia"]
+
+
+def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
+    graph = dm.load("pd_torque").set({"command.K_e": 50})
+    assert content_of_graph(graph)["command"]["text"] == "dmframe run pd_torque --set command.K_e=50"
+    other = dm.load(graph.text, name="mine")
+    assert content_of_graph(other)["command"]["text"] == "dmframe run mine.yaml"
