@@ -137,7 +137,7 @@ def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
 
 def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_path: Path) -> None:
     page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
-    tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ")
+    tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
     assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."
     tab.opened(page, "#texts")
     tab.until(f"{HEADLINE} === 'Proved'")
