@@ -75,6 +75,21 @@ def entries(place: str, text: str) -> list[str]:
     return re.findall(r"^   (\w+)$", text, re.MULTILINE) if place.endswith("api/index.rst") else []
 
 
+def test_a_build_takes_nothing_out_of_a_folder_that_is_not_its_own(tmp_path):
+    others = tmp_path / "site-source"
+    others.mkdir()
+    (others / "thesis.md").write_text("mine")
+    with pytest.raises(SystemExit, match="expected no files but those of an earlier build"):
+        make_site.claim(others)
+    own = tmp_path / "own"
+    make_site.claim(own)
+    make_site.lay_out({"a.md": "a"}, own)
+    make_site.claim(own)
+    make_site.lay_out({"b.md": "b"}, own)
+    assert sorted(path.name for path in own.iterdir()) == [make_site.MARK, "b.md"]
+    assert (others / "thesis.md").read_text() == "mine"
+
+
 def test_every_page_is_in_the_navigation_once(files: dict[str, str | bytes]) -> None:
     listed = navigation(files)
     wanted = {re.sub(r"\.(md|rst)$", "", place) for place in files if place.endswith((".md", ".rst"))}

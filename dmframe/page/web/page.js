@@ -260,6 +260,7 @@ find("copy").onclick = async () => {
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), ask, (says) => (find("about").textContent = says));
 arrange();
+if (!plots.length && !content.robot) find("first").append(make("p", { class: "quiet" }, "This graph has no robot, no error, no command and no estimate: there is nothing to draw."));
 sliders.recall();
 const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // a link to one instant: #at=3.5
 if (moment >= 0) { time = moment; playing = false; }

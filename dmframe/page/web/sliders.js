@@ -91,6 +91,7 @@ class Sliders {
       if (within && value !== rest(slider)) this.moved.set(slider.label, value);
       if (within) found.delete(slider.label);
     }
+    if (Number(found.get("at") || NaN) >= 0) found.delete("at"); // an instant, which the page itself reads
     const lost = [...found].filter(([, text]) => text).map((pair) => pair.join("=")), more = lost.length > 3 ? `, and ${lost.length - 3} more` : "";
     this.notices = lost.length ? [`what the address says cannot be set here: ${lost.slice(0, 3).join(", ").slice(0, 200)}${more}`] : [];
     this.ask(false);

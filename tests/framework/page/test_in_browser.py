@@ -12,6 +12,7 @@ import pytest
 from in_browser import Browser, browser
 from in_node import content
 
+import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
 from dmframe.page.page import assembled
@@ -137,7 +138,7 @@ def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
 
 def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_path: Path) -> None:
     page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
-    tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ")
+    tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
     assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."
     tab.opened(page, "#texts")
     tab.until(f"{HEADLINE} === 'Proved'")
@@ -181,4 +182,25 @@ def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browse
     tab.value(f"{canvas}.focus()")
     tab.ask("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
     tab.value("new Promise((done) => setTimeout(done, 100))")
+    assert tab.said == []
+
+
+def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are_too_long(
+    tab: Browser, tmp_path: Path
+) -> None:
+    tab.opened(saved(tmp_path, assembled(content("pendulum"))))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.value("document.querySelectorAll('#sliders input').forEach((e) => { e.value = e.max; e.oninput(); })")
+    notice = "document.getElementById('notice').textContent"
+    tab.until(f"{notice}.includes('no longer finite') && {notice}.includes('continuous time, and the integrator')")
+    assert tab.value(HEADLINE) == "Proved at these values"
+    assert tab.said == []
+
+
+def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser, tmp_path: Path) -> None:
+    path = "{type: sinusoid, center: [45 deg], amplitude: [30 deg], rate: [0.9 rad/s]}"
+    text = f"dmframe: 1\nclock: 2 ms\nduration: 1 s\nblocks:\n  path: {path}\n"
+    tab.opened(saved(tmp_path, dm.load(text, name="path").page().html))
+    assert "nothing to draw" in tab.until("document.getElementById('first').textContent")
+    assert tab.value(COMMAND).startswith("dmframe run path.yaml --set duration=1 ")
     assert tab.said == []
