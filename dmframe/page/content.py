@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import base64
-import shlex
 import zlib
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from dmframe.catalogue import graphs
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
@@ -22,6 +20,7 @@ from dmframe.formula.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
+from dmframe.report.command import command
 from dmframe.report.notation import spelled
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
@@ -34,6 +33,8 @@ from dmframe.version import version
 
 HORIZON = 20.0
 """Simulated time of a page [s]; a graph that runs for less is shown for as long as it runs."""
+KAPPA = ", with any kappa above"
+"""How the name of the cascade's condition ends where its value is the least kappa; a page shows that elsewhere."""
 
 
 def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> dict[str, Any]:
@@ -46,18 +47,16 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     ValueFault
         It draws random numbers, which a page does not.
     """
+    check_chance(experiment, diagram)
     loop, file = diagram.loop, experiment.file
-    if loop.drawn.numel() or file.jitter:
-        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
-        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
     functions = functions_of(diagram, file.clock, experiment.start, verdict, experiment.intervals(diagram))
     state = start_state(diagram, experiment.start)
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),
-        "command": _command(experiment),
         "module": _packed(loop_module(functions.parts, functions.exported)),
         "clock": file.clock,
         "tick": file.clock if file.clock is not None else experiment.solver.output,
@@ -83,13 +82,12 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     }
 
 
-def _command(experiment: Experiment) -> str:
-    """What runs the same graph: a packaged one with its changes, any other as the file that the page shows."""
-    known, own = graphs(), experiment.name
-    if own in known and str(known[own]) == experiment.document.name:
-        changes = [word for text in experiment.overrides for word in ("--set", text)]
-        return shlex.join(["dmframe", "run", own, *changes])
-    return shlex.join(["dmframe", "run", f"{own}.yaml"])
+def check_chance(experiment: Experiment, diagram: Diagram) -> None:
+    """Raise `ValueFault` for a loop that draws random numbers: to be asked before anything is computed."""
+    loop = diagram.loop
+    if loop.drawn.numel() or experiment.file.jitter:
+        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
+        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
 
 
 def _packed(module: bytes) -> str:
@@ -219,7 +217,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
 def _condition(condition: Checked, place: Place | None, reads: tuple[int, ...] | None) -> dict[str, Any]:
     """What was decided at the file's numbers, and where its margins stand; without any, on what it depends."""
     return {
-        "name": spelled(condition.name),
+        "name": spelled(condition.name.removesuffix(KAPPA)),
         "how": condition.how,
         "strict": condition.strict,
         "value": None if condition.value is None else _finite(condition.value),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shlex
+import shutil
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -39,6 +40,14 @@ def write(graph: Graph, path: Path) -> Path:
     held.write_text(graph.page().html, encoding="utf-8")
     held.replace(path)
     return path
+
+
+def still(picture: Path, site: Path) -> str:
+    """Copy a picture into the site; its place there, ``_images/ur10_fast.png``."""
+    place = f"_images/{picture.name}"
+    site.joinpath(place).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(picture, site / place)
+    return place
 
 
 def embedded(

@@ -81,6 +81,16 @@ export class Loop {
     return this.view("judged", this.content.sizes.judged).slice();
   }
 
+  // By how much these move with numbers that are off by sixteen roundings: a margin below that has no sure sign.
+  spread(p) {
+    const here = this.judged(p), most = new Float64Array(here.length);
+    for (let turn = 1; turn <= 4; turn++) {
+      const beside = this.judged(p.map((value, k) => value * (1 + Math.sign(Math.sin(turn * (k + 0.5) * 2.4)) * 2 ** -48)));
+      beside.forEach((value, k) => (most[k] = Math.max(most[k], Math.abs(value - here[k]))));
+    }
+    return most;
+  }
+
   // The pose at the start: the file's, put onto the path where it is sought there, then shifted.
   posed(p, shift) {
     const { pose, state } = this.content;

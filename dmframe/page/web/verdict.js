@@ -2,17 +2,17 @@
 
 // The conditions at the numbers that `judged` was evaluated at; `moved`: these are not the file's. What is tacit is
 // among them only where it does not hold: `verify` names it there alone.
-export function conditionsAt({ verdict }, judged, moved) {
-  const rows = verdict.conditions.map((condition) => decided(condition, judged, moved));
+export function conditionsAt({ verdict }, judged, moved, spread) {
+  const rows = verdict.conditions.map((condition) => decided(condition, judged, moved, spread));
   if (!moved.p) return rows;
   const tacit = (verdict.tacit ?? []).map(({ opens, ...condition }) => {
-    const row = decided(condition, judged, moved);
+    const row = decided(condition, judged, moved, spread);
     return opens && row.holds === false ? { ...row, holds: null } : row;
   });
   return [...rows, ...tacit.filter(({ holds }) => holds !== true)];
 }
 
-function decided({ name, how, strict, value, holds, at, size, reads }, judged, moved) {
+function decided({ name, how, strict, value, holds, at, size, reads }, judged, moved, spread) {
   if (at === null) {
     // no expression of parameters: what was decided for the file's numbers holds while those that it reads stay
     const stays = !moved.p || (reads && moved.at && !reads.some((place) => moved.at.has(place)));
@@ -20,13 +20,16 @@ function decided({ name, how, strict, value, holds, at, size, reads }, judged, m
   }
   if (!size) return { name, how, strict, margin: null, holds };
   const margin = Math.min(...judged.subarray(at, at + size)); // NaN where one of them is
+  // so close to zero that rounding may have turned its sign: `verify`, which does not round, decides
+  const least = judged.subarray(at, at + size).indexOf(margin);
+  if (moved.p && spread && margin !== 0 && Math.abs(margin) <= spread[at + least]) return { name, how, strict, margin, holds: null };
   return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
 }
 
 // A headline, and sentences. `moved.p`: numbers of the loop are not the file's, of which `moved.at` says
 // which; `moved.run`: its start or its clock.
-export function judgement(content, judged, moved) {
-  const { verdict } = content, rows = conditionsAt(content, judged, moved);
+export function judgement(content, judged, moved, spread = null) {
+  const { verdict } = content, rows = conditionsAt(content, judged, moved, spread);
   const failing = rows.filter((row) => row.holds === false), open = rows.filter((row) => row.holds === null);
   const found = (state, headline, ...says) => ({ state, headline, says: says.filter(Boolean), rows });
   if (verdict.outcome !== "proved") {
@@ -45,7 +48,9 @@ export function judgement(content, judged, moved) {
   const weight = kappa > 0 ? `, with any κ above ${figure(kappa)}` : "";
   if (open.length) {
     const names = open.map(({ name }) => name).slice(0, 2).join("; ");
-    const rest = `${open.length > 1 ? `${open.length} conditions were` : "One condition was"} decided for the file's numbers only`;
+    const edge = open.every(({ margin }) => margin !== null);
+    const where = edge ? "too close to the edge for this page" : "decided for the file's numbers only";
+    const rest = `${open.length > 1 ? `${open.length} conditions are` : "One condition is"} ${where}`;
     return found("undecided", "Not decided at these values", identity, `${rest}: ${names}${open.length > 2 ? "; ..." : ""}.`);
   }
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them found by samples, not proved)` : "";

@@ -258,9 +258,9 @@ def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
 
 def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
     graph = dm.load("pd_torque").set({"command.K_e": 50})
-    assert content_of_graph(graph)["command"] == "dmframe run pd_torque --set command.K_e=50"
+    assert content_of_graph(graph)["command"]["text"] == "dmframe run pd_torque --set command.K_e=50"
     other = dm.load(graph.text, name="mine")
-    assert content_of_graph(other)["command"] == "dmframe run mine.yaml"
+    assert content_of_graph(other)["command"]["text"] == "dmframe run mine.yaml"
 
 
 def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncertain: Any) -> None:
