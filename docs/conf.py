@@ -33,7 +33,7 @@ suppress_warnings = ["ref.citation"]  # that a source in the bibliography is cit
 # Notebooks: each is run, and an error in one stops the build
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300
 nb_execution_show_tb = True
 nb_merge_streams = True
 

@@ -11,12 +11,15 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
 
 from site_parts import api, references
 from site_parts.pages import CATALOGUE, DOCS, PAGES, ROOT, linked, shown_place, shown_text, sources
+
+MARK = ".made-by-make_site"
 
 
 def gathered(folder: Path) -> dict[str, str | bytes]:
@@ -48,6 +51,23 @@ def made(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): path.read_text(encoding="utf-8") for path in sorted(mine.rglob("*.md"))}
 
 
+def _emptied(cache: Path) -> None:
+    shutil.rmtree(cache, ignore_errors=True)
+    claim(cache)
+
+
+def claim(folder: Path) -> None:
+    """Mark a folder as one of this script's own, out of which it takes what it did not put in.
+
+    Ends the program where there are files that it did not make.
+    """
+    mark, built = folder / MARK, folder.is_relative_to(ROOT / "build")
+    if not (built or mark.exists()) and (folder.is_file() or (folder.is_dir() and any(folder.iterdir()))):
+        sys.exit(f"{folder}: expected no files but those of an earlier build, found others; name another FOLDER")
+    folder.mkdir(parents=True, exist_ok=True)
+    mark.touch()
+
+
 def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
     """Write what has changed, and take away what is no longer there: Sphinx reads again what is new alone."""
     for place, content in files.items():
@@ -59,8 +79,27 @@ def lay_out(files: dict[str, str | bytes], folder: Path) -> None:
     for path in list(folder.rglob("*")):
         place = str(path.relative_to(folder))
         ours = path.is_relative_to(pictures) and path.suffix != ".md"
-        if path.is_file() and place not in files and not ours:
+        if path.is_file() and place not in files and not ours and place != MARK:
             path.unlink()
+
+
+REMOTE = re.compile(
+    r"""<(?:script|img|iframe|source|video|audio|embed|object)\b[^>]*\s(?:src|data)\s*=\s*["']?(?:https?:)?//[^"'>\s]*"""
+    r"""|<link\b[^>]*\shref\s*=\s*["']?(?:https?:)?//[^"'>\s]*"""
+    r"""|url\(\s*["']?(?:https?:)?//[^"')]*|@import\s+["'](?:https?:)?//[^"']*""",
+    re.IGNORECASE,
+)
+"""What a browser fetches by itself from somewhere else."""
+
+
+def remote(site: Path) -> list[str]:
+    """What the pages and styles of a site load from a network, each with its file; nothing, as it should be."""
+    found = list[str]()
+    for path in sorted(site.rglob("*")):
+        if path.suffix in (".html", ".css", ".svg"):
+            loads = REMOTE.findall(path.read_text(encoding="utf-8"))
+            found += [f"{path.relative_to(site)} loads {text}" for text in loads]
+    return found
 
 
 def _quiet_kernels(folder: Path) -> None:
@@ -79,18 +118,23 @@ def main() -> int:
     asked = parser.parse_args()
     site: Path = asked.folder.resolve()
     sources_folder, cache = site.with_name(f"{site.name}-source"), site.with_name(f"{site.name}-cache")
+    for folder in (sources_folder, cache):
+        claim(folder)
     lay_out(gathered(sources_folder), sources_folder)
     if asked.check:
         return 0
     if not site.is_dir():
-        shutil.rmtree(cache, ignore_errors=True)  # it says which pages need not be set again
+        _emptied(cache)  # it says which pages need not be set again
     _quiet_kernels(cache / "ipython")
     from sphinx.cmd.build import build_main
 
     words = ["-W", "--keep-going", "-q", "-j", "2", "-c", str(DOCS), "-d", str(cache)]
     status = build_main([*words, str(sources_folder), str(site)])
+    for text in remote(site):
+        sys.stderr.write(f"{text}\n")
+        status = 1
     if status:
-        shutil.rmtree(cache, ignore_errors=True)  # or the next build would pass over what this one warned of
+        _emptied(cache)  # or the next build would pass over what this one warned of
     else:
         sys.stdout.write(f"the site: {site / 'index.html'}\n")
     return status

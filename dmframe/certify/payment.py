@@ -77,10 +77,10 @@ def payment_conditions(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             yield Checked(text, f"kappa > {NEED}: {WHERE}", value, kappa is not None, SOURCE, margin=weights)
 
 
-def least_kappa(claim: Claim) -> SX:
-    """`Kappa.least` as an expression in the claim's parameters, where every weight that pays is above zero."""
+def kappa_needs(claim: Claim) -> SX:
+    """Expressions in the claim's parameters of which `Kappa.least` is the largest; zero is one of them."""
     needs = [_composed(payer, consumers)[0] for payer, consumers in _payers(claim) if not payer.cascade]
-    return ca.mmax(ca.vertcat(ca.SX(0), *needs))
+    return ca.vertcat(ca.SX(0), *needs)
 
 
 def _composed(payer: Part, consumers: list[Part]) -> tuple[SX, SX]:

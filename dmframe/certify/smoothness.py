@@ -214,20 +214,41 @@ def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
             yield leaf
 
 
+def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
+    """Trajectories that are held to be continuous at the graph's numbers, with the parameters that they read."""
+    for leaf in _differentiated(diagram, claim):
+        joined, function = _path(diagram, leaf)
+        if not function.has_free() and _switches(function):
+            moves = symbols_in([diagram.loop.time])
+            read = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() not in moves]
+            yield leaf.name, ca.vertcat(ca.SX(0, 1), *read)
+
+
+def _path(diagram: Diagram, leaf: Leaf) -> tuple[SX, ca.Function]:
+    """A trajectory, and the same as a function of time and of all parameters."""
+    joined = ca.vec(ca.densify(diagram.loop.joined([leaf.expression])[0]))
+    parameters = stack(parameter.symbol for parameter in diagram.loop.parameters)
+    return joined, ca.Function("path", [diagram.loop.time, parameters], [joined], {"allow_free": True})
+
+
+def _switches(function: ca.Function) -> bool:
+    """True for a function of time that may jump, or have no derivative, somewhere."""
+    tape = Tape.from_function(function)
+    found = {code for _, code in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
+    return bool(found & (JUMPS | KINKS | EDGES | DIVISIONS))
+
+
 def _followed(diagram: Diagram, leaf: Leaf) -> Told:
     """A function of time alone, and continuous."""
     parameters = diagram.loop.parameters
-    symbols = [diagram.loop.time, *(parameter.symbol for parameter in parameters)]
-    joined = diagram.loop.joined([leaf.expression])[0]
-    function = ca.Function("path", [symbols[0], stack(symbols[1:])], [ca.vec(ca.densify(joined))], {"allow_free": True})
+    _, function = _path(diagram, leaf)
     if function.has_free():
         free = ", ".join(str(symbol) for symbol in function.get_free())
         yield "fault", f"{leaf.name} moves with {free}; a desired trajectory is a function of time and parameters alone"
         return
-    tape = Tape.from_function(function)
-    found = {code for _, code in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
-    if not found & (JUMPS | KINKS | EDGES | DIVISIONS):
+    if not _switches(function):
         return
+    tape = Tape.from_function(function)
     exact = exact_values(diagram)
     values = [value for parameter in parameters for value in exact[parameter.label]]
     try:

@@ -303,12 +303,12 @@ def page(
 ) -> None:
     """Write a live page of a graph: it runs in a browser, under sliders, beside its proof."""
     from dmframe.cli.graphs import one_graph
-    from dmframe.page.page import check_page_place
+    from dmframe.page.page import check_own_place, check_page_place
     from dmframe.results.folder import safe_name
 
     loaded = one_graph(graph, overrides, trust=trust)
     place = out if out is not None else Path(f"{safe_name(loaded.name)}.html")
-    check_page_place(place)
+    (check_page_place if out is not None else check_own_place)(place)
     loaded.page().save(place)
     tell(f"wrote {place}")
 

@@ -50,6 +50,8 @@ def run_graphs(
         graphs = [graph.until(duration) for graph in graphs]
     for graph in graphs:  # faults of every graph are told before the first runs
         _ = graph.diagram
+        if pages:
+            _check_page(graph)
     with _place(out, graphs, force=force) as place:
         found, interrupted = _run_all(graphs, engine, as_json)
         if not found:
@@ -74,6 +76,12 @@ def run_graphs(
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0
+
+
+def _check_page(graph: Graph) -> None:
+    from dmframe.page.content import check_chance
+
+    check_chance(graph.experiment, graph.diagram)
 
 
 def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) -> None:

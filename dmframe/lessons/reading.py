@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -11,10 +12,11 @@ from dmframe.columns import columns
 from dmframe.formula.latex import in_unicode
 from dmframe.formula.names import LETTERS
 from dmframe.lessons.lesson import Lesson, Piece
-from dmframe.lessons.notebook import unlinked
+from dmframe.lessons.notebook import LINK, unlinked
 
 _DISPLAYED: Final = re.compile(r"\$\$(.*?)\$\$", re.DOTALL)
 _MARKED: Final = re.compile(r"(\$[^$]+\$|`[^`]+`)")
+_BRACED: Final = r"\{((?:[^{}]|\{[^{}]*\})*)\}"
 _EMPHASIS: Final = re.compile(r"(?<![\w*])(\*{1,2})(?=\S)(.+?)(?<=\S)\1(?![\w*])", re.DOTALL)
 _ITEM: Final = re.compile(r"(?:[-*]|\d+\.) ")
 _BLANK: Final = re.compile(r"\n\s*\n")
@@ -41,13 +43,16 @@ def readable(lesson: Lesson, wide: int) -> str:
 
 def _parts(piece: Piece, wide: int) -> Iterator[str]:
     if piece.kind == "prose":
-        for place, part in enumerate(_DISPLAYED.split(unlinked(piece.text))):
+        text = LINK.sub(r"\1 (\2)", unlinked(piece.text))
+        for place, part in enumerate(_DISPLAYED.split(text)):
             if place % 2:
                 yield _displayed(part)
             else:
                 yield from (_block(block.strip("\n"), wide) for block in _BLANK.split(part) if block.strip())
     elif piece.kind == "live":
-        yield f"{_DEEP}(a live page: dmframe page {piece.argument})"
+        words = ["dmframe", "page", piece.argument]
+        words += [word for value in shlex.split(dict(piece.options).get("set", "")) for word in ("--set", value)]
+        yield _DEEP + ("(a live page; open the notebook)" if piece.text else f"(a live page: {shlex.join(words)})")
     elif "solution" in piece.tags:
         yield f"{_DEEP}(the solution is in the notebook)"
     else:
@@ -72,9 +77,9 @@ def unicode_formula(text: str) -> str:
     text = re.sub(r"\\(?:underbrace)\{(.*?)\}_\{.*?\}(?=[^}]|$)", r"\1", text)
     text = re.sub(r"\\(?:text|mathrm|operatorname)\{([^{}]*)\}", lambda found: hold(found[1]), text)
     text = re.sub(r"\\t?frac(\d)(\d)", lambda found: _HALVES.get(found[1] + found[2], f"{found[1]}/{found[2]}"), text)
-    text = re.sub(r"\\t?frac\{([^{}]*)\}\{([^{}]*)\}", lambda found: f"{_grouped(found[1])}/{_grouped(found[2])}", text)
-    text = re.sub(r"\\t?frac(\d)\{([^{}]*)\}", lambda found: f"{found[1]}/{_grouped(found[2])}", text)
-    text = re.sub(r"\\sqrt\{([^{}]*)\}", lambda found: f"{hold('√')}({found[1]})", text)
+    text = re.sub(rf"\\t?frac{_BRACED}{_BRACED}", lambda found: f"{_grouped(found[1])}/{_grouped(found[2])}", text)
+    text = re.sub(rf"\\t?frac(\d){_BRACED}", lambda found: f"{found[1]}/{_grouped(found[2])}", text)
+    text = re.sub(rf"\\sqrt{_BRACED}", lambda found: f"{hold('√')}({found[1]})", text)
     text = re.sub(r"\\q?quad", lambda _: hold("   "), text)
     text = re.sub(r"\\([A-Za-z]+)", lambda found: hold(_SIGNS[found[1]]) if found[1] in _SIGNS else found[0], text)
     found = re.sub(r"\\([A-Za-z]+)", lambda left: LETTERS.get(left[1], left[1]), in_unicode(text.replace("&", " ")))

@@ -10,15 +10,17 @@ import casadi as ca
 import numpy as np
 
 from dmframe.certify import Verdict
+from dmframe.certify.checked import Checked
 from dmframe.codegen.wasm import loop_module
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.formula.names import unicode_name
-from dmframe.page.functions import Functions, Group, functions_of
+from dmframe.page.functions import Functions, Group, Place, functions_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
+from dmframe.report.command import command
 from dmframe.report.notation import spelled
 from dmframe.report.verdict_text import verdict_text
 from dmframe.results.dataset import axis_labels, elements
@@ -31,6 +33,8 @@ from dmframe.version import version
 
 HORIZON = 20.0
 """Simulated time of a page [s]; a graph that runs for less is shown for as long as it runs."""
+KAPPA = ", with any kappa above"
+"""How the name of the cascade's condition ends where its value is the least kappa; a page shows that elsewhere."""
 
 
 def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> dict[str, Any]:
@@ -43,15 +47,14 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     ValueFault
         It draws random numbers, which a page does not.
     """
+    check_chance(experiment, diagram)
     loop, file = diagram.loop, experiment.file
-    if loop.drawn.numel() or file.jitter:
-        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
-        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
-    functions = functions_of(diagram, file.clock, experiment.start, verdict)
+    functions = functions_of(diagram, file.clock, experiment.start, verdict, experiment.intervals(diagram))
     state = start_state(diagram, experiment.start)
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),
         "module": _packed(loop_module(functions.parts, functions.exported)),
@@ -77,6 +80,14 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "robot": _robot(experiment, diagram, functions, state),
         "verdict": _verdict(experiment.name, verdict, functions),
     }
+
+
+def check_chance(experiment: Experiment, diagram: Diagram) -> None:
+    """Raise `ValueFault` for a loop that draws random numbers: to be asked before anything is computed."""
+    loop = diagram.loop
+    if loop.drawn.numel() or experiment.file.jitter:
+        why = f"{loop.noises[0].label} is drawn at random" if loop.noises else "its samples have a jitter"
+        raise ValueFault(f"page: expected a loop without chance, found one of which {why}; set it to zero first")
 
 
 def _packed(module: bytes) -> str:
@@ -190,16 +201,27 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         else [],
         "assumptions": [spelled(item.text) for item in verdict.assumptions],
         "kappa": functions.kappa,
+        "bounded": verdict.states is not None and not verdict.states.open and not verdict.bounds,
         "conditions": [
-            {
-                "name": spelled(condition.name),
-                "how": condition.how,
-                "strict": condition.strict,
-                "value": None if condition.value is None else _finite(condition.value),
-                "holds": condition.holds,
-                "at": None if place is None else place[0],
-                "size": None if place is None else place[1],
-            }
-            for condition, place in zip(functions.conditions, functions.margins, strict=True)
+            _condition(condition, place, reads)
+            for condition, place, reads in zip(functions.conditions, functions.margins, functions.reads, strict=False)
         ],
+        "tacit": [
+            {**_condition(item.checked, place, reads), "opens": item.opens}
+            for (item, place), reads in zip(functions.tacit, functions.reads[len(functions.conditions) :], strict=True)
+        ],
+    }
+
+
+def _condition(condition: Checked, place: Place | None, reads: tuple[int, ...] | None) -> dict[str, Any]:
+    """What was decided at the file's numbers, and where its margins stand; without any, on what it depends."""
+    return {
+        "name": spelled(condition.name.removesuffix(KAPPA)),
+        "how": condition.how,
+        "strict": condition.strict,
+        "value": None if condition.value is None else _finite(condition.value),
+        "holds": condition.holds,
+        "at": None if place is None else place[0],
+        "size": None if place is None else place[1],
+        "reads": None if reads is None else list(reads),
     }

@@ -8,11 +8,10 @@ from typing import Any, final
 
 import casadi as ca
 
-from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
-from dmframe.certify.payment import least_kappa
+from dmframe.certify.elsewhere import Elsewhere, Intervals, elsewhere, least_kappa
 from dmframe.certify.true_values import estimated
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
@@ -49,6 +48,10 @@ class Group:
     true: int | None = None
 
 
+Place = tuple[int, int]
+"""First and count."""
+
+
 @final
 @dataclass(frozen=True)
 class Functions:
@@ -72,6 +75,11 @@ class Functions:
         How many numbers of `shown` place the robot: 12 a joint, then 3 of the tool.
     margins
         For each condition where its margins stand in `judged`, first and count; None for one that is not judged.
+    tacit
+        The same of what is no condition of the verdict and may fail at other numbers, with its place.
+    reads
+        For each condition, and then for what is tacit, the elements of p on which it depends; None where it is judged,
+        or depends on what is not known.
     kappa
         Where the least kappa stands; None without a cascade.
     """
@@ -87,7 +95,9 @@ class Functions:
     goal: Group | None
     groups: tuple[Group, ...]
     conditions: tuple[Checked, ...]
-    margins: tuple[tuple[int, int] | None, ...]
+    margins: tuple[Place | None, ...]
+    tacit: tuple[tuple[Elsewhere, Place | None], ...]
+    reads: tuple[tuple[int, ...] | None, ...]
     kappa: int | None
 
     @property
@@ -96,15 +106,22 @@ class Functions:
         return tuple(f for f in (self.begin, self.reach, self.flow, self.shown, self.judged) if f is not None)
 
 
-def functions_of(diagram: Diagram, clock: float | None, start: Mapping[str, Any], verdict: Verdict) -> Functions:
-    """All of them for one diagram; V is drawn where it is proved."""
+def functions_of(
+    diagram: Diagram,
+    clock: float | None,
+    start: Mapping[str, Any],
+    verdict: Verdict,
+    uncertain: Intervals | None = None,
+) -> Functions:
+    """All of them for one diagram; V is drawn where it is proved. `uncertain` is what `verify` had."""
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
-    judged, margins = _margins(loop, verdict)
-    kappa = None
+    everything = elsewhere(verdict.conditions, verdict.claim, uncertain or {})
+    judged, places = _margins(everything)
+    count, kappa, least = len(verdict.conditions), None, None
     if verdict.outcome == "proved" and verdict.claim is not None and verdict.claim.cascaded:
-        kappa = judged.numel()
-        judged = ca.vertcat(judged, _chosen_least(verdict))
+        kappa, least = judged.numel(), least_kappa(verdict.claim, uncertain or {})
+        judged = ca.vertcat(judged, least)
     scene, drawn, groups = _scene(diagram, posed), list[SX](), list[Group]()
     size = scene.numel()
 
@@ -122,7 +139,7 @@ def functions_of(diagram: Diagram, clock: float | None, start: Mapping[str, Any]
         groups.pop()
         add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted))
     if verdict.outcome == "proved" and verdict.claim is not None:
-        add("storage", "", "", _terms(verdict))
+        add("storage", "", "", _terms(verdict, least))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
             add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol))
@@ -155,7 +172,9 @@ def functions_of(diagram: Diagram, clock: float | None, start: Mapping[str, Any]
         goal=goal,
         groups=tuple(groups),
         conditions=verdict.conditions,
-        margins=margins,
+        margins=places[:count],
+        tacit=tuple(zip(everything[count:], places[count:], strict=True)),
+        reads=_reads(loop, everything),
         kappa=kappa,
     )
 
@@ -203,31 +222,29 @@ def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -
     return None
 
 
-def _margins(loop: ClosedLoop, verdict: Verdict) -> tuple[SX, tuple[tuple[int, int] | None, ...]]:
-    """All margins as one column, and where each condition's stand."""
-    known = symbols_in(parameter.symbol for parameter in loop.parameters)
-    column, places = ca.SX(0, 1), list[tuple[int, int] | None]()
-    for condition in verdict.conditions:
-        margin = None if condition.margin is None else loop.joined([ca.vec(ca.densify(condition.margin))])[0]
-        if margin is None or not symbols_in([margin]) <= known:
+def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, ...]]:
+    """All margins as one column, and where each one's stand."""
+    column, places = ca.SX(0, 1), list[Place | None]()
+    for item in everything:
+        if item.margin is None:
             places.append(None)
             continue
-        places.append((column.numel(), margin.numel()))
-        column = ca.vertcat(column, margin)
+        places.append((column.numel(), item.margin.numel()))
+        column = ca.vertcat(column, item.margin)
     return column, tuple(places)
 
 
-def _chosen_least(verdict: Verdict) -> SX:
-    assert verdict.claim is not None
-    return verdict.claim.loop.joined([least_kappa(verdict.claim)])[0]
+def _reads(loop: ClosedLoop, everything: Sequence[Elsewhere]) -> tuple[tuple[int, ...] | None, ...]:
+    at = {loop.p[k].element_hash(): k for k in range(loop.p.numel())}
+    return tuple(
+        None if item.reads is None else tuple(at[symbol.element_hash()] for symbol in ca.symvar(item.reads))
+        for item in everything
+    )
 
 
-def _terms(verdict: Verdict) -> SX:
+def _terms(verdict: Verdict, least: SX | None) -> SX:
     """The terms of V, with kappa as `payment` chooses it: twice the least, or one where nothing has to be paid."""
     claim = verdict.claim
     assert claim is not None
     column = stack(claim.weight(part) * square.value / 2 for part in claim.parts for square in part.certificate.storage)
-    if not claim.cascaded:
-        return column
-    least = _chosen_least(verdict)
-    return ca.substitute(column, claim.kappa, ca.if_else(least > 0, 2 * least, 1))
+    return column if least is None else ca.substitute(column, claim.kappa, ca.if_else(least > 0, 2 * least, 1))

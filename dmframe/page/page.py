@@ -15,12 +15,14 @@ from dmframe.certify import Verdict
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import OutputError
-from dmframe.files import check_place, expanded, write_text
+from dmframe.files import check_place, expanded, is_file, write_text, writing
 from dmframe.page.content import content_of
 
 SCRIPTS: Final = ("solver.js", "verdict.js", "plot.js", "scene.js", "sliders.js", "page.js")
 """In the order in which they stand in the page."""
 ENDINGS: Final = (".html", ".htm")
+MARK: Final = b'<script type="application/json" id="data">'
+"""What every live page holds."""
 HEIGHT: Final = 860
 """Of the page in a notebook [pixels]."""
 
@@ -69,6 +71,15 @@ def check_page_place(path: Path) -> None:
     check_place(path)
 
 
+def check_own_place(path: Path) -> None:
+    """`check_page_place` for a name that nobody asked for: a file that is no live page is not written over."""
+    check_page_place(path)
+    with writing(path):
+        ours = not is_file(path) or MARK in path.read_bytes()
+    if not ours:
+        raise OutputError(f"{path}: expected no file or an older live page, found another file; name one with --out")
+
+
 def assembled(content: dict[str, Any]) -> str:
     """The page of some data, as HTML."""
     web = files("dmframe.page").joinpath("web")
@@ -84,7 +95,7 @@ def assembled(content: dict[str, Any]) -> str:
 
 
 def _bare(text: str) -> str:
-    """Without indentation and without lines that are a comment: a sixth of a page's text."""
+    """Without indentation and without lines that are a comment, which only a reader of the source needs."""
     return re.sub(r"^[ \t]*(//.*)?\n?", "", text, flags=re.MULTILINE)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.reduction import model_configuration
 
 MOST = 12_000
 """Triangles of a robot; of more, a page would be too large, and tubes are drawn."""
@@ -18,10 +19,12 @@ LEVELS = 4095
 """Of a coordinate: a mesh is drawn to a quarter of a thousandth of its size."""
 MOST_CORNERS = 32_767
 """Of one mesh: differences of their numbers are kept in 16 bits."""
+OUT_OF_SCALE = 30.0
+"""Meshes that are so many times larger, or smaller, than the arm is long are of another unit than its file."""
 
 
 def meshes_of(chain: SerialChain, urdf: Path | None, hold: dict[str, float]) -> list[dict[str, Any]]:
-    """Each body's triangles in its joint's frame; empty where the robot's file names no meshes that are there.
+    """Each body's triangles in its joint's frame; empty where the meshes that are there do not show the whole robot.
 
     ``joint`` counts the free joints from 0, -1 is the base. There are ``corners`` corners on a grid of `LEVELS` between
     ``low`` and ``high`` [m], and ``faces`` triangles of them; `_packed` says how ``packed`` holds both.
@@ -33,8 +36,8 @@ def meshes_of(chain: SerialChain, urdf: Path | None, hold: dict[str, float]) -> 
         bodies = _bodies(chain, urdf, hold)
     except (OSError, RuntimeError, ValueError):  # meshes that are missing or broken: tubes are drawn
         return found
-    if sum(len(faces) for _, _, faces in bodies) > MOST:
-        return []
+    if not {*range(chain.n)} <= {joint for joint, _, _ in bodies}:  # a part of a robot in the air says less than tubes
+        return found
     for joint, corners, faces in bodies:
         low, high = corners.min(axis=0), corners.max(axis=0)
         span = np.where(high > low, high - low, 1.0)
@@ -64,21 +67,33 @@ def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tupl
     model = pin.buildModelFromUrdf(str(urdf))
     folders = [str(folder) for folder in (urdf.parent, *urdf.parents)]
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
-    q = pin.neutral(model)
-    for name, angle in hold.items():
-        q[model.joints[model.getJointId(name)].idx_q] = angle
     locked = [i for i, name in enumerate(model.names) if i and name not in chain.joint_names]
-    _, reduced = pin.buildReducedModel(model, geometry, locked, q)
+    _, reduced = pin.buildReducedModel(model, geometry, locked, model_configuration(model, hold))
+    meshes = [body for body in reduced.geometryObjects if hasattr(body.geometry, "vertices")]
+    if sum(body.geometry.num_tris for body in meshes) > MOST:
+        raise ValueError("expected fewer triangles")
     found = list[tuple[int, np.ndarray, np.ndarray]]()
-    for body in reduced.geometryObjects:
+    for body in meshes:
         shape = body.geometry
-        if not hasattr(shape, "vertices"):
-            continue
         corners = np.asarray(shape.vertices()) * np.asarray(body.meshScale)
+        if not np.all(np.isfinite(corners)):
+            raise ValueError("expected finite corners")
         triangles = map(shape.tri_indices, range(shape.num_tris))
         faces = np.array([(triangle[0], triangle[1], triangle[2]) for triangle in triangles])
-        found.append((body.parentJoint - 1, corners @ body.placement.rotation.T + body.placement.translation, faces))
+        if len(faces):
+            place = body.placement
+            found.append((body.parentJoint - 1, corners @ place.rotation.T + place.translation, faces))
+    if found and not _to_scale(chain, max(np.ptp(corners, axis=0).max() for _, corners, _ in found)):
+        raise ValueError("expected meshes in the unit of the robot's file")
     return found
+
+
+def _to_scale(chain: SerialChain, span: float) -> bool:
+    """True where the largest mesh, so many metres wide, fits an arm as long as from joint to joint to the tool."""
+    places = [*(placed.translation for placed in chain.model.jointPlacements[2:]), [float(part) for part in chain.tool]]
+    strokes = [max(abs(joint.lower), abs(joint.upper)) for joint in chain.joints if joint.kind == "prismatic"]
+    length = sum(map(np.linalg.norm, places)) + sum(stroke for stroke in strokes if np.isfinite(stroke))
+    return length == 0 or bool(length / OUT_OF_SCALE < span < length * OUT_OF_SCALE)
 
 
 def _packed(corners: np.ndarray, faces: np.ndarray) -> str:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Collection
+from dataclasses import asdict, dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from dmframe.block.prose import about
+from dmframe.block.symmetric import lower_triangle
 from dmframe.certify import Verdict
+from dmframe.certify.elsewhere import claims_alike
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Parameter
+from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
 from dmframe.formula.names import unicode_name
@@ -19,15 +23,18 @@ from dmframe.port import Side
 
 GROUPS = {Side.CONTROLLER: "controller", Side.PLANT: "hidden", Side.SOURCE: "path"}
 ROBOT = {
-    "robot.inertia": "Masses and inertias of all links, together.",
-    "robot.gravity": "Gravity; the controller knows it.",
-    "robot.friction_velocity": "Where smooth Coulomb friction reaches tanh(1).",
+    "robot.inertia": "Masses and inertias of all links, together",
+    "robot.gravity": "Gravity",
+    "robot.friction_velocity": "Where smooth Coulomb friction reaches tanh(1)",
 }
 """Numbers of the robot that a factor may change, with what they are."""
+KNOWN = "; the controller knows it, and follows"
 MOST = 3
 """Elements of a parameter that is moved element by element."""
 WIDE, NARROW = 100.0, 4.0
 """Largest factors: of gains and unknown numbers, of what shapes a path."""
+REACH_PARTS = (1, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
+"""What is tried of a slider's reach, where its block refuses the whole."""
 REACHES = {"m": 0.1, "rad": 0.5}
 """How far an element of a place or an angle may be moved, by its unit."""
 
@@ -45,6 +52,11 @@ class Slider:
         Which elements of p it moves.
     most
         The largest factor, whose inverse is the least, or the largest shift in `unit`.
+    first
+        Where the whole parameter begins in p.
+    written
+        The whole parameter as a graph file has it: for each number its place behind `first`, in lists where it is one;
+        None for a number that is zero for ever.
     """
 
     label: str
@@ -57,6 +69,8 @@ class Slider:
     at: int
     size: int
     most: float
+    first: int
+    written: Any
 
     @property
     def data(self) -> dict[str, Any]:
@@ -67,29 +81,32 @@ class Slider:
 def sliders_of(diagram: Diagram, verdict: Verdict) -> list[Slider]:
     """All numbers that enter the loop as symbols alone: one that a block reads as a number needs another diagram.
 
-    Left out, too, are numbers that the proof takes for zero, and those from which another number of p was computed.
+    Left out, too, are numbers that the proof takes for zero, and those from which another number of p was computed. A
+    slider reaches no value that its block refuses.
     """
     found, at = list[Slider](), 0
+    known = {group for item in known_truths(diagram) for group in item.groups}
     for parameter in diagram.loop.parameters:
         size = parameter.symbol.numel()
-        if parameter.label not in verdict.fixed and _free(diagram, parameter):
-            found += _of(diagram, parameter, at, size)
+        if parameter.label not in verdict.fixed and _free(diagram, parameter, verdict):
+            made = _of(diagram, parameter, at, size, known)
+            found += [narrowed for slider in made if (narrowed := _narrowed(diagram, slider)) is not None]
         at += size
     return found
 
 
-def _of(diagram: Diagram, parameter: Parameter, at: int, size: int) -> list[Slider]:
+def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Collection[str]) -> list[Slider]:
     block, _, name = parameter.label.partition(".")
     values, unit = parameter.value.ravel(order="F"), parameter.unit
     if parameter.label in ROBOT:
-        says = ROBOT[parameter.label]
-        return [Slider(parameter.label, "hidden", block, name, says, unit, "factor", at, size, NARROW)]
+        says = ROBOT[parameter.label] + KNOWN * (name in known) + "."
+        return [Slider(parameter.label, "hidden", block, name, says, unit, "factor", at, size, NARROW, at, 0)]
     if block not in diagram.blocks:
         return []
     kind = type(diagram.blocks[block])
     group, spec = GROUPS[kind.side], specs(kind).get(name)
     says = about(kind).parameters.get(name, "")
-    shown = unicode_name(name)
+    shown, written = unicode_name(name), _written(diagram, parameter)
     if group == "path" and unit in REACHES and (spec is None or not spec.sign):
         if size > MOST:
             return []
@@ -106,17 +123,63 @@ def _of(diagram: Diagram, parameter: Parameter, at: int, size: int) -> list[Slid
                 at + k,
                 1,
                 REACHES[unit],
+                at,
+                written,
             )
             for k in range(size)
         ]
     if not np.any(values) or (spec is not None and spec.form in ("box", "ball")):
         return []
     most = NARROW if group == "path" else WIDE
-    return [Slider(parameter.label, group, block, shown, says, unit, "factor", at, size, most)]
+    return [Slider(parameter.label, group, block, shown, says, unit, "factor", at, size, most, at, written)]
 
 
-def _free(diagram: Diagram, parameter: Parameter) -> bool:
-    """True for a number that can change by itself, without another diagram and without another number."""
+def _written(diagram: Diagram, parameter: Parameter) -> Any:
+    """The parameter's places, as its block was given it."""
+    block, _, name = parameter.label.partition(".")
+    given, size = np.asarray(getattr(diagram.blocks[block], name)), parameter.symbol.numel()
+    if given.ndim == 2:
+        rows, columns = given.shape
+        if size == rows * columns and parameter.symbol.shape == given.shape:
+            return [[row + column * rows for column in range(columns)] for row in range(rows)]
+        _, below, left = lower_triangle(diagram.models[block].parameters[name])
+        places = {pair: k for k, (i, j) in enumerate(zip(below, left, strict=True)) for pair in ((i, j), (j, i))}
+        return [[places.get((row, column)) for column in range(columns)] for row in range(rows)]
+    return list(range(size)) if size > 1 or given.ndim else 0
+
+
+def _narrowed(diagram: Diagram, slider: Slider) -> Slider | None:
+    """The same with a reach to both ends of which its block agrees; None where there is none."""
+    if slider.label in ROBOT:
+        return slider
+    for part in REACH_PARTS:
+        most = slider.most**part if slider.kind == "factor" else slider.most * part
+        ends = (most, 1 / most) if slider.kind == "factor" else (most, -most)
+        if all(_takes(diagram, slider, end) for end in ends):
+            return replace(slider, most=most)
+    return None
+
+
+def _takes(diagram: Diagram, slider: Slider, value: float) -> bool:
+    label = slider.label.partition("[")[0]
+    p = diagram.loop.p_values.copy()
+    moved = slice(slider.at, slider.at + slider.size)
+    p[moved] = p[moved] * value if slider.kind == "factor" else p[moved] + value
+
+    def filled(place: Any) -> Any:
+        if isinstance(place, list):
+            return [filled(inner) for inner in place]
+        return 0.0 if place is None else float(p[slider.first + place])
+
+    try:
+        with_values(diagram, {label: filled(slider.written)})
+    except (DmframeError, TypeError, ValueError):
+        return False
+    return True
+
+
+def _free(diagram: Diagram, parameter: Parameter, verdict: Verdict) -> bool:
+    """True for a number that can change by itself, without another diagram, another claim and another number."""
     if parameter.label.startswith("robot."):
         return parameter.label in ROBOT
     block, _, name = parameter.label.partition(".")
@@ -129,4 +192,4 @@ def _free(diagram: Diagram, parameter: Parameter) -> bool:
         return False
     pairs = zip(changed.loop.parameters, diagram.loop.parameters, strict=True)
     moved = [new.label for new, old in pairs if not np.array_equal(new.value, old.value)]
-    return moved == [parameter.label]
+    return moved == [parameter.label] and (verdict.claim is None or claims_alike(verdict.claim, changed, block))

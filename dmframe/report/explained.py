@@ -14,8 +14,8 @@ from dmframe.certify import Verdict
 from dmframe.certify.true_values import estimates_of
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
-from dmframe.diagram.knowledge import known_truths
-from dmframe.errors import DmframeError
+from dmframe.diagram.knowledge import WORDS, known_truths
+from dmframe.errors import DmframeError, visible
 from dmframe.formula import Formula, PrintedLaw, laws_of
 from dmframe.formula.unmarked import unmarked
 from dmframe.port import Side
@@ -71,7 +71,7 @@ class BlockFacts:
     law: PrintedLaw | None
     certified: bool
     payer: str
-    knows: str
+    knows: tuple[str, ...]
 
 
 def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tuple[BlockFacts, ...]:
@@ -80,14 +80,14 @@ def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tupl
     claimed = claim.laws if claim is not None else {}
     laws = claimed or _printed(diagram)
     payers = {} if claim is None else {part.block: payer.block for part, payer in claim.payments if payer is not None}
-    knows = {known.block: known.words for known in known_truths(diagram)}
+    knows = {known.block: tuple(WORDS.get(group, group) for group in known.groups) for known in known_truths(diagram)}
     true, starts = estimates_of(diagram), _starts(experiment, diagram)
     return tuple(
         BlockFacts(
             name=name,
             type=diagram.type_of(name),
             side=diagram.blocks[name].side,
-            does=unmarked(about(type(diagram.blocks[name])).summary),
+            does=visible(unmarked(about(type(diagram.blocks[name])).summary)),
             roles=tuple(_roles(diagram, name, adapts=any(label.startswith(f"{name}.") for label in true))),
             taken=tuple(taken(diagram, name)),
             given=tuple(given(diagram, name)),
@@ -96,7 +96,7 @@ def facts_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> tupl
             law=claimed.get(name),
             certified=type(diagram.blocks[name]).certificate is not AbstractBlock.certificate,
             payer=payers.get(name, ""),
-            knows=knows.get(name, ""),
+            knows=knows.get(name, ()),
         )
         for name in order(diagram)
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,11 +11,11 @@ from html import escape
 from typing import Any, Final, NamedTuple, final
 
 from dmframe import notebook
-from dmframe.catalogue import graphs
 from dmframe.certify import Verdict
 from dmframe.columns import page_width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
+from dmframe.diagram.knowledge import WORDS
 from dmframe.errors import listed
 from dmframe.exact.rational import as_float
 from dmframe.formula.names import unicode_name
@@ -24,6 +23,7 @@ from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
 from dmframe.parameter import specs
 from dmframe.port import Access, Side
+from dmframe.report.command import command
 from dmframe.report.explained import BlockFacts, exchange, facts_of
 from dmframe.report.notation import spelled
 from dmframe.report.sentences import Said, signal, supplies, told
@@ -107,10 +107,7 @@ class Explanation:
     @property
     def command(self) -> str:
         """The command that says all of the verdict."""
-        own, known = self.experiment.name, graphs()
-        packaged = own in known and str(known[own]) == self.experiment.document.name
-        changes = [word for text in self.experiment.overrides for word in ("--set", text)]
-        return shlex.join(["dmframe", "verify", own if packaged else self.experiment.document.name, *changes])
+        return command(self.experiment, "verify").text
 
     def _whole(self) -> Iterator[str]:
         robot, file = self.diagram.robot, self.experiment.file
@@ -138,6 +135,9 @@ class Explanation:
                 f"Hidden from it: {'; '.join(own)}. Such signals and true values are there for the plant itself, for "
                 "the proof and for the results."
             )
+        known = {word for block in self.blocks for word in block.knows}
+        if self.diagram.robot is not None and (unknown := [word for word in WORDS.values() if word not in known]):
+            yield f"No block of the controller holds these numbers of the robot: {', '.join(unknown)}."
 
     def _hidden(self, block: BlockFacts) -> list[str]:
         """Outputs and parameters of a block of the plant that no block of the controller can read."""
@@ -274,5 +274,5 @@ def _data(block: BlockFacts) -> dict[str, Any]:
         "supply": law.supply.text if law is not None and law.supply is not None and supplies(law) else None,
         "consumes": law.consumption.whole.text if law is not None and law.consumption is not None else None,
         "payer": block.payer or None,
-        "knows": block.knows or None,
+        "knows": list(block.knows),
     }

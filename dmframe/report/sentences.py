@@ -105,7 +105,7 @@ def _keeps(block: BlockFacts) -> Iterator[str]:
         yield f"Its {many} {listed([signal(*state) for state in block.states])}."
     yield from map(_estimate, block.estimates)
     if block.knows:
-        yield f"Its equations hold {block.knows} of the true robot: the controller has to know them exactly."
+        yield f"Its equations hold {listed(block.knows)} of the true robot: the controller has to know them exactly."
 
 
 def _estimate(item: Estimated) -> str:

@@ -10,15 +10,19 @@ from typing import Any, ClassVar
 from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
-from sphinx.ext.napoleon import Config, NumpyDocstring
+from sphinx.ext.napoleon import Config
+from sphinx.ext.napoleon.docstring import NumpyDocstring
 from sphinx.util import logging
 from sphinx.util.docutils import SphinxDirective
 
 from dmframe.errors import DmframeError
-from site_parts import live, mathematics, notebooks
+from dmframe.lessons import lessons, notebook
+from site_parts import live, mathematics
 
 LOG = logging.getLogger(__name__)
 COURSE = "course/"
+BEGUN = time.time()
+"""A live page that is younger than this is of this build: each is written once, whichever process needs it first."""
 NUMPYDOC = Config(napoleon_use_ivar=True, napoleon_use_rtype=False, napoleon_attr_annotations=True)
 
 
@@ -47,12 +51,9 @@ class Live(SphinxDirective):
         try:
             graph = live.graph_of(self._source(name), settings)
             place = live.file_of(graph, settings)
-            begun = time.perf_counter()
             path = Path(self.env.app.outdir) / place
-            if path not in _written:
+            if not (path.is_file() and path.stat().st_mtime > BEGUN):
                 live.write(graph, path)
-                _written.add(path)
-                LOG.debug("live page %s: %.1f s", place, time.perf_counter() - begun)
         except DmframeError as error:
             raise self.error(f"live {name}: {error}") from None
         except FileNotFoundError as error:
@@ -86,10 +87,6 @@ class Live(SphinxDirective):
         return up + live.still(Path(absolute), Path(self.env.app.outdir))
 
 
-_written: set[Path] = set()
-"""Live pages of this build, so that a graph that several pages show is written once."""
-
-
 def inline_math(self: Any, node: nodes.math) -> None:
     """A formula within a line."""
     self.body.append(_told(mathematics.inline, node))
@@ -115,15 +112,16 @@ def take_away(app: Sphinx, page: str, template: str, context: dict[str, Any], do
     """Beneath a lesson's title, its number, by which other lessons name it, and the lesson as a notebook."""
     if not page.startswith(COURSE) or "body" not in context:
         return
-    text = Path(app.env.doc2path(page)).read_text(encoding="utf-8")
-    if not notebooks.is_notebook(text):
+    path = Path(app.env.doc2path(page))
+    lesson = next((lesson for lesson in lessons(path.parent).values() if lesson.path == path), None)
+    if lesson is None:
         return
-    name = f"{page.removeprefix(COURSE)}.ipynb"
-    path = Path(app.outdir, COURSE, name)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(notebooks.notebook(text), encoding="utf-8")
+    name = f"lesson_{lesson.number:02}_{lesson.name}.ipynb"
+    folder = Path(app.outdir, COURSE)
+    folder.mkdir(parents=True, exist_ok=True)
+    folder.joinpath(name).write_text(notebook(lesson), encoding="utf-8")
     link = f'<p class="take-away"><a href="{name}" download>Take this lesson away as a notebook</a></p>'
-    number = f'<p class="take-away">Lesson {int(page.removeprefix(COURSE)[:2])} of the course</p>'
+    number = f'<p class="take-away">Lesson {lesson.number} of the course</p>'
     context["body"] = context["body"].replace("</h1>", f"</h1>{number}{link}", 1)
 
 

@@ -6,7 +6,7 @@ import re
 from html import escape
 from typing import Final
 
-from dmframe.report.mathml import mathml
+from dmframe.report.mathml import mathml, terms
 
 _OUTER: Final = re.compile(
     r"^\s*\\begin\{(aligned|align\*?|split|gather\*?|equation\*?|eqnarray\*?)\}(.*)\\end\{\1\}\s*$", re.DOTALL
@@ -43,7 +43,8 @@ def display(latex: str) -> str:
     wide = max((len(row) for row in cells), default=1)
     lines = []
     for row, tag in zip(cells, tags, strict=True):
-        parts = [f"<td>{_set(part, display=True) if part else ''}</td>" for part in row]
+        parts = [f"<td>{_set(part, display=True) if part else ''}</td>" for part in row[:-1]]
+        parts.append(f'<td class="last">{_breakable(row[-1])}</td>')
         parts += ["<td></td>"] * (wide - len(row))
         number = f'<td class="tag">({escape(tag[1])})</td>' if tag else ""
         lines.append(f"<tr>{''.join(parts)}{number}</tr>")
@@ -51,13 +52,18 @@ def display(latex: str) -> str:
     return f'<div class="equations"><table class="{kind}" role="presentation">{"".join(lines)}</table></div>'
 
 
-def _set(latex: str, *, display: bool) -> str:
+def _breakable(latex: str) -> str:
+    """A formula in pieces, one a term, between which a narrow page may break it."""
+    return "<wbr>".join(_set(piece, display=True, joined=place > 0) for place, piece in enumerate(terms(latex)))
+
+
+def _set(latex: str, *, display: bool, joined: bool = False) -> str:
     if _DEFINES.search(latex):
         raise MathError(f"cannot set {latex}: it defines a command")
     braces = [token for token in _TOKEN.findall(latex) if token in "{}"]
     if braces.count("{") != braces.count("}"):
         raise MathError(f"cannot set {latex}: its braces do not match")
-    found = mathml(_BIG.sub("", latex), display=display, joined=display and latex.startswith(("+", "-")))
+    found = mathml(_BIG.sub("", latex), display=display, joined=joined)
     if not found.startswith("<math") or _UNKNOWN.search(found):
         raise MathError(f"cannot set {latex}")
     # browsers know the letters, but not the attribute

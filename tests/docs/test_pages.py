@@ -113,8 +113,10 @@ def test_the_readmes_graph_is_the_packaged_one() -> None:
 
 def test_the_readmes_pictures_are_small_enough() -> None:
     pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", read("README.md"))
-    assert len(pictures) == 2
-    assert all(ROOT.joinpath(picture).stat().st_size < 200_000 for picture in pictures)
+    assert [Path(picture).suffix for picture in pictures] == [".gif", ".png"]  # one of them moves
+    sizes = [ROOT.joinpath(picture).stat().st_size for picture in pictures]
+    assert sizes[0] < 400_000
+    assert sizes[1] < 200_000
 
 
 def test_the_readme_is_short() -> None:

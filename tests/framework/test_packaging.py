@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = {"dmframe": "dmframe", "dmframe_blocks": "blocks/dmframe_blocks", "dmframe_plants": "plants/dmframe_plants"}
+COURSE = {"dmframe/lessons/course": "docs/course"}
 PROBE = """
 import importlib, importlib.metadata as metadata, os, sys
 site = os.environ["PYTHONPATH"]
@@ -26,6 +27,8 @@ for point in distribution.entry_points:
 print(importlib.import_module("dmframe").__version__)
 import blocks
 print(blocks.__file__)
+from dmframe.lessons import lessons
+print(*lessons(), lessons()[0].path)
 """
 
 
@@ -60,10 +63,10 @@ def wheel(sdist: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def wanted() -> set[str]:
-    """Every file of the three packages, under its name in the wheel."""
+    """Every file of the three packages and of the course, under its name in the wheel."""
     return {
         f"{name}/{file.relative_to(ROOT / folder).as_posix()}"
-        for name, folder in PACKAGES.items()
+        for name, folder in (PACKAGES | COURSE).items()
         for file in (ROOT / folder).rglob("*")
         if file.is_file() and "__pycache__" not in file.parts and file.suffix != ".pyc"
     }
@@ -74,6 +77,7 @@ def test_the_wheel_from_the_sdist_holds_every_file_of_the_three_packages_and_not
         names = set(archive.namelist())
     assert {f"{name}/py.typed" for name in PACKAGES} <= names
     assert {name for name in names if ".dist-info/" not in name} == wanted()
+    assert "dmframe/lessons/course/00_whole_idea.md" in names
     assert any(name.endswith("dist-info/licenses/LICENSE") for name in names)
 
 
@@ -98,6 +102,7 @@ def test_the_installed_packages_do_not_mind_a_users_own_folder_called_blocks(whe
         "dmframe.robots dmframe_plants",
         version,
         str(work / "blocks" / "__init__.py"),
+        f"{' '.join(map(str, range(11)))} {site / 'dmframe' / 'lessons' / 'course' / '00_whole_idea.md'}",
     ]
     scripts = (site / "bin" / "dmframe").read_text()
     assert "from dmframe.cli import main" in scripts

@@ -5,6 +5,11 @@ const content = JSON.parse(find("data").textContent);
 const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 const QUICK = 20; // a run that would take longer is shortened while a slider is being moved [ms]
 
+find("graph").textContent = content.name;
+find("text").textContent = content.verdict.text;
+find("yaml").textContent = content.text;
+find("says").textContent = find("says").className = "";
+
 const loop = await loaded(content).catch((error) => {
   find("headline").textContent = "This browser cannot run the page";
   find("says").textContent = `WebAssembly and DecompressionStream are needed: ${error.message}`;
@@ -35,7 +40,7 @@ function simulate(quick) {
   tell(p);
   lines();
   curves(quick);
-  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} steps of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}.`;
+  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}.`;
 }
 
 // What is proved where the sliders stand, and what became of the run.
@@ -44,10 +49,10 @@ function tell(p) {
   find("verdict").className = verdict.state + (content.verdict.headline === "proved" ? "" : " partly");
   set("headline", verdict.headline);
   set("says", verdict.says.join(" "));
-  const notices = run.notices.map((notice) => `${notice}.`), wild = run.divergence;
+  const notices = [...run.notices, ...sliders.notices].map((notice) => `${notice.charAt(0).toUpperCase()}${notice.slice(1)}.`), wild = run.divergence;
   if (wild) {
     notices.unshift(`${wild.says}; the run ends there.`);
-    if (verdict.state === "proved" && content.clock !== null) notices.push(`The proof is in continuous time, and this clock ticks every ${plain(run.tick, "s")}.`);
+    if (verdict.state === "proved") notices.push(`The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
   }
   set("notice", notices.join(" "));
   find("notice").hidden = !notices.length;
@@ -224,6 +229,7 @@ function turn(now) {
   find("scrub").value = at;
   find("scrub").style.setProperty("--part", `${last ? (100 * at) / last : 0}%`);
   set("clock", `${at.toFixed(last < 1 ? 3 : 1)} / ${plain(last, "s")}`);
+  find("scrub").setAttribute("aria-valuetext", said.get("clock").replace("/", "of"));
   if (playing) wake();
 }
 
@@ -234,9 +240,6 @@ function play(on) {
   wake();
 }
 
-find("graph").textContent = content.name;
-find("text").textContent = content.verdict.text;
-find("yaml").textContent = content.text;
 find("about").textContent = "Point at a number to read what it does; a double click on its slider brings it back.";
 find("conditions").closest("details").hidden = !content.verdict.conditions.length;
 find("assumptions").closest("details").hidden = !content.verdict.assumptions.length;
@@ -257,6 +260,9 @@ find("copy").onclick = async () => {
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", colours);
 const sliders = new Sliders(content, find("sliders"), ask, (says) => (find("about").textContent = says));
 arrange();
+if (!plots.length && !content.robot) find("first").append(make("p", { class: "quiet" }, "This graph has no robot, no error, no command and no estimate: there is nothing to draw."));
 sliders.recall();
+const moment = Number(new URLSearchParams(location.hash.slice(1)).get("at") ?? NaN); // a link to one instant: #at=3.5
+if (moment >= 0) { time = moment; playing = false; }
 play(playing);
 colours();

@@ -1,6 +1,6 @@
 // A plot on a canvas: curves over time below a layer with the cursor, which moves without drawing the curves again.
 
-const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 22; // [pixels]
+const LEFT = 58, RIGHT = 10, TOP = 8, BOTTOM = 22; // [pixels]
 
 class Plot {
   // `spec`: title, unit, and whether the axis is logarithmic; `point` is told of a time that is pointed at, or null.
@@ -16,7 +16,7 @@ class Plot {
     this.noteText = make("span", { class: "quiet" });
     const head = make("figcaption", {}, make("span", { class: "what" }, ...nice(spec.title)), this.unitText, this.noteText);
     if (spec.switch) {
-      const button = make("button", { type: "button", class: "small", "aria-pressed": Boolean(spec.log) }, "log");
+      const button = make("button", { type: "button", class: "small", "aria-pressed": Boolean(spec.log), "aria-label": `log: ${spec.title} on a logarithmic axis` }, "log");
       button.onclick = () => {
         this.log = !this.log;
         button.setAttribute("aria-pressed", this.log);
@@ -82,6 +82,7 @@ class Plot {
     }
     if (this.log) low = Math.max(low, high - 7);
     if (!this.log && this.zero) [low, high] = [Math.min(low, 0), Math.max(high, 0)];
+    if (!this.log) [low, high] = widened(low, high);
     const pad = (high - low) * 0.06 || Math.abs(high) * 0.1 || 1;
     [this.low, this.high] = [low - pad, high + pad];
     if (this.log && this.high - this.low < 1) this.low = this.high - 1;
@@ -203,23 +204,36 @@ function line(g, x, y, u, v) {
   g.stroke();
 }
 
+// An axis that shows no less than what three digits tell apart: steps of a rounding error are not curves, and its marks
+// would all read the same, or never end.
+function widened(low, high) {
+  const lacking = Math.max(Math.abs(low), Math.abs(high)) * 1e-3 - (high - low);
+  return lacking > 0 ? [low - lacking / 2, high + lacking / 2] : [low, high];
+}
+
 // Round numbers along an axis that is so many pixels long.
 function levels(low, high, scale, pixels) {
   const rough = (high - low) / scale / Math.max(2, Math.min(8, pixels / 28)), power = 10 ** Math.floor(Math.log10(rough));
   const step = [1, 2, 2.5, 5, 10].find((times) => times * power >= rough * 0.999) * power, found = [];
   for (let k = Math.ceil(low / scale / step); k * step <= (high / scale) * (1 + 1e-12); k++) {
-    const value = k * step, digits = (String(Number(step.toPrecision(2))).split(".")[1] ?? "").length;
+    const value = k * step, digits = decimals(step);
     const great = Math.max(Math.abs(low), Math.abs(high)) / scale;
-    const text = great >= 1e5 || digits > 4 ? scientific(value, step) : value.toFixed(digits);
+    const text = great >= 1e5 || digits > (great < 0.1 ? 4 : 5) ? scientific(value, step) : value.toFixed(digits);
     found.push({ value: value * scale, text: text.replace("-", "−") });
   }
   return found;
 }
 
+// Of a step of two digits at most; that of 2.5e-7 is written 2.5e-7 and not with zeros.
+function decimals(step) {
+  const [mantissa, power] = Number(step.toPrecision(2)).toExponential().split("e");
+  return Math.max(0, (mantissa.split(".")[1] ?? "").length - Number(power));
+}
+
 function scientific(value, step) {
   if (!value) return "0";
   const power = Math.floor(Math.log10(Math.abs(value)) + 1e-9), digits = Math.max(0, power - Math.floor(Math.log10(step) + 1e-9));
-  return `${(value / 10 ** power).toFixed(Math.min(digits, 3))}·10${raised(power)}`;
+  return `${(value / 10 ** power).toFixed(Math.min(digits, 4))}·10${raised(power)}`;
 }
 
 // Marks of a logarithmic axis; between two powers of ten, also twice and five times.

@@ -38,10 +38,33 @@ class Scene {
       far: (flat ? 2.4 : 2.1) * Math.hypot(...spans), target: box.high.map((high, k) => (high + box.low[k]) / 2),
     };
     this.camera = { ...this.home };
+    this.kept = {};
     this.gl = canvas.getContext("webgl2", { antialias: true, alpha: true });
-    if (this.gl) this.prepare();
+    try {
+      if (this.gl) this.prepare();
+      this.watch();
+    } catch { // a card that was lost before its first picture
+      this.plainly();
+    }
+  }
+
+  // What happens to a canvas, which may be another one later.
+  watch() {
     this.controls();
-    new ResizeObserver(() => changed()).observe(canvas);
+    this.canvas.addEventListener("webglcontextlost", () => this.plainly());
+    new ResizeObserver(() => this.changed()).observe(this.canvas);
+  }
+
+  // A browser takes a card's memory back: when it sleeps, or from the oldest of many pages. A canvas that has been
+  // the card's can be drawn on by nothing else, so another takes its place.
+  plainly() {
+    const old = this.canvas, focused = document.activeElement === old;
+    this.gl = null;
+    this.canvas = old.cloneNode();
+    old.replaceWith(this.canvas);
+    if (focused) this.canvas.focus();
+    this.watch();
+    this.changed();
   }
 
   prepare() {
@@ -72,8 +95,9 @@ class Scene {
 
   // Keeps a line's points; `pieces`: two points each, instead of one line through all.
   line(name, points, pieces = false) {
-    if (!this.gl) { (this.kept ??= {})[name] = { points, pieces }; return; }
     const { gl } = this;
+    this.kept[name] = { points, pieces };
+    if (!gl) return;
     const held = (this.buffers[name] ??= { array: gl.createVertexArray(), buffer: gl.createBuffer() });
     gl.bindVertexArray(held.array);
     gl.bindBuffer(gl.ARRAY_BUFFER, held.buffer);
@@ -191,7 +215,7 @@ class Scene {
   flatly({ points, aim, past, inks, seen, ratio }) {
     const { canvas } = this, g = (this.flat ??= canvas.getContext("2d"));
     if (!g) return;
-    if (!this.kept?.grid) this.line("grid", this.grid(), true);
+    if (!this.kept.grid) this.line("grid", this.grid(), true);
     const [wide, high] = [canvas.clientWidth, canvas.clientHeight];
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, wide, high);

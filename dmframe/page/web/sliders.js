@@ -10,9 +10,10 @@ class Sliders {
     this.moved = new Map(); // by a slider's label: its factor, or its shift
     this.held = false;
     this.rows = [];
+    this.notices = [];
     const proved = content.verdict.outcome === "proved", groups = {
       controller: ["Controller", ""],
-      hidden: ["Servo and robot", "The truth, hidden from the controller."],
+      hidden: ["Servo and robot", "The truth. The controller knows no more of it than what stands under the assumptions."],
       clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
         : proved ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
           : "How often the controller samples."],
@@ -29,7 +30,10 @@ class Sliders {
       for (const slider of mine) box.append(this.row(slider));
       holder.append(box);
     }
-    addEventListener("pointerup", () => (this.held = false));
+    // a slider that is let go where it was taken tells of no change
+    const release = () => { if (this.held) { this.held = false; this.settle(); } };
+    addEventListener("pointerup", release);
+    addEventListener("pointercancel", release);
     addEventListener("hashchange", () => this.recall());
   }
 
@@ -49,8 +53,8 @@ class Sliders {
 
   row(slider) {
     const id = `move-${slider.label}`, says = `${slider.block ? `${slider.block}.` : ""}${slider.name}: ${slider.says}`;
-    const input = make("input", { type: "range", id, min: slider.least, max: 1, step: 0.005, value: 0, title: slider.says });
-    const output = make("output", { for: id });
+    const input = make("input", { type: "range", id, min: slider.least, max: 1, step: 0.005, value: 0, title: slider.says, "aria-label": `${slider.name} ${slider.block}`.trim() });
+    const output = make("output", { for: id, "aria-live": "off" });
     const reset = make("button", { type: "button", "aria-label": `Reset ${slider.block} ${slider.name}`, title: "Back to the file's value" }, "↺");
     const label = make("label", { for: id }, ...nice(slider.name.replace(/([a-z]{3})_/g, "$1 ")), " ", make("small", {}, slider.block));
     const element = make("div", { class: "slider" }, label, output, reset, input);
@@ -70,6 +74,7 @@ class Sliders {
 
   // The address keeps what was moved, so that a link shows the same.
   settle() {
+    this.notices = [];
     try {
       const fragment = [...this.moved].map((pair) => pair.map(encodeURIComponent).join("=")).join("&");
       history.replaceState(null, "", fragment ? `#${fragment}` : location.pathname + location.search);
@@ -79,12 +84,16 @@ class Sliders {
 
   recall() {
     this.moved.clear();
-    const found = new URLSearchParams(location.hash.slice(1));
+    const found = new Map(new URLSearchParams(location.hash.slice(1))); // one without a value is a place in the page
     for (const slider of this.rows) {
-      const value = Number(found.get(slider.label) ?? NaN), place = placeOf(slider, value);
+      const text = found.get(slider.label), value = Number(text || NaN), place = placeOf(slider, value);
       const within = Number.isFinite(place) && place >= slider.least - 1e-6 && place <= 1 + 1e-6;
       if (within && value !== rest(slider)) this.moved.set(slider.label, value);
+      if (within) found.delete(slider.label);
     }
+    if (Number(found.get("at") || NaN) >= 0) found.delete("at"); // an instant, which the page itself reads
+    const lost = [...found].filter(([, text]) => text).map((pair) => pair.join("=")), more = lost.length > 3 ? `, and ${lost.length - 3} more` : "";
+    this.notices = lost.length ? [`what the address says cannot be set here: ${lost.slice(0, 3).join(", ").slice(0, 200)}${more}`] : [];
     this.ask(false);
   }
 
@@ -107,10 +116,11 @@ class Sliders {
   get tick() { return Number((this.content.tick * (this.moved.get("clock") ?? 1)).toPrecision(6)); }
   get shift() { return this.content.pose && this.content.pose.names.map((_, k) => this.moved.get(`start[${k}]`) ?? 0); }
 
-  // Whether numbers of the loop have moved, and whether its start or its clock has.
+  // Whether numbers of the loop have moved and which, and whether its start or its clock has.
   get state() {
     const ofRun = (label) => label === "clock" || label.startsWith("start["), labels = [...this.moved.keys()];
-    return { p: labels.some((label) => !ofRun(label)), run: labels.some(ofRun) };
+    const at = new Set(this.content.sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
+    return { p: labels.some((label) => !ofRun(label)), at, run: labels.some(ofRun) };
   }
 
   // Where all of them stand, given the numbers and the pose at the start.
@@ -137,20 +147,27 @@ class Sliders {
 
   // The same run from a command line.
   command(p, start) {
-    const { name, horizon, sliders, pose } = this.content, words = [`dmframe run ${name}`, `--set duration=${horizon}`], lacking = [];
-    const say = (label, values) => words.push(`--set '${label}=${values.length > 1 ? `[${values.join(", ")}]` : values[0]}'`);
+    const { command, horizon, sliders, pose } = this.content, words = [command.text, `--set duration=${horizon}`];
+    const lacking = command.before ? [command.before] : [];
+    const say = (label, value) => words.push(`--set '${label}=${value}'`);
     const moved = sliders.filter(({ label }) => this.moved.has(label));
     for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
       const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
-      if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(base);
-      else say(base, whole.flatMap(({ at, size }) => p.slice(at, at + size)));
+      if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot's file says`);
+      else say(base, listed(whole[0].written, (place) => p[whole[0].first + place]));
     }
     // another path has other poses that begin it, of which a command would take its own
     const sought = pose?.sought && moved.some(({ group }) => group === "path");
-    if (sought || this.shift?.some(Boolean)) say("start.q", start.map((angle) => Number(angle.toPrecision(12))));
-    if (this.moved.has("clock")) say("clock", [this.tick]);
-    return words.join(" ") + (lacking.length ? `   # and ${lacking.join(" and ")}, which the robot's file says` : "");
+    if (sought || this.shift?.some(Boolean)) say("start.q", listed(start.map((_, k) => k), (k) => Number(start[k].toPrecision(12))));
+    if (this.moved.has("clock")) say("clock", this.tick);
+    return words.join(" ") + (lacking.length ? `   # and ${lacking.join(", and ")}` : "");
   }
+}
+
+// As YAML has it: numbers at their places, in lists where they stand in lists.
+function listed(places, number) {
+  if (Array.isArray(places)) return `[${places.map((inner) => listed(inner, number)).join(", ")}]`;
+  return places === null ? "0" : String(number(places));
 }
 
 function rest({ kind }) {

@@ -1,19 +1,32 @@
 // What may be said of the proof where the sliders stand. Nothing here knows of a page.
 
-// The conditions at the numbers that `judged` was evaluated at; `moved`: these are not the file's.
-export function conditionsAt(content, judged, moved) {
-  return content.verdict.conditions.map(({ name, how, strict, value, holds, at, size }) => {
-    // not an expression of parameters: what was decided for the file's numbers is all that is known
-    if (at === null) return moved ? { name, how, strict, margin: null, holds: null } : { name, how, strict, margin: value, holds };
-    if (!size) return { name, how, strict, margin: null, holds };
-    const margin = Math.min(...judged.subarray(at, at + size)); // NaN where one of them is
-    return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
+// The conditions at the numbers that `judged` was evaluated at; `moved`: these are not the file's. What is tacit is
+// among them only where it does not hold: `verify` names it there alone.
+export function conditionsAt({ verdict }, judged, moved) {
+  const rows = verdict.conditions.map((condition) => decided(condition, judged, moved));
+  if (!moved.p) return rows;
+  const tacit = (verdict.tacit ?? []).map(({ opens, ...condition }) => {
+    const row = decided(condition, judged, moved);
+    return opens && row.holds === false ? { ...row, holds: null } : row;
   });
+  return [...rows, ...tacit.filter(({ holds }) => holds !== true)];
 }
 
-// A headline, and sentences. `moved.p`: numbers of the loop are not the file's; `moved.run`: its start or its clock.
+function decided({ name, how, strict, value, holds, at, size, reads }, judged, moved) {
+  if (at === null) {
+    // no expression of parameters: what was decided for the file's numbers holds while those that it reads stay
+    const stays = !moved.p || (reads && moved.at && !reads.some((place) => moved.at.has(place)));
+    return stays ? { name, how, strict, margin: value, holds } : { name, how, strict, margin: null, holds: null };
+  }
+  if (!size) return { name, how, strict, margin: null, holds };
+  const margin = Math.min(...judged.subarray(at, at + size)); // NaN where one of them is
+  return { name, how, strict, margin, holds: strict ? margin > 0 : margin >= 0 }; // NaN holds nowhere
+}
+
+// A headline, and sentences. `moved.p`: numbers of the loop are not the file's, of which `moved.at` says
+// which; `moved.run`: its start or its clock.
 export function judgement(content, judged, moved) {
-  const { verdict } = content, rows = conditionsAt(content, judged, moved.p);
+  const { verdict } = content, rows = conditionsAt(content, judged, moved);
   const failing = rows.filter((row) => row.holds === false), open = rows.filter((row) => row.holds === null);
   const found = (state, headline, ...says) => ({ state, headline, says: says.filter(Boolean), rows });
   if (verdict.outcome !== "proved") {
@@ -37,7 +50,9 @@ export function judgement(content, judged, moved) {
   }
   const some = rows.filter(({ how }) => how === "sampled").length, samples = some ? ` (${some} of them found by samples, not proved)` : "";
   const hold = `All ${rows.length} conditions hold at ${moved.p ? "these values" : "the file's numbers"}${samples}${weight}.`;
-  const follows = verdict.conclusions.filter((text) => !text.startsWith("d")).join(" and that ");
+  const concluded = verdict.conclusions.filter((text) => !text.startsWith("d"));
+  // whether all states are bounded is concluded too, and at other numbers it may be otherwise
+  const follows = (moved.p && verdict.bounded ? [...concluded, "the whole loop stays bounded"] : concluded).join(" and that ");
   const end = follows && (
     moved.p ? `That ${follows} was concluded for the file's numbers; for these it is not decided.`
       : moved.run ? `That ${follows} was concluded in continuous time and for the file's start.` : `It follows that ${follows}.`

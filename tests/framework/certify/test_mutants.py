@@ -41,9 +41,9 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """All of a few, half of some, a seventh of more, fewer of many; `make mutants` tries them all."""
+    """All of a few, half of some, a tenth of more, fewer of many; `make mutants` tries them all."""
     found = list(mutants)
-    return found[:: 1 if len(found) < 9 else 2 if len(found) < 20 else 7 if len(found) < 60 else 16]
+    return found[:: 1 if len(found) < 5 else 2 if len(found) < 20 else 10 if len(found) < 60 else 24]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:

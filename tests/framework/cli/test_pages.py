@@ -22,7 +22,20 @@ from dmframe.catalogue import block_types, graphs
 from dmframe.config.document import read_document, read_file
 from dmframe.robot.library import find_robot
 
-COMMANDS = ("graphs", "new", "check", "run", "verify", "draw", "blocks", "schema", "regressor")
+COMMANDS = (
+    "graphs",
+    "new",
+    "check",
+    "explain",
+    "run",
+    "verify",
+    "draw",
+    "page",
+    "blocks",
+    "learn",
+    "schema",
+    "regressor",
+)
 
 
 def test_help_lists_every_command_of_the_contract(dmframe: Any) -> None:

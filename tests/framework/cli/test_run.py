@@ -153,6 +153,27 @@ def test_a_fault_in_one_of_two_graphs_stops_both(dmframe: Any, tmp_path: Path) -
     assert not tmp_path.joinpath("mine").exists()
 
 
+def test_a_graph_that_has_no_page_is_told_before_the_first_run(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "arm2_joint", *SHORT, "--page", "--set", "jitter=0.1 ms", "--out", "mine")
+    assert said.status == 2
+    assert said.err.startswith("dmframe: page: expected a loop without chance")
+    assert said.out == ""
+    assert not tmp_path.joinpath("mine").exists()
+
+
+def test_a_page_that_nobody_named_replaces_none_but_an_older_page(dmframe: Any, tmp_path: Path) -> None:
+    page = tmp_path / "pendulum.html"
+    page.write_text("mine", "utf-8")
+    said = dmframe("page", "pendulum")
+    assert (said.status, page.read_text("utf-8")) == (2, "mine")
+    assert "pendulum.html: expected no file or an older live page, found another file" in said.err
+    page.unlink()
+    for _ in range(2):
+        assert dmframe("page", "pendulum").out == "wrote pendulum.html\n"
+    page.write_text("mine", "utf-8")
+    assert dmframe("page", "pendulum", "--out", "pendulum.html").status == 0
+
+
 def test_divergence_gives_status_1_names_the_culprit_and_keeps_what_was_computed(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe(*UNSTABLE, "--out", "mine")
     assert (said.status, said.err) == (1, "")

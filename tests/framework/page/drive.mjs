@@ -1,7 +1,7 @@
 // What the tests ask of a page's scripts, in Node: one JSON document in, a list of answers out.
 import { readFileSync } from "node:fs";
 
-const { web, content, runs = [], judged = [] } = JSON.parse(readFileSync(0, "utf-8"));
+const { web, content, runs = [], judged = [], quantities = [] } = JSON.parse(readFileSync(0, "utf-8"));
 const { loaded, plain } = await import(`${web}/solver.js`);
 const { judgement } = await import(`${web}/verdict.js`);
 
@@ -19,6 +19,8 @@ for (const { p = content.p, ...asked } of runs) {
     speed: loop.speed(run.log.subarray(0, loop.states), run.tick),
   });
 }
-for (const { p = null, margins = null, moved } of judged)
-  answers.push(judgement(content, p ? loop.judged(p) : Float64Array.from(margins, (value) => value ?? NaN), moved));
-process.stdout.write(JSON.stringify({ answers, plain: [90e-3, 2.5e-5, 1e10, 0].map((value) => plain(value, "s")) }));
+for (const { p = null, margins = null, moved: { at, ...moved } } of judged) {
+  const found = p ? loop.judged(p) : Float64Array.from(margins, (value) => value ?? NaN);
+  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved));
+}
+process.stdout.write(JSON.stringify({ answers, plain: quantities.map((pair) => plain(...pair)) }));

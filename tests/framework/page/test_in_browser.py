@@ -12,6 +12,7 @@ import pytest
 from in_browser import Browser, browser
 from in_node import content
 
+import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
 from dmframe.page.page import assembled
@@ -122,6 +123,9 @@ def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path:
     controls = "[...document.querySelectorAll('input, button, select')]"
     nameless = f"{controls}.filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
     assert tab.value(f"{nameless}.map((e) => e.outerHTML)") == []
+    logs = "[...document.querySelectorAll('.plot button')].map((e) => e.ariaLabel)"
+    assert len(set(tab.value(logs))) == tab.value(f"{logs}.length")
+    assert tab.value("document.getElementById('scrub').getAttribute('aria-valuetext')").endswith(" of 20 s")
     tab.ask("Emulation.clearDeviceMetricsOverride")
 
 
@@ -130,3 +134,73 @@ def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
     html = assembled(content(name))
     assert len(html.encode()) < 200_000
     assert not re.search(r"(src|href)=[\"'](?!data:)|@import|url\(|fetch\(|importScripts|https?:", html)
+
+
+def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_path: Path) -> None:
+    page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
+    tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
+    assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."
+    tab.opened(page, "#texts")
+    tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.value(notice) == ""
+    assert tab.said == []
+
+
+def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Path) -> None:
+    html = assembled(content("arm2_joint"))
+    for policy, headline, says in [
+        ("'none'", "Loading", "scripts are switched off or not allowed"),
+        ("'unsafe-inline'", "This browser cannot run the page", "WebAssembly"),
+    ]:
+        meta = f'<meta http-equiv="Content-Security-Policy" content="script-src {policy}">'
+        tab.opened(saved(tmp_path, html.replace("<head>", f"<head>{meta}")))
+        assert tab.until(f"{HEADLINE} === {headline!r} && {SAYS}.includes({says!r})")
+
+
+@pytest.mark.parametrize(
+    "title", ["</script><script>alert(1)</script> & \"q\" 'x' \U0001f600 @DATA@ \\1", "x" * 10_000]
+)
+def test_a_title_is_text_and_breaks(tab: Browser, tmp_path: Path, title: str) -> None:
+    data = {**content("arm2_joint"), "title": title}
+    tab.ask("Emulation.setDeviceMetricsOverride", width=320, height=640, deviceScaleFactor=1, mobile=True)
+    tab.opened(saved(tmp_path, assembled(data)))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.value("document.querySelector('h1').textContent") == title
+    assert tab.value("document.documentElement.scrollWidth") == 320
+    tab.ask("Emulation.clearDeviceMetricsOverride")
+    assert tab.said == []
+
+
+def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browser, tmp_path: Path) -> None:
+    canvas = "document.getElementById('robot')"
+    tab.opened(saved(tmp_path, assembled(content("arm2_joint"))))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    lost = f"{canvas}.getContext('webgl2')?.getExtension('WEBGL_lose_context').loseContext()"
+    tab.value(f"{lost}; new Promise((done) => setTimeout(done, 200))")
+    pixels = f"{canvas}.getContext('2d')?.getImageData(0, 0, {canvas}.width, {canvas}.height).data"
+    assert tab.until(f"{pixels}?.some((part) => part > 0)")
+    tab.value(f"{canvas}.focus()")
+    tab.ask("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+    tab.value("new Promise((done) => setTimeout(done, 100))")
+    assert tab.said == []
+
+
+def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are_too_long(
+    tab: Browser, tmp_path: Path
+) -> None:
+    tab.opened(saved(tmp_path, assembled(content("pendulum"))))
+    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.value("document.querySelectorAll('#sliders input').forEach((e) => { e.value = e.max; e.oninput(); })")
+    notice = "document.getElementById('notice').textContent"
+    tab.until(f"{notice}.includes('no longer finite') && {notice}.includes('continuous time, and the integrator')")
+    assert tab.value(HEADLINE) == "Proved at these values"
+    assert tab.said == []
+
+
+def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser, tmp_path: Path) -> None:
+    path = "{type: sinusoid, center: [45 deg], amplitude: [30 deg], rate: [0.9 rad/s]}"
+    text = f"dmframe: 1\nclock: 2 ms\nduration: 1 s\nblocks:\n  path: {path}\n"
+    tab.opened(saved(tmp_path, dm.load(text, name="path").page().html))
+    assert "nothing to draw" in tab.until("document.getElementById('first').textContent")
+    assert tab.value(COMMAND).startswith("dmframe run path.yaml --set duration=1 ")
+    assert tab.said == []

@@ -12,6 +12,7 @@ import dmframe as dm
 from dmframe.graph.graph import Graph
 from dmframe.simulate import Recording, simulate
 from dmframe.simulate.start import start_state
+from dmframe.units import plain
 
 
 def simulated(graph: Graph, seconds: float, **options: Any) -> Recording:
@@ -117,7 +118,6 @@ def test_an_instant_is_kept_at_the_end_and_a_run_too_long_is_cut() -> None:
 
 
 def test_quantities_are_written_as_python_writes_them() -> None:
-    from dmframe.units import plain
-
-    found = asked(content("pendulum"))["plain"]
-    assert found == [plain(value, "s") for value in (90e-3, 2.5e-5, 1e10, 0.0)]
+    values, units = (90e-3, -2.5e-5, 1e10, 0.0, 9996.0, 300.0), ("s", "m", "rad/s", "N m", "m^2", "Hz", "1/s", "")
+    pairs = [(value, unit) for value in values for unit in units]
+    assert asked({}, quantities=pairs)["plain"] == [plain(*pair) for pair in pairs]

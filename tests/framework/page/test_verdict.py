@@ -76,6 +76,31 @@ def test_what_was_decided_for_the_files_numbers_alone_is_open_elsewhere() -> Non
     assert "file's numbers only" in there["says"][-1]
 
 
+def test_what_was_decided_for_the_files_numbers_stands_while_what_it_reads_does() -> None:
+    data, elsewhere = stated({"at": None, "size": None, "reads": [3, 4]}, {"at": 0}), {"p": True, "run": False}
+    stays, goes = said(data, *({**margins(1.0), "moved": {**elsewhere, "at": at}} for at in ([2, 5], [2, 4])))
+    assert (stays["state"], goes["state"]) == ("proved", "undecided")
+
+
+def test_what_is_tacit_is_named_where_it_does_not_hold_and_nowhere_else() -> None:
+    tacit = {"name": "toy: k - 3 is not zero", "how": "exact", "value": None, "holds": True, "size": 1, "strict": True}
+    data = stated({}, tacit=[{**tacit, "at": 1, "opens": False}])
+    opening = stated({}, tacit=[{**tacit, "at": 1, "opens": True}])
+    holds, zero, here = said(data, margins(1.0, 1.0), margins(1.0, 0.0), {**margins(1.0, 0.0), "moved": FILE})
+    assert (holds["state"], zero["state"], here["state"]) == ("proved", "fails", "proved")
+    assert (len(holds["rows"]), len(zero["rows"])) == (1, 2)
+    assert "All 1 conditions" in " ".join(holds["says"])
+    assert "k - 3 is not zero" in zero["says"][0]
+    (asked_otherwise,) = said(opening, margins(1.0, 0.0))
+    assert asked_otherwise["state"] == "undecided"
+
+
+def test_that_a_loop_stays_bounded_is_of_the_files_numbers_too() -> None:
+    whole, part = (said(stated({}, bounded=bounded), margins(1.0))[0]["says"][-1] for bounded in (True, False))
+    assert "the whole loop stays bounded was concluded for the file's numbers; for these it is not decided" in whole
+    assert "bounded" not in part
+
+
 def test_conclusions_are_of_the_files_numbers() -> None:
     here, moved, clock = said(stated({}), *({**margins(1.0), "moved": where} for where in (FILE, MOVED, CLOCK)))
     assert here["says"][-1] == "It follows that x goes to zero."

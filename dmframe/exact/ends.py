@@ -1,0 +1,98 @@
+"""The ends of an expression of which some symbols lie anywhere in intervals: the rules of `Interval`, as formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.errors import ValueFault
+from dmframe.exact.arithmetic import ARITHMETIC
+from dmframe.program import by_code, read, run
+
+
+@final
+@dataclass(frozen=True)
+class Ends:
+    """The least and the greatest that a number can be, as expressions; NaN where a divisor can be zero."""
+
+    lower: Any
+    upper: Any
+
+    @staticmethod
+    def of(value: Any) -> Ends:
+        """An expression as an interval of no width."""
+        return value if isinstance(value, Ends) else Ends(value, value)
+
+    def __add__(self, other: Ends) -> Ends:
+        return Ends(self.lower + other.lower, self.upper + other.upper)
+
+    def __neg__(self) -> Ends:
+        return Ends(-self.upper, -self.lower)
+
+    def __sub__(self, other: Ends) -> Ends:
+        return self + (-other)
+
+    def __mul__(self, other: Ends) -> Ends:
+        first, *others = (a * b for a in (self.lower, self.upper) for b in (other.lower, other.upper))
+        low = high = first
+        for product in others:
+            low, high = ca.fmin(low, product), ca.fmax(high, product)
+        return Ends(low, high)
+
+    def __truediv__(self, other: Ends) -> Ends:
+        one = ca.if_else(other.lower * other.upper > 0, 1, np.nan)
+        return self * Ends(one / other.upper, one / other.lower)
+
+    def __rtruediv__(self, other: int) -> Ends:
+        return Ends.of(ca.SX(other)) / self
+
+    def square(self) -> Ends:
+        """Not the product with itself, which forgets that both factors are one."""
+        ends = self.lower * self.lower, self.upper * self.upper
+        least = ca.if_else(ca.logic_and(self.lower <= 0, self.upper >= 0), 0, ca.fmin(*ends))
+        return Ends(least, ca.fmax(*ends))
+
+
+def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]]) -> Ends:
+    """Both ends of a column, element by element; `inside` has the intervals of symbols, by their identity.
+
+    Raises `ValueFault` for an expression of other than field operations.
+    """
+    symbols = ca.symvar(expression)
+    program = read(ca.Function("ends", symbols, [ca.vec(ca.densify(expression))]))
+
+    def given(argument: int, element: int) -> Any:
+        symbol = symbols[argument]
+        ends = inside.get(symbol.element_hash())
+        return symbol if ends is None else Ends(*map(ca.SX, ends))
+
+    values = run(
+        program,
+        _RULES,
+        given=given,
+        constant=ca.SX,
+        refuse=lambda code: ValueFault(f"expected + - * / only, found CasADi's instruction {code}"),
+    )
+    (found,) = program.stored(values)
+    ends = [Ends.of(value) for value in found]
+    return Ends(ca.vertcat(ca.SX(0, 1), *(e.lower for e in ends)), ca.vertcat(ca.SX(0, 1), *(e.upper for e in ends)))
+
+
+def _mixed(rule: Callable[..., Any]) -> Callable[..., Any]:
+    """The rule for expressions, and for intervals as soon as there is one among the operands."""
+
+    def mixed(*values: Any) -> Any:
+        return rule(*map(Ends.of, values)) if Ends in map(type, values) else rule(*values)
+
+    return mixed
+
+
+def _square(x: Any) -> Any:
+    return x.square() if isinstance(x, Ends) else x * x
+
+
+_RULES: Final = {code: _mixed(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}

@@ -1,0 +1,138 @@
+"""For each block the smallest packaged graph that holds it, and what its main parameter does there, simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import dmframe as dm
+from dmframe.block import AbstractBlock
+from dmframe.catalogue import graphs
+from dmframe.errors import DmframeError
+from dmframe.parameter import specs
+from dmframe.port import Side
+
+FACTORS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Of a parameter's value in the graph, tried one after another."""
+LONGEST: Final = 20.0
+"""Of a run that tries one [s]."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """The smallest packaged graph with a block: its name, and the block's in it; and all others that hold one."""
+
+    graph: str
+    block: str
+    others: tuple[str, ...]
+
+
+@cache
+def example(name: str) -> Example | None:
+    """Where a block is used: smallest are the fewest joints, then the fewest blocks, of graphs that can be proved."""
+    found = dict[str, tuple[bool, int, int, str]]()
+    blocks = dict[str, str]()
+    for graph in graphs():
+        whole = loaded(graph)
+        mine = [block for block, fact in whole.blocks.facts.items() if fact["type"] == name]
+        if mine:
+            found[graph] = (
+                _unproved(whole),
+                whole.robot.n if whole.robot is not None else 0,
+                len(whole.blocks),
+                graph,
+            )
+            blocks[graph] = mine[0]
+    if not found:
+        return None
+    smallest = min(found, key=found.__getitem__)
+    return Example(smallest, blocks[smallest], tuple(graph for graph in found if graph != smallest))
+
+
+def _unproved(graph: dm.Graph) -> bool:
+    """True for a graph with a block that states no certificate."""
+    blocks = (graph.blocks[name] for name in graph.blocks)
+    return any(
+        type(block).certificate is AbstractBlock.certificate for block in blocks if block.side is not Side.SOURCE
+    )
+
+
+@cache
+def loaded(graph: str) -> dm.Graph:
+    """A packaged graph, loaded once."""
+    return dm.load(graph)
+
+
+def diagram_of(graph: str) -> Any:
+    """Its diagram."""
+    return loaded(graph).diagram
+
+
+def main_parameter(kind: type[AbstractBlock], block: AbstractBlock) -> str:
+    """The first parameter that must be above zero, else the first number that is not zero; empty where none is one."""
+    known = {name: spec for name, spec in specs(kind).items() if spec.form in ("diagonal", "gain")}
+    given = [name for name in known if _scaled(getattr(block, name), 2.0) is not None]
+    positive = [name for name in given if known[name].sign == "> 0" and kind.model_fields[name].is_required()]
+    return next(iter([*positive, *given]), "")
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    """A value times a factor; None where that would change nothing, or where it is no number."""
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return factor * value if value else None
+    if isinstance(value, tuple) and all(isinstance(item, float | int) for item in value):
+        return tuple(factor * item for item in value) if any(value) else None
+    return None
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What becomes of the error with each value of a parameter, ``block.parameter``.
+
+    Rows hold the factor, the value, the RMS error over the first and the last eighth, and what else happened.
+    """
+
+    label: str
+    until: float
+    rows: tuple[tuple[str, str, str, str, str], ...]
+
+
+def trials(kind: type[AbstractBlock], shown: Example) -> Trials | None:
+    """The block's main parameter at some multiples of the graph's value; None for a block that has none."""
+    graph = loaded(shown.graph)
+    block = graph.blocks[shown.block]
+    name = main_parameter(kind, block)
+    if not name:
+        return None
+    label, until = f"{shown.block}.{name}", min(graph.duration, LONGEST)
+    values = [_scaled(getattr(block, name), factor) for factor in FACTORS]
+    rows = zip(FACTORS, values, _tried(graph, label, values, until), strict=True)
+    return Trials(label, until, tuple((f"x {factor:g}", _number(value), *told) for factor, value, told in rows))
+
+
+def _tried(graph: dm.Graph, label: str, values: Sequence[Any], until: float) -> list[tuple[str, str, str]]:
+    """What becomes of the error with each value: all in one build, or each by itself where one of them cannot be."""
+    try:
+        return [_told(run) for run in dm.sweep(graph, {label: values}, until=until)]
+    except DmframeError as error:
+        if len(values) == 1:
+            return [("", "", f"cannot be: {error.text}")]
+        return [row for value in values for row in _tried(graph, label, [value], until)]
+
+
+def _told(run: dm.Run) -> tuple[str, str, str]:
+    error = run.summary["error"]
+    ended = "" if run.divergence is None else f"diverges at {run.divergence.time:.3g} s"
+    if error is None:
+        return "", "", ended or "nothing to follow"
+    return (*(_figure(error["rms_by_eighth"][k], error["unit"]) for k in (0, -1)), ended)
+
+
+def _number(value: Any) -> str:
+    return ", ".join(f"{item:.4g}" for item in value) if isinstance(value, tuple) else f"{value:.4g}"
+
+
+def _figure(value: float | None, unit: str) -> str:
+    return "-" if value is None else f"{value:.3g} {unit}"

@@ -1,0 +1,313 @@
+"""Write a page for each block of the catalogue, and an index of them by family.
+
+    python docs/make_blocks.py FOLDER
+
+Everything on them is asked of the code: laws as they print, ports, parameters, conditions, and what happens when a
+parameter changes, which is simulated. The meaning of a signal in words is that of `notation.yaml`.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import dmframe as dm
+from dmframe.block import AbstractBlock, AdaptingBlock
+from dmframe.block.prose import about
+from dmframe.catalogue import block_modules, block_types, graphs
+from dmframe.certify.claim import certificates_of
+from dmframe.certify.form import NotApplicableError
+from dmframe.condition import Assumption
+from dmframe.diagram.view import view
+from dmframe.formula import Formula, Line, PrintedLaw, printed
+from dmframe.formula.alone import in_yaml, options_of, plainest
+from dmframe.formula.names import latex_name
+from dmframe.formula.tree import Sum
+from dmframe.formula.where import sizes_show, where
+from dmframe.parameter import PAIRS, Spec, specs
+from dmframe.port import Access, Port, Side
+from dmframe.report.notation import marked
+from dmframe.report.references import reference
+
+sys.path.insert(0, str(Path(__file__).parent))
+from block_examples import Example, diagram_of, example, trials
+from make_notation import meanings
+
+FAMILIES: Final = {
+    "paths": ("Paths", "Functions of time alone: where the tool or the joints should be."),
+    "references": (
+        "References",
+        "Make of the path and of the errors the velocity or acceleration that is to be followed.",
+    ),
+    "models": ("Models, observers and filters", "What other blocks of the controller need to know."),
+    "adaptation": ("Adaptation", "Blocks that learn: what they adapt, V holds the error of."),
+    "commands": ("Commands", "Make of a reference and a torque what the robot's servo is told."),
+    "plant": ("Robot and servo", "The other side of the line: closed, and never read but for what is measured."),
+}
+"""Titles and what they hold, in the order in which signals pass them."""
+REFERENCES: Final = frozenset({"dq_r", "dq_ref", "ddq_ref"})
+"""What a reference generator hands on."""
+LONG: Final = 120
+"""Letters of LaTeX beyond which a sum is broken into lines."""
+WEIGHTS: Final = (
+    "Beside them the weight of each term in V must be above zero, and of each term that is spent not below; "
+    "`dmframe verify` checks them at a graph's numbers."
+)
+READERS: Final = {
+    Access.COMMANDED: "controller, and the plant takes it as a command",
+    Access.MEASURED: "all: it is measured",
+    Access.HIDDEN: "plant and proofs",
+    Access.INTERNAL: "controller",
+}
+
+
+def write(folder: Path) -> list[Path]:
+    """Write all pages into a folder, which is made; returns their paths, the index first."""
+    folder.mkdir(parents=True, exist_ok=True)
+    kinds = block_types()
+    texts = {"index": index(kinds), **{name: page(name, kind) for name, kind in kinds.items()}}
+    found = list[Path]()
+    for name, text in texts.items():
+        found.append(folder / f"{name}.md")
+        found[-1].write_text(text, encoding="utf-8")
+    return found
+
+
+def family(kind: type[AbstractBlock]) -> str:
+    """A key of `FAMILIES`, from what a block is and hands on."""
+    if kind.side is not Side.CONTROLLER:
+        return "paths" if kind.side is Side.SOURCE else "plant"
+    if any(port.access is Access.COMMANDED for port in kind.outputs):
+        return "commands"
+    if issubclass(kind, AdaptingBlock) and kind.estimates:
+        return "adaptation"
+    return "references" if REFERENCES & {port.name for port in kind.outputs} else "models"
+
+
+def index(kinds: dict[str, type[AbstractBlock]]) -> str:
+    """All blocks by family, with what each does."""
+    parts = ["# Blocks", "What each block does, by what it hands on. `dmframe blocks` prints the same in a terminal."]
+    for key, (title, says) in FAMILIES.items():
+        mine = [name for name, kind in kinds.items() if family(kind) == key]
+        parts.append(f"## {title}\n\n{says}")
+        parts.append(_table(("block", "does"), [(f"[`{n}`]({n}.md)", _said(about(kinds[n]).summary)) for n in mine]))
+    names = "\n".join(name for key in FAMILIES for name, kind in kinds.items() if family(kind) == key)
+    parts.append(f"```{{toctree}}\n:hidden:\n\n{names}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def page(name: str, kind: type[AbstractBlock]) -> str:
+    """One block."""
+    said, shown = about(kind), example(name)
+    parts = [f"# `{name}`", _said(said.summary), f"{FAMILIES[family(kind)][0]}; {_side(kind)}."]
+    parts += ["## Law", *_law(kind, shown)]
+    parts += ["## Signals", *_signals(kind)]
+    parts += ["## Parameters", _parameters(kind)]
+    conditions = [] if kind.side is Side.SOURCE else list(_conditions(shown))
+    parts += ["## Conditions", "\n".join(conditions), WEIGHTS] * bool(conditions)
+    parts += ["## Notes", _said(said.notes)] * bool(said.notes)
+    parts += ["## Source", *_source(said.source)] * bool(said.source)
+    parts += ["## In a graph", *_used(name, shown)]
+    parts += list(_what_if(kind, shown)) if shown is not None else []
+    return "\n\n".join(parts) + "\n"
+
+
+def _side(kind: type[AbstractBlock]) -> str:
+    return {
+        Side.SOURCE: "a source, which reads nothing but the time",
+        Side.CONTROLLER: "a part of the controller, which reads only what is measured",
+        Side.PLANT: "a part of the plant, which is closed",
+    }[kind.side]
+
+
+def _law(kind: type[AbstractBlock], shown: Example | None) -> Iterator[str]:
+    """The equations as the code says them, those of each option, and what their signs mean."""
+    found = plainest(kind)
+    options = dict[str, Sequence[Line]]()
+    if found is not None:
+        label, law = found
+        options = dict(options_of(kind))
+        lead = f"With `{label}`" if label else ""
+    elif shown is not None:
+        law, lead = printed(diagram_of(shown.graph), shown.block), f"As it stands in the graph `{shown.graph}`"
+    else:
+        yield "None without numbers of its own: see it in a graph's report."
+        return
+    lines = [*law.lines, *(line for some in options.values() for line in some)]
+    if sizes_show(lines):
+        lead += ("; the" if lead else "The") + " sizes that show are those of an example"
+    if lead:
+        yield f"{lead}:"
+    yield _aligned(law.lines) or "Each output is a state or a parameter as it stands."
+    yield from _energy(law)
+    for option, changed in options.items():
+        yield f"### With `{option}`\n\n{_aligned(changed)}"
+    if signs := where(lines):
+        yield "Signs:\n\n" + _table(("sign", "means"), [(f"`{sign}`", text) for sign, text in signs])
+
+
+def _energy(law: PrintedLaw) -> Iterator[str]:
+    """What the block stores, spends, is supplied with and consumes, in a table."""
+    rows = [("stores, half of", term.whole.latex) for term in law.storage]
+    rows += [("spends", term.whole.latex) for term in law.dissipation]
+    rows += [("leaves over", term.whole.latex) for term in law.excess]
+    rows += [("consumes", law.consumption.whole.latex)] if law.consumption is not None else []
+    rows += [("is supplied with", law.supply.latex)] if law.supply is not None and law.supply.text != "0" else []
+    if rows:
+        yield "Term by term, it\n\n" + _table(("", "term"), [(role, f"${formula}$") for role, formula in rows])
+    if law.estimates:
+        said = ", ".join(f"${line.right.latex}$ by ${latex_name(line.name)}$" for line in law.estimates)
+        yield f"It estimates {said}."
+
+
+def _aligned(lines: Sequence[Line]) -> str:
+    """Equations under one another; a long sum goes on below itself, a summand a line."""
+    rows = dict.fromkeys(map(_row, lines))
+    return "$$\n\\begin{aligned}\n" + " \\\\\n".join(rows) + "\n\\end{aligned}\n$$" if rows else ""
+
+
+def _row(line: Line) -> str:
+    whole = f"{line.left.latex} &= {line.right.latex}"
+    node = line.right.node
+    if not isinstance(node, Sum) or len(whole) < LONG:
+        return whole
+    first, *more = (Formula(term).latex for term in node.terms)
+    below = (f"&\\quad {'' if term.startswith('-') else '+ '}{term}" for term in more)
+    return " \\\\\n".join([f"{line.left.latex} &= {first}", *below])
+
+
+def _signals(kind: type[AbstractBlock]) -> Iterator[str]:
+    for title, ports in (("It takes", kind.inputs), ("It hands on", kind.outputs)):
+        heads = ("symbol", "name", "shape", "unit", "meaning", "who may read it" if title == "It hands on" else "")
+        rows = [_port(port, kind, out=title == "It hands on") for port in ports]
+        yield f"{title}:\n\n{_table(heads, rows)}" if rows else f"{title} nothing."
+    if kind.states:
+        rows = [
+            (f"${latex_name(s.name)}$", f"`{s.name}`", s.shape or "1", s.unit or "-", _meaning(s.name), _kept(s))
+            for s in kind.states
+        ]
+        yield f"Its states:\n\n{_table(('symbol', 'name', 'shape', 'unit', 'meaning', ''), rows)}"
+    if kind.truth:
+        rows = [_port(port, kind, out=False) for port in kind.truth]
+        heads = ("symbol", "name", "shape", "unit", "meaning", "")
+        yield f"True values that its proof alone reads:\n\n{_table(heads, rows)}"
+
+
+def _port(port: Port, kind: type[AbstractBlock], *, out: bool) -> tuple[str, ...]:
+    access = Access.HIDDEN if kind.side is Side.PLANT and port.access is Access.INTERNAL else port.access
+    said = [READERS[access]] * out + [f"derivative of `{port.derivative_of}`"] * bool(port.derivative_of)
+    said += ["optional"] * port.optional + [f"drawn anew at each sample: {port.drawn}"] * bool(port.drawn)
+    unit = {"*": "any"}.get(port.unit, port.unit or "-")
+    return f"${latex_name(port.name)}$", f"`{port.name}`", port.shape or "1", unit, _meaning(port.name), "; ".join(said)
+
+
+def _kept(state: Any) -> str:
+    sets = [f"`{name}`" for name in (state.box, state.ball) if name]
+    said = ["sampled"] * state.sampled + ["optional"] * state.optional
+    return ", ".join([*said, *[f"projected onto {' or '.join(sets)}"] * bool(sets)])
+
+
+@cache
+def _words() -> dict[str, str]:
+    return {name: said.means for name, said in meanings().items()}
+
+
+def _meaning(name: str) -> str:
+    return _words().get(name, "")
+
+
+def _parameters(kind: type[AbstractBlock]) -> str:
+    said, known = about(kind).parameters, specs(kind)
+    rows = []
+    for name, field in kind.model_fields.items():
+        spec = known.get(name)
+        shape, unit = (spec.shape or "1", " ".join([spec.unit or "-", spec.sign]).strip()) if spec else ("", "option")
+        default = "needed" if field.is_required() else _default(field.default, spec)
+        rows.append(
+            (f"${latex_name(name)}$" if spec else "", f"`{name}`", shape, unit, default, _said(said.get(name, "")))
+        )
+    return _table(("symbol", "name", "shape", "unit, sign", "default", "does"), rows) if rows else "None."
+
+
+def _default(value: Any, spec: Spec | None) -> str:
+    if value is None:
+        return "no bound" if spec is not None and spec.form in PAIRS else "none"
+    return f"`{in_yaml(value)}`"
+
+
+def _conditions(shown: Example | None) -> Iterator[str]:
+    """What the block's proof needs, in its graph."""
+    if shown is None:
+        return
+    diagram = diagram_of(shown.graph)
+    try:
+        stated = certificates_of(diagram)[1]
+    except NotApplicableError:
+        return
+    seen = view(diagram, shown.block, stated)
+    items = list(diagram.blocks[shown.block].conditions(seen.p, seen.truth))
+    for item in items:
+        lead = f"Assumed: {marked(item.text)}" if isinstance(item, Assumption) else marked(item.name)
+        yield f"- {lead}" + f" ({marked(item.source)})" * bool(item.source)
+    if not items:
+        yield "None of its own."
+
+
+def _source(text: str) -> Iterator[str]:
+    yield _said(text)
+    yield from (f"- \\[{key}\\] {reference(key)}" for key in dict.fromkeys(re.findall(r"\[(\w+)\]", text)))
+
+
+def _used(name: str, shown: Example | None) -> Iterator[str]:
+    if shown is None:
+        yield f"No packaged graph holds a `{name}`."
+        return
+    title = str(_listed()[shown.graph]["title"])
+    yield f"The smallest packaged graph with it is `{shown.graph}`: {title}."
+    yield f"```yaml\n{graphs()[shown.graph].read_text(encoding='utf-8').rstrip()}\n```"
+    yield f"```{{live}} {shown.graph}\n```"
+    if shown.others:
+        yield f"It is in {', '.join(f'`{other}`' for other in shown.others)} too."
+
+
+@cache
+def _listed() -> dict[str, Any]:
+    return dict(dm.graphs().facts)
+
+
+def _what_if(kind: type[AbstractBlock], shown: Example) -> Iterator[str]:
+    found = trials(kind, shown)
+    if found is not None:
+        name = found.label.partition(".")[2]
+        yield f"## What happens if `{name}` changes"
+        yield f"`{name}` at multiples of its value in `{shown.graph}`, each run for {found.until:g} s:"
+        heads = ("", f"`{found.label}`", "RMS error, first eighth", "last eighth", "")
+        yield _table(heads, [(*row[:-1], marked(row[-1])) for row in found.rows])
+
+
+def _said(text: str) -> str:
+    """Marked text as it may stand in a page: ``[Key]`` is not a link, and the name of a block is one."""
+    known = block_modules()
+    text = re.sub(r"\[(\w+)\](?!\()", r"\\[\1\\]", text)
+    return re.sub(r"`(\w+)`", lambda name: f"[`{name[1]}`]({name[1]}.md)" if name[1] in known else name[0], text)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    """A bar would end the cell; within a formula a vertical line is written as LaTeX has it."""
+    parts = re.split(r"(\$[^$]+\$)", text)
+    done = (part.replace("|", r"\vert ") if place % 2 else part.replace("|", r"\|") for place, part in enumerate(parts))
+    return "".join(done)
+
+
+if __name__ == "__main__":
+    for path in write(Path(sys.argv[1])):
+        sys.stdout.write(f"{path}\n")

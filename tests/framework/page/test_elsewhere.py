@@ -1,0 +1,263 @@
+"""What a page says at numbers that its sliders moved, held to what `verify` says of a graph with these numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any, ClassVar, final
+
+import casadi as ca
+import numpy as np
+import pytest
+from in_node import asked, content_of_graph
+from pydantic import model_validator
+
+import dmframe as dm
+from dmframe.block import AbstractBlock, Equations
+from dmframe.certificate import Certificate, Clipped, Driven, Inequality, Square
+from dmframe.certify import Verdict, verify
+from dmframe.certify.elsewhere import elsewhere
+from dmframe.diagram import Diagram
+from dmframe.diagram.values import with_values
+from dmframe.exact.ends import enclosing
+from dmframe.exact.rational import Interval, evaluate
+from dmframe.page.sliders import sliders_of
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import TIME, Port, Side, State
+from dmframe.terms import clip
+
+FILE = "The proof does not apply at these values"
+
+
+@pytest.fixture(scope="module")
+def uncertain() -> Any:
+    """A graph whose servo is known up to intervals, over which `verify` decides."""
+    known = {"servo.K_D": [10, 30], "servo.K_P": [40, 80], "servo.K_I": [10, 40]}
+    graph = dm.load("pendulum").set({"uncertain": known})
+    return graph, content_of_graph(graph)
+
+
+def judged(data: Mapping[str, Any], moved: Mapping[str, float]) -> dict[str, Any]:
+    """What a page says with these numbers moved."""
+    p = list(data["p"])
+    places = {slider["label"]: slider["at"] for slider in data["sliders"]}
+    for label, value in moved.items():
+        p[places[label]] = value
+    at = [places[label] for label in moved]
+    question = {"p": p, "moved": {"p": bool(moved), "at": at, "run": False}}
+    (answer,) = asked(dict(data), judged=[question])["answers"]
+    found: dict[str, Any] = answer
+    return found
+
+
+def test_over_intervals_a_page_judges_as_verify_does(uncertain: Any) -> None:
+    graph, data = uncertain
+    for values in ({}, {"inverse.K_c": 0.5}):
+        verdict, page = graph.set(values).verify().verdict, judged(data, values)
+        assert (page["state"] == "proved") == (verdict.outcome == "proved")
+        for row, condition in zip(page["rows"], verdict.conditions, strict=True):
+            assert row["holds"] is condition.holds, row["name"]
+            if "pays for the cascade" not in row["name"]:
+                assert row["margin"] == pytest.approx(condition.value, rel=1e-9, abs=1e-12), row["name"]
+        assert verdict.kappa is not None
+        if page["state"] == "proved":
+            assert f"any κ above {float(verdict.kappa.least):.3g}" in " ".join(page["says"])
+
+
+def test_a_number_known_up_to_an_interval_stays_in_it(uncertain: Any) -> None:
+    _, data = uncertain
+    assert judged(data, {"servo.K_D": 12.0})["state"] == "proved"
+    out = judged(data, {"servo.K_D": 31.0})
+    assert out["headline"] == FILE
+    assert "servo.K_D lies in the interval that the graph gives (margin −1)" in out["says"][0]
+
+
+def test_ends_of_an_expression_are_those_of_interval_arithmetic() -> None:
+    x, y, z = (ca.SX.sym(name) for name in "xyz")
+    made = ca.vertcat(x * x - y / x, (x - 3) * (x - 3) * z, 1 / (y + z), 2 * z - y * y, z / (y + 1), x * z / (z - y))
+    box = {"x": (2.0, 4.0), "y": (-1.5, 0.5)}
+    ends = enclosing(made, {symbol.element_hash(): box[symbol.name()] for symbol in (x, y)})
+    found = np.hstack([side.full() for side in ca.Function("ends", [z], [ends.lower, ends.upper])(0.75)])
+    given = [Interval(*map(Fraction, box[name])) for name in "xy"]
+    for row in range(made.numel()):
+        try:
+            f = ca.Function("f", [x, y, z], [made[row]])
+            ((wanted,),) = evaluate(f, [[given[0]], [given[1]], [Fraction(0.75)]])
+        except ZeroDivisionError:
+            assert np.isnan(found[row]).all()
+        else:
+            assert tuple(found[row]) == pytest.approx((float(wanted.lower), float(wanted.upper)))  # type: ignore[union-attr] # an interval, for its inputs are
+
+
+@final
+class Path(AbstractBlock):
+    """A ramp up to where it is held, continuous only where the two agree."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("r"),)
+    end: Scalar = Positive("", "", default=1.0)
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(outputs={"r": ca.if_else(u.t < 1, u.t, p.end)})
+
+
+@final
+class Toy(AbstractBlock):
+    """V holds x - r alone; the rest is what `verify` looks at beside its conditions."""
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", derivative_of="r"))
+    outputs: ClassVar[tuple[Port, ...]] = ()
+    states: ClassVar[tuple[State, ...]] = (State("x"), State("z"), State("y"))
+    k: Scalar = Positive("", "", default=2.0)
+    a: Scalar = Positive("", "", default=1.0)
+    b: Scalar = Positive("", "", default=2.0)
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(rates={"x": u.dr - (x.x - u.r), "z": -x.z / (p.k - 3), "y": (p.a - p.b) * x.y + x.x})
+
+    def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+        e = x.x - u.r
+        more = (Inequality("a < 3/2", 1.5 - p.a, "nobody"),)
+        driven = (Driven((x.y,), ((p.a - p.b,),), (x.y,), more),)
+        return Certificate((Square(e),), (Square(e),), driven=driven)
+
+
+def built(**values: float) -> Diagram:
+    own = {name: value for name, value in values.items() if name != "end"}
+    return Diagram.build({"toy": Toy(**own), "path": Path(end=values.get("end", 1.0))})
+
+
+@pytest.mark.parametrize(
+    ("values", "says"),
+    [
+        ({"k": 3.0}, "toy: (toy.k-3) is not zero"),
+        ({"a": 2.5}, "toy: the linear equation of y is stable"),
+        ({"b": 1.5}, ""),
+    ],
+)
+def test_what_verify_looks_at_in_silence_is_judged_where_it_fails(values: dict[str, float], says: str) -> None:
+    verdict, other = verify(built()), built(**values)
+    assert verdict.outcome == "proved", verdict.reason
+    assert (verify(other).outcome == "proved") is (says == "")
+    assert failing(verdict, other) == [says] * bool(says)
+
+
+def failing(verdict: Verdict, other: Diagram) -> list[str]:
+    """What is tacit in a verdict, and fails at the numbers of another diagram; of the conditions none does."""
+    claim, names = verdict.claim, list[str]()
+    assert claim is not None
+    for item in elsewhere(verdict.conditions, claim, {}):
+        if item.margin is not None:
+            least = float(ca.mmin(ca.Function("margin", [claim.loop.p], [item.margin])(other.loop.p_values)))
+            if not (least > 0 if item.checked.strict else least >= 0):
+                names.append(item.checked.name)
+                assert item.tacit
+    return names
+
+
+@final
+class Pushed(AbstractBlock):
+    """y' = -y + clip(y, k - 1)."""
+
+    states: ClassVar[tuple[State, ...]] = (State("y"),)
+    k: Scalar = Positive("", "", default=2.0)
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(rates={"y": -x.y + clip(x.y, p.k - 1)})
+
+    def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+        return Certificate((Square(x.y),), (Square(x.y),), excess=(Clipped(x.y, p.k - 1, x.y),))
+
+
+def test_a_clipped_term_needs_its_width_elsewhere_too() -> None:
+    diagram = Diagram.build({"toy": Pushed()})
+    verdict, wider, none = verify(diagram), *(with_values(diagram, {"toy.k": k}) for k in (3.0, 0.5))
+    assert verdict.outcome == verify(wider).outcome == "proved"
+    assert "nothing bounds the residual" in verify(none).reason
+    assert failing(verdict, wider) == []
+    assert failing(verdict, none) == ["toy: width of the clipped y > 0"]
+
+
+def test_that_a_path_does_not_jump_was_decided_for_its_own_numbers_alone() -> None:
+    verdict, jumping = verify(built()), verify(built(end=1.5))
+    assert verdict.outcome == "proved"
+    assert jumping.outcome == "not_applicable"
+    assert "path.r[0] jumps" in jumping.reason
+    (found,) = [item for item in elsewhere(verdict.conditions, verdict.claim, {}) if item.margin is None]
+    assert found.checked.name == "path.r is continuous"
+    assert [str(symbol) for symbol in ca.symvar(found.reads)] == ["path.end"]
+
+
+@final
+class Reader(AbstractBlock):
+    """x' = -x; its conditions read a number that its equations take as a symbol, and it refuses large ones."""
+
+    states: ClassVar[tuple[State, ...]] = (State("x"),)
+    k: Scalar = Positive("", "", default=2.0)
+    few: Scalar = Positive("", "", default=2.0)
+
+    @model_validator(mode="after")
+    def _small(self) -> Reader:
+        if self.few >= 5:
+            raise ValueError("expected few below 5")
+        return self
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(rates={"x": -p.few * p.k * x.x})
+
+    def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+        return Certificate((Square(x.x),), (Square(x.x, p.few * p.k),))
+
+    def conditions(self, p: Any, truth: Any) -> tuple[Inequality, ...]:
+        return (Inequality("k < 3", 3 - ca.SX(float(self.k)), "nobody"),)
+
+
+def test_a_slider_moves_no_number_that_a_claim_reads_as_such_and_reaches_none_that_is_refused() -> None:
+    diagram = Diagram.build({"toy": Reader()})
+    assert verify(Diagram.build({"toy": Reader(k=4.0)})).outcome == "not_applicable"
+    (slider,) = sliders_of(diagram, verify(diagram))
+    assert slider.label == "toy.few"
+    assert 2 * slider.most < 5
+    assert slider.most > 1.5
+
+
+def test_a_number_is_written_as_its_block_was_given_it() -> None:
+    nothing = Verdict("not_applicable", "")
+    size = dm.load("pendulum").diagram.models["dynamics"].states["a_d_hat"].numel()
+    gain = 5 * np.eye(size) + np.arange(size) / 100 + np.arange(size)[:, None] / 100 + 0.01
+    for graph, label, expected in (
+        (dm.load("pd_torque"), "path.q_d", [0]),
+        (dm.load("pd_torque"), "command.K_e", 0),
+        (dm.load("pendulum").set({"dynamics.Gamma": gain.tolist()}), "dynamics.Gamma", None),
+    ):
+        (slider,) = [slider for slider in sliders_of(graph.diagram, nothing) if slider.label == label]
+        assert expected is None or slider.written == expected
+        p = graph.diagram.loop.p_values[slider.first :]
+        again = graph.set({label: _filled(slider.written, p)}).diagram.loop.p_values
+        np.testing.assert_array_equal(again, graph.diagram.loop.p_values)
+
+
+def _filled(places: Any, p: np.ndarray) -> Any:
+    if isinstance(places, list):
+        return [_filled(inner, p) for inner in places]
+    return 0.0 if places is None else float(p[places])
+
+
+def test_gravity_is_said_to_be_known_only_where_it_is() -> None:
+    nothing = Verdict("not_applicable", "")
+
+    def says(name: str) -> dict[str, str]:
+        return {slider.label: slider.says for slider in sliders_of(dm.load(name).diagram, nothing)}
+
+    assert says("pd_torque")["robot.gravity"] == "Gravity."
+    assert "the controller knows it" in says("pendulum")["robot.gravity"]
+    assert "knows" not in says("pendulum")["robot.inertia"]
+    assert "the controller knows it" in says("computed_torque")["robot.inertia"]
+
+
+def test_the_command_of_a_page_holds_the_changes_that_its_graph_has() -> None:
+    graph = dm.load("pd_torque").set({"command.K_e": 50})
+    assert content_of_graph(graph)["command"]["text"] == "dmframe run pd_torque --set command.K_e=50"
+    other = dm.load(graph.text, name="mine")
+    assert content_of_graph(other)["command"]["text"] == "dmframe run mine.yaml"

@@ -1,0 +1,28 @@
+"""The command line that a page or an explanation shows of a graph."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+
+import dmframe as dm
+from dmframe.catalogue import graphs
+from dmframe.report.command import command
+
+
+def test_a_packaged_graph_is_called_by_its_name_and_what_was_set_is_said():
+    graph = dm.load("arm2_joint").set({"path.center": [0.5, 1]})
+    words = shlex.split(command(graph.experiment, "run").text)
+    assert words[:4] == ["dmframe", "run", "arm2_joint", "--set"]
+    assert words[4].startswith("path.center=")
+
+
+def test_a_file_of_any_name_is_one_word_of_a_shell(tmp_path):
+    file = tmp_path / 'it\'s; echo $HOME "x" <b>.yaml'
+    shutil.copy(graphs()["arm2_joint"], file)
+    assert shlex.split(command(dm.load(file).experiment, "run").text) == ["dmframe", "run", str(file)]
+
+
+def test_of_a_graph_that_is_no_file_it_is_told_where_its_text_goes():
+    graph = dm.load(dm.load("arm2_joint").text, name="mine").set({"task.alpha_bar": 3})
+    assert command(graph.experiment, "run") == ("dmframe run mine.yaml", "the graph's text in mine.yaml")
