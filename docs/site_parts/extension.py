@@ -82,7 +82,7 @@ class Live(SphinxDirective):
         """The picture's address; it is copied here, since Sphinx copies those alone that it shows itself."""
         if "still" not in self.options:
             return ""
-        absolute = self.env.relfn2path(self.options["still"])[1]
+        _, absolute = self.env.relfn2path(self.options["still"])
         self.env.note_dependency(absolute)
         return up + live.still(Path(absolute), Path(self.env.app.outdir))
 
