@@ -7,8 +7,10 @@ of time that is differentiated is followed through its switching instants.
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, final
 
 import casadi as ca
@@ -215,13 +217,30 @@ def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
 
 
 def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
-    """Trajectories that are held to be continuous at the graph's numbers, with the parameters that they read."""
+    """Trajectories that are held to be continuous at the graph's numbers alone, with the parameters that they read.
+
+    One that is continuous, exactly, at random numbers beside these is so by how it is written, and left out.
+    """
     for leaf in _differentiated(diagram, claim):
         joined, function = _path(diagram, leaf)
-        if not function.has_free() and _switches(function):
+        if not function.has_free() and _switches(function) and not _continuous_beside(diagram, function):
             moves = symbols_in([diagram.loop.time])
             read = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() not in moves]
             yield leaf.name, ca.vertcat(ca.SX(0, 1), *read)
+
+
+def _continuous_beside(diagram: Diagram, function: ca.Function) -> bool:
+    exact, rng, tape = exact_values(diagram), random.Random(0), Tape.from_function(function)
+    own = [value for parameter in diagram.loop.parameters for value in exact[parameter.label]]
+    for _ in range(2):
+        beside = [value * (1 + Fraction(rng.randrange(-(10**6), 10**6), 10**9)) for value in own]
+        try:
+            course = follow(tape, beside)
+        except (NotFollowed, UndefinedHere, ZeroDivisionError):
+            return False
+        if course.jump is not None or course.edged:
+            return False
+    return True
 
 
 def _path(diagram: Diagram, leaf: Leaf) -> tuple[SX, ca.Function]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, final
 import casadi as ca
 import numpy as np
 import pytest
-from in_node import asked, content_of_graph
+from in_node import asked, content, content_of_graph
 from pydantic import model_validator
 
 import dmframe as dm
@@ -272,3 +272,11 @@ def test_over_intervals_no_text_says_that_a_condition_fails_at_the_numbers(uncer
     assert f"conditions fail somewhere in {intervals}" in plain[1]
     assert "at the numbers of this graph" not in plain[1]
     assert "anywhere in the intervals of servo.K_D" in " ".join(judged(data, {})["says"])
+
+
+def test_a_margin_that_rounding_may_have_turned_is_not_decided() -> None:
+    """20.3 K_c + K_P - K_I / K_c is zero exactly, and -9e-16 in floating-point numbers; one step further it is not."""
+    edge, beyond = ({"inverse.K_c": 0.3, "servo.K_P": 0.5, "servo.K_I": K_I} for K_I in (1.977, 1.97701))
+    at, past = (judged(content("pendulum"), values) for values in (edge, beyond))
+    assert (at["state"], past["state"]) == ("undecided", "fails")
+    assert "are too close to the edge for this page: inverse: M̄ ≥ 0" in " ".join(at["says"])
