@@ -37,7 +37,7 @@ export function judgement(content, judged, moved, spread = null) {
     const others = moved.p && "So it was found at the file's numbers; the command below, with verify for run, decides at these.";
     return found("unproved", headline, sentence(verdict.reason), others);
   }
-  const identity = sentence(verdict.reason.split(";")[0]);
+  const claim = sentence(verdict.reason.split(";")[0]), identity = content.clock === null ? claim : `In continuous time ${claim}`;
   if (failing.length) {
     const named = failing.map(({ name, margin }) => `${name} (margin ${figure(margin)})`);
     const which = `${failing.length > 1 ? `${failing.length} conditions fail` : "A condition fails"}: ${named.slice(0, 2).join("; ")}`;
