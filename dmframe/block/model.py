@@ -218,7 +218,7 @@ def _checked(
             raise BlockError(f"{name}: equations leave out the {kind} of {key}")
         try:
             expression = ca.SX(stated[key])
-        except (NotImplementedError, RuntimeError, TypeError):
+        except (NotImplementedError, RuntimeError, TypeError):  # what CasADi raises at what is no expression
             found = type(stated[key]).__name__
             raise BlockError(f"{name}: expected the {kind} of {key} to be an expression, found {found}") from None
         unbound = [word for word in item.shape.split() if not word.isdigit() and word not in sizes.bound]

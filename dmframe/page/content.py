@@ -17,7 +17,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.formula.names import unicode_name
-from dmframe.page.functions import Functions, Group, Place, functions_of
+from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
 from dmframe.report.command import command
@@ -110,13 +110,10 @@ def _pose(diagram: Diagram, functions: Functions) -> dict[str, Any] | None:
     """Where in the state the pose stands, the joints' names and limits; `sought`: it is to be put onto the path."""
     if functions.posed is None:
         return None
-    labels = [variable.label for variable in diagram.loop.variables]
-    sizes = [variable.symbol.numel() for variable in diagram.loop.variables]
-    place = labels.index(functions.posed.label)
     joints = diagram.robot.joints if diagram.robot is not None else ()
     return {
-        "at": sum(sizes[:place]),
-        "size": sizes[place],
+        "at": place_of(diagram.loop, functions.posed),
+        "size": functions.posed.symbol.numel(),
         "names": [joint.name.removesuffix("_joint").replace("_", " ") for joint in joints],
         "units": ["m" if joint.kind == "prismatic" else "rad" for joint in joints],
         "lower": [_finite(joint.lower) for joint in joints],

@@ -127,25 +127,24 @@ def functions_of(
 
     def add(kind: str, label: str, unit: str, expression: SX) -> Group:
         nonlocal size
-        groups.append(Group(kind, label, "shown", size, expression.numel(), unit))
+        group = Group(kind, label, "shown", size, expression.numel(), unit)
         drawn.append(expression)
         size += expression.numel()
-        return groups[-1]
+        return group
 
     goal = None
     if followed is not None:
         unit = units[followed.actual]
         goal = add("goal", followed.desired, unit, ca.vec(followed.wanted))
-        groups.pop()
-        add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted))
+        groups.append(add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted)))
     if verdict.outcome == "proved" and verdict.claim is not None:
-        add("storage", "", "", _terms(verdict, least))
+        groups.append(add("storage", "", "", _terms(verdict, least)))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
-            add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol))
+            groups.append(add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol)))
     truths = estimated(diagram)
     for variable in (variable for variable in loop.controller if variable.label in truths):
-        label, true, first = variable.label, truths[variable.label], _place(loop, variable)
+        label, true, first = variable.label, truths[variable.label], place_of(loop, variable)
         groups.append(
             Group(
                 "estimate",
@@ -203,10 +202,10 @@ def _scene(diagram: Diagram, posed: Variable | None) -> SX:
     return ca.vertcat(ca.vec(frames(robot, posed.symbol)), tool(robot, posed.symbol))
 
 
-def _place(loop: ClosedLoop, variable: Variable) -> int:
-    sizes = {other.label: other.symbol.numel() for other in loop.variables}
-    labels = list(sizes)
-    return sum(sizes[label] for label in labels[: labels.index(variable.label)])
+def place_of(loop: ClosedLoop, variable: Variable) -> int:
+    """Where a state begins in the column of all."""
+    labels = [other.label for other in loop.variables]
+    return sum(other.symbol.numel() for other in loop.variables[: labels.index(variable.label)])
 
 
 def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -> Any:
