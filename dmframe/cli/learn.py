@@ -11,7 +11,7 @@ from pathlib import Path
 from dmframe.cli.options import whole
 from dmframe.cli.streams import tell
 from dmframe.columns import columns, page_width
-from dmframe.errors import MissingError, OutputError, UnknownNameError
+from dmframe.errors import MissingError, OutputError, ValueFault
 from dmframe.files import write_text
 from dmframe.lessons import Lesson, lessons, notebook, readable
 
@@ -36,7 +36,8 @@ def open_lesson(text: str, *, read: bool, force: bool) -> None:
     known = _known()
     number = whole("learn", text)
     if number not in known:
-        raise UnknownNameError(f"learn {number}", "lesson", str(number), map(str, known))
+        numbers = f"{min(known)} to {max(known)}"  # of numbers, the nearest name is no help
+        raise ValueFault(f"learn: expected a lesson from {numbers}, found {number}; `dmframe learn` lists them")
     lesson = known[number]
     if read:
         _show(readable(lesson, page_width()))

@@ -55,7 +55,7 @@ def test_a_lesson_is_printed_and_nothing_is_written(dmframe: Any, tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "fault"),
     [
-        (("learn", "77"), "learn 77: unknown lesson; did you mean 7?"),
+        (("learn", "77"), "learn: expected a lesson from 0 to 10, found 77; `dmframe learn` lists them\n"),
         (("learn", "three"), "learn three: expected a whole number"),
         (("learn", "--read"), "--read: it does nothing without a lesson; name one"),
         (("learn", "3", "--json"), "--json: it does nothing with a lesson"),
