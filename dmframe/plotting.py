@@ -126,12 +126,16 @@ def figure_svg(figure: Any) -> str:
 
 def files_of(figure: Any, name: str, about: str) -> dict[str, bytes]:
     """``name.png`` and ``name.svg``; the same figure gives the same bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     source = f"dmframe {version()}"
-    png, svg = io.BytesIO(), io.BytesIO()
-    with styled():
-        figure.savefig(png, format="png", metadata={"Software": source, "Title": name, "Description": about})
-        meta = {"Date": None, "Creator": source, "Title": name, "Description": about}
-        figure.savefig(svg, format="svg", metadata=meta)
+    png, svg, canvas = io.BytesIO(), io.BytesIO(), figure.canvas
+    meta = {"Title": name, "Description": about}
+    with styled():  # `savefig` would draw each twice, to settle what is settled
+        FigureCanvasAgg(figure).print_png(png, metadata={"Software": source, **meta})
+        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": source, **meta})
+    figure.set_canvas(canvas)
     return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
 
 
