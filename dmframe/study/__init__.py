@@ -1,0 +1,1 @@
+"""Studies: what varies over how many runs, where they run, and what they say."""
