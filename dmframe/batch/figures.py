@@ -3,15 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import final
+from dataclasses import dataclass, field
+from typing import Final, final
 
 import numpy as np
 
 from dmframe.errors import DmframeError
+from dmframe.results.metrics import EIGHTHS
 
-ERROR = "error"
+ERROR: Final = "error"
 """The name of the tracking error's Euclidean norm among the figures."""
+
+
+@final
+@dataclass(frozen=True)
+class Wanted:
+    """What is measured of each run.
+
+    Parameters
+    ----------
+    signals
+        Labels ``block.signal`` of states and outputs, beside the tracking error.
+    limits
+        By label, `ERROR` too, the absolute value whose first crossing is looked for, in the signal's unit.
+    """
+
+    signals: tuple[str, ...] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def limit(self, label: str) -> float:
+        """Infinite where there is none."""
+        return self.limits.get(label, np.inf)
 
 
 @final
@@ -38,6 +60,20 @@ class Figures:
     last: np.ndarray
     crossed: np.ndarray
 
+    @classmethod
+    def empty(cls, unit: str, runs: int, rows: int) -> Figures:
+        """Figures of runs of which nothing is known yet, to be written into."""
+        rms, *others = (np.full((runs, rows, *more), np.nan) for more in ((EIGHTHS,), (), (), (), ()))
+        return cls(unit, rms, *others)
+
+    def put(self, runs: np.ndarray | int, other: Figures) -> None:
+        """Write figures of some of the runs."""
+        self.rms_by_eighth[runs] = other.rms_by_eighth
+        self.least[runs] = other.least
+        self.most[runs] = other.most
+        self.last[runs] = other.last
+        self.crossed[runs] = other.crossed
+
     @property
     def rms_final(self) -> np.ndarray:
         """(N, rows), over the last eighth."""
@@ -60,7 +96,7 @@ class Measured:
     notices
         What a user should know of the runs together.
     engine
-        What ran them: ``lanes of 8``, ``compiled``, ``interpreted``.
+        What ran them: ``lanes of 8``, ``compiled``, ``interpreted``, or several of these.
     """
 
     signals: Mapping[str, Figures]
@@ -82,3 +118,32 @@ class Measured:
     def __repr__(self) -> str:
         ended = int(np.isfinite(self.diverged).sum())
         return f"<Measured: {self.runs} runs, {ended} diverged, {len(self.faults)} not run; {', '.join(self.signals)}>"
+
+
+@final
+@dataclass(frozen=True)
+class Board:
+    """Where figures of many runs are written as they come."""
+
+    signals: Mapping[str, Figures]
+    diverged: np.ndarray
+    faults: dict[int, DmframeError] = field(default_factory=dict)
+    notices: dict[str, None] = field(default_factory=dict)
+    engines: dict[str, None] = field(default_factory=dict)
+
+    @classmethod
+    def empty(cls, signals: Mapping[str, tuple[str, int]], runs: int) -> Board:
+        """For signals with their units and rows."""
+        figures = {label: Figures.empty(unit, runs, rows) for label, (unit, rows) in signals.items()}
+        return cls(figures, np.full(runs, np.nan))
+
+    def tell(self, engine: str, *notices: str) -> None:
+        """What ran some of the runs, and what is to be known of them."""
+        self.engines[engine] = None
+        self.notices.update(dict.fromkeys(notices))
+
+    def measured(self) -> Measured:
+        """All of it."""
+        return Measured(
+            self.signals, self.diverged, self.faults, tuple(self.notices), " and ".join(self.engines) or "none"
+        )

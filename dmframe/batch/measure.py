@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, final
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any, Final, final
 
+import casadi as ca
 import numpy as np
 
-from dmframe.batch.figures import ERROR, Figures, Measured
+from dmframe.batch.figures import ERROR, Board, Measured, Wanted
+from dmframe.batch.lanes import Lanes, compiled
+from dmframe.batch.starts import starts_of
+from dmframe.batch.together import Together
+from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
+from dmframe.batch.whole import run_whole
+from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
-from dmframe.results.metrics import EIGHTHS, rms_by_eighth, tracking_error
-from dmframe.simulate import Recording, simulate_many
-from dmframe.simulate.engine import Choice
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import UnknownNameError, ValueFault, raise_all
+from dmframe.results.metrics import goal_of
+from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log
-from dmframe.simulate.step import Solver
+from dmframe.simulate.many import cores
+from dmframe.simulate.run import Prepared, prepare
+from dmframe.simulate.step import Solver, build_parts
+from dmframe.simulate.stiffness import speeds_of
 
-
-@final
-@dataclass(frozen=True)
-class Wanted:
-    """What is measured of each run.
-
-    Parameters
-    ----------
-    signals
-        Labels ``block.signal`` of states and outputs, beside the tracking error.
-    limits
-        By label, `ERROR` too, the absolute value whose first crossing is looked for, in the signal's unit.
-    """
-
-    signals: tuple[str, ...] = ()
-    limits: Mapping[str, float] | None = None
+TOGETHER: Final = 4096
+"""Runs whose numbers are held at a time."""
 
 
 def measure(
@@ -66,23 +62,18 @@ def measure(
     Returns
     -------
     Measured
-        The figures that `rms_by_eighth` and the signals' extremes give of whole runs, to rounding.
+        To rounding, what the whole runs would give one by one.
 
     Raises
     ------
-    UnknownNameError, ValueFault
-        A signal or a parameter that there is not; columns of several lengths. (What one run alone cannot have is among
-        `Measured.faults`.)
+    UnknownNameError, NeedsDiagramError, ValueFault
+        A signal or a parameter that there is not, or that shapes the diagram; columns of several lengths. (What one run
+        alone cannot have is among `Measured.faults`.)
     """
-    wanted = wanted or Wanted()
-    columns = columns_of(values)
-    labels = _check(diagram, wanted)
-    variants = [{label: column[i].tolist() for label, column in columns.items()} for i in range(len_of(columns))]
-    found = simulate_many(
+    batch = Batch.of(
         diagram,
-        variants,
         duration,
-        reduce=partial(_figures, labels=labels, limits=wanted.limits or {}),
+        wanted=wanted,
         clock=clock,
         solver=solver,
         start=start,
@@ -92,91 +83,119 @@ def measure(
         seed=seed,
         jitter=jitter,
     )
-    return _gathered(found)
-
-
-def columns_of(values: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Values as arrays with a row a run. Raises `ValueFault` where they are none, or differ in length."""
-    columns = dict[str, np.ndarray]()
-    for label, column in values.items():
-        try:
-            columns[label] = np.asarray(column, dtype=float)
-        except (TypeError, ValueError):
-            raise ValueFault(f"values.{label}: expected an array of numbers with a row a run") from None
-        if columns[label].ndim == 0:
-            raise ValueFault(f"values.{label}: expected a row a run, found one number")
-    lengths = {label: len(column) for label, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        told = ", ".join(f"{label} {length}" for label, length in lengths.items())
-        raise ValueFault(f"values: expected as many rows of each, found {told}")
-    return columns
-
-
-def len_of(columns: Mapping[str, np.ndarray]) -> int:
-    """How many runs there are; one where nothing varies."""
-    return next((len(column) for column in columns.values()), 1)
-
-
-def _check(diagram: Diagram, wanted: Wanted) -> tuple[str, ...]:
-    loop = diagram.loop
-    known = {*(signal.label for signal in loop.outputs), *(variable.label for variable in loop.variables)}
-    labels = tuple(dict.fromkeys(wanted.signals))
-    strangers = [label for label in labels if label not in known]
-    raise_all([UnknownNameError("signals", "signal", label, known) for label in strangers])
-    measured = {*labels, ERROR}
-    raise_all(
-        [UnknownNameError("limits", "measured signal", key, measured) for key in wanted.limits or () if key not in measured]
-    )
-    return labels
+    return batch.measure(values)
 
 
 @final
 @dataclass(frozen=True)
-class _Told:
-    """What is kept of one run."""
+class Batch:
+    """All of many runs that does not depend on their numbers: one serves any number of calls. See `measure`."""
 
-    figures: Mapping[str, tuple[str, dict[str, np.ndarray]]]
-    diverged: float
-    notices: tuple[str, ...]
-    engine: str
+    diagram: Diagram
+    duration: float
+    wanted: Wanted
+    settings: Mapping[str, Any]
+    choice: Choice
+    threads: int | None
+
+    @classmethod
+    def of(
+        cls,
+        diagram: Diagram,
+        duration: float,
+        *,
+        wanted: Wanted | None = None,
+        engine: Choice = "auto",
+        threads: int | None = None,
+        **settings: Any,
+    ) -> Batch:
+        """Check what is asked. Raises `UnknownNameError` for a signal that there is not."""
+        if threads is not None and threads < 1:
+            raise ValueFault(f"threads: expected at least 1, found {threads}")
+        wanted = wanted or Wanted()
+        loop = diagram.loop
+        known = {*(signal.label for signal in loop.outputs), *(variable.label for variable in loop.variables)}
+        raise_all(
+            [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
+        )
+        measured = {*wanted.signals, ERROR}
+        strangers = [label for label in wanted.limits if label not in measured]
+        raise_all([UnknownNameError("limits", "measured signal", label, measured) for label in strangers])
+        given = {key: value for key, value in settings.items() if value is not None}
+        return cls(diagram, duration, wanted, given, engine, threads)
+
+    def measure(self, values: Mapping[str, Any]) -> Measured:
+        """The figures of a run for each row of values; see `dmframe.batch.measure`."""
+        columns = columns_of(values)
+        runs = runs_in(columns)
+        rows = {label: (unit, expression.numel()) for label, (unit, expression) in self.channels.items()}
+        board = Board.empty(rows, runs)
+        lanes = self._lanes(runs)
+        for first in range(0, runs, TOGETHER):
+            some = np.arange(first, min(first + TOGETHER, runs))
+            left = some if lanes is None else self._together(lanes, columns, board, some)
+            if left.size:
+                self._whole(columns, board, left)
+        return board.measured()
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """As a single run has it."""
+        asked = {"clock": None, "solver": Solver(), "log": Log(), **self.settings}
+        asked.pop("start", None)
+        return prepare(self.diagram, self.duration, **asked)
+
+    @cached_property
+    def channels(self) -> dict[str, tuple[str, Any]]:
+        """Of each measured signal its unit, and its elements as expressions."""
+        loop = self.diagram.loop
+        items = {signal.label: (signal.unit, ca.vec(signal.expression)) for signal in loop.outputs}
+        items |= {variable.label: (variable.unit, ca.vec(variable.symbol)) for variable in loop.variables}
+        goal, found = goal_of(loop), dict[str, tuple[str, Any]]()
+        if goal is not None:
+            unit, actual = items[goal.actual]
+            found[ERROR] = (unit, ca.norm_2(actual - items[goal.desired][1]))
+        return found | {label: items[label] for label in self.wanted.signals}
+
+    @cached_property
+    def _compiled(self) -> tuple[Lanes | None, str | None]:
+        clock = self.prepared.clock
+        recorded = stack([expression for _, expression in self.channels.values()])
+        return compiled(replace(self.prepared.step, parts=build_parts(self.diagram.loop, clock, recorded)))
+
+    def _lanes(self, runs: int) -> Lanes | None:
+        """The lanes, where these runs are to go in them."""
+        prepared = self.prepared
+        wanted = self.choice == "compiled" or (self.choice == "auto" and worth(prepared.step, prepared.ticks * runs))
+        return self._compiled[0] if wanted and prepared.solver.method == "rk4" else None
+
+    def _whole(self, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> None:
+        settings = {**self.settings, "engine": self.choice, "threads": self.threads}
+        run_whole(self.diagram, columns, self.duration, board, runs, self.wanted, **settings)
+
+    def _together(self, lanes: Lanes, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> np.ndarray:
+        """Run some rows of the columns in lanes; returns those that do not fit."""
+        prepared, some = self.prepared, {label: column[runs] for label, column in columns.items()}
+        of_run = partial(varied, self.diagram, some)
+        with SYMBOLIC:
+            p, faults = parameters_of(self.diagram, some, runs.size)
+            given = self.settings.get("start", {})
+            states, wrong = starts_of(self.diagram, of_run, p, given, prepared.step.instants, prepared.starts)
+            faults = {**wrong, **faults}
+            good = np.setdiff1d(np.arange(runs.size), list(faults))
+            p, states = p[:, good], states[:, good]
+            speeds = speeds_of(self.diagram, prepared.jacobian, states, p)
+        board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
+        left = Together(lanes, prepared, self._limits, self.threads or cores()).run(
+            p, states, speeds, board, runs[good]
+        )
+        return np.asarray(runs[good[left]])
+
+    @property
+    def _limits(self) -> np.ndarray:
+        """Of each element that is measured."""
+        limits = [np.full(elements.numel(), self.wanted.limit(label)) for label, (_, elements) in self.channels.items()]
+        return np.concatenate([np.zeros(0), *limits])
 
 
-def _figures(run: Recording, labels: Sequence[str], limits: Mapping[str, float]) -> _Told:
-    units = {item.label: item.unit for item in (*run.diagram.loop.outputs, *run.diagram.loop.variables)}
-    error = tracking_error(run)
-    figures = {} if error is None else {ERROR: (error.unit, _of(run, error.norm[:, None], limits.get(ERROR)))}
-    figures |= {label: (units[label], _of(run, run[label], limits.get(label))) for label in labels}
-    diverged = np.nan if run.divergence is None else run.divergence.time
-    return _Told(figures, diverged, run.notices, run.engine)
-
-
-def _of(run: Recording, values: np.ndarray, limit: float | None) -> dict[str, np.ndarray]:
-    rms = [
-        [np.nan if part is None else part for part in rms_by_eighth(run.time, np.abs(column), run.duration)]
-        for column in values.T
-    ]
-    beyond = np.abs(values) > (np.inf if limit is None else limit)
-    first = np.where(beyond.any(axis=0), run.time[beyond.argmax(axis=0)], np.nan)
-    return {
-        "rms_by_eighth": np.array(rms).reshape(-1, EIGHTHS),
-        "least": values.min(axis=0),
-        "most": values.max(axis=0),
-        "last": values[-1],
-        "crossed": first,
-    }
-
-
-def _gathered(found: Sequence[_Told | DmframeError]) -> Measured:
-    faults = {i: told for i, told in enumerate(found) if isinstance(told, DmframeError)}
-    ran = {i: told for i, told in enumerate(found) if isinstance(told, _Told)}
-    one = next(iter(ran.values()), None)
-    signals = dict[str, Figures]()
-    for label, (unit, parts) in one.figures.items() if one else ():
-        arrays = {name: np.full((len(found), *part.shape), np.nan) for name, part in parts.items()}
-        for i, told in ran.items():
-            for name, part in told.figures[label][1].items():
-                arrays[name][i] = part
-        signals[label] = Figures(unit, **arrays)
-    diverged = np.array([ran[i].diverged if i in ran else np.nan for i in range(len(found))])
-    notices = tuple(dict.fromkeys(notice for told in ran.values() for notice in told.notices))
-    return Measured(signals, diverged, faults, notices, one.engine if one else "none")
+__all__ = ["Batch", "Wanted", "measure"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Final, final
 
 from dmframe.errors import EngineError
@@ -43,11 +43,63 @@ _FORMS: Final[dict[str, str | int]] = {
 """Of sine and cosine, which of the two results of one call."""
 
 
+_IN_LANES: Final[dict[str, str | int]] = {
+    **{name: f"dm_{name}_lanes({{}})" for name in _LIBRARY_ONE.split()},
+    **{name: f"dm_{name}_lanes({{}}, {{}})" for name in _LIBRARY_TWO.split()},
+    "fabs": "dm_abs({})",
+    "lt": "dm_truth({} < {})",
+    "le": "dm_truth({} <= {})",
+    "eq": "dm_truth({} == {})",
+    "ne": "dm_truth({} != {})",
+    "and": "dm_truth(({} != 0) & ({} != 0))",
+    "or": "dm_truth(({} != 0) | ({} != 0))",
+    "not": "dm_truth({} == 0)",
+    "if_else_zero": "dm_where({} != 0, {})",
+    "fmin": "dm_fmin_lanes({}, {})",
+    "fmax": "dm_fmax_lanes({}, {})",
+    "sign": "dm_sign_lanes({})",
+    "tanh": "dm_tanh_lanes({})",
+    "constpow": "dm_pow_lanes({}, {})",
+}
+
+
 def _noted(form: str | int, *operands: str) -> tuple[str | int, tuple[str, ...]]:
     return form, operands
 
 
-RULES: Final = by_code({name: partial(_noted, form) for name, form in _FORMS.items()})
+@final
+@dataclass(frozen=True)
+class Dialect:
+    """How numbers are written: one, or one of several runs in a vector.
+
+    Parameters
+    ----------
+    number
+        The type of a value.
+    constant
+        A number of the program as one of that type.
+    forms
+        What stands for each operation, by its name.
+    sincos
+        The function that gives a sine and a cosine.
+    arithmetic
+        The files in which the functions of the forms stand.
+    """
+
+    number: str
+    constant: str
+    forms: Mapping[str, str | int]
+    sincos: str
+    arithmetic: tuple[str, ...]
+
+    @cached_property
+    def rules(self) -> Mapping[int, Any]:
+        """For `dmframe.program.run`."""
+        return by_code({name: partial(_noted, form) for name, form in self.forms.items()})
+
+
+ONE: Final = Dialect("double", "{}", _FORMS, "dm_sincos", ("arithmetic.h",))
+LANES: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_LANES}, "dm_sincos_lanes", ("arithmetic.h", "lanes.h"))
 
 PIECE: Final = 3000
 """Lines of one C function: a compiler's time grows faster than the function, so that a longer one is cut."""
@@ -62,41 +114,44 @@ class Line:
     form: str
     operands: tuple[str, ...]
 
-    def text(self, name: Callable[[str], str]) -> str:
+    def text(self, dialect: Dialect, name: Callable[[str], str]) -> str:
         """In C, with the operands called as `name` says."""
-        operands = [name(operand) for operand in self.operands]
+        operands, number = [name(operand) for operand in self.operands], dialect.number
         if len(self.targets) == 1:
-            return f"  const double {self.targets[0]} = {self.form.format(*operands)};"
+            return f"  const {number} {self.targets[0]} = {self.form.format(*operands)};"
         sine, cosine = self.targets
-        return f"  double {sine}, {cosine};\n  dm_sincos({operands[0]}, &{sine}, &{cosine});"
+        return f"  {number} {sine}, {cosine};\n  {dialect.sincos}({operands[0]}, &{sine}, &{cosine});"
 
 
-def written(f: Any) -> str:
+def written(f: Any, dialect: Dialect = ONE) -> str:
     """An SX function as C: ``static void dm_name(a0, a1, ..., r0, ...)``; a long one calls its pieces in turn.
 
     An argument may be a result too: nothing is stored before everything is read.
     """
-    lines, results = _lines(f)
-    arguments = [f"const double *a{i}" for i in range(f.n_in())]
-    head = f"static void dm_{f.name()}({', '.join(arguments + [f'double *r{j}' for j in range(f.n_out())])}) {{"
+    lines, results = _lines(f, dialect)
+    number = dialect.number
+    arguments = [f"const {number} *a{i}" for i in range(f.n_in())]
+    head = f"static void dm_{f.name()}({', '.join(arguments + [f'{number} *r{j}' for j in range(f.n_out())])}) {{"
     if len(lines) <= PIECE:
-        body = [line.text(str) for line in lines] + [f"  {place} = {value};" for place, value in results.items()]
+        body = [line.text(dialect, str) for line in lines] + [
+            f"  {place} = {value};" for place, value in results.items()
+        ]
         return "\n".join([head, *body, "}"])
     pieces = [lines[first : first + PIECE] for first in range(0, len(lines), PIECE)]
     carried = _carried(pieces, results)
     own = f"dm_{f.name()}_piece"
     given = ", ".join([*(f"a{i}" for i in range(f.n_in())), "h"])
-    body = [f"  double h[{len(carried) + 1}];", *(f"  {own}{k}({given});" for k in range(len(pieces)))]
+    body = [f"  {number} h[{len(carried) + 1}];", *(f"  {own}{k}({given});" for k in range(len(pieces)))]
     body += [f"  {place} = {carried.get(value, value)};" for place, value in results.items()]
     cut = [
         text
         for k, piece in enumerate(pieces)
-        for text in _piece(f"{own}{k}({', '.join([*arguments, 'double *h'])})", piece, carried)
+        for text in _piece(f"{own}{k}({', '.join([*arguments, f'{number} *h'])})", piece, carried, dialect)
     ]
     return "\n".join([*cut, head, *body, "}"])
 
 
-def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
+def _lines(f: Any, dialect: Dialect) -> tuple[list[Line], dict[str, str]]:
     """A function's lines, and its results: where each goes, and what it is called."""
     program, lines, angles = read(f), list[Line](), dict[str, tuple[str, str]]()
 
@@ -116,9 +171,9 @@ def _lines(f: Any) -> tuple[list[Line], dict[str, str]]:
 
     names = run(
         program,
-        RULES,
+        dialect.rules,
         given="a{}[{}]".format,
-        constant=_constant,
+        constant=lambda value: dialect.constant.format(_constant(value)),
         refuse=lambda code: EngineError(
             f"engine: {program.name} holds CasADi's instruction {code}, which cannot be written as C"
         ),
@@ -137,11 +192,11 @@ def _carried(pieces: Sequence[Sequence[Line]], results: Mapping[str, str]) -> di
     return {value: f"h[{place}]" for place, value in enumerate(dict.fromkeys(read))}
 
 
-def _piece(head: str, lines: Sequence[Line], carried: Mapping[str, str]) -> Iterator[str]:
+def _piece(head: str, lines: Sequence[Line], carried: Mapping[str, str], dialect: Dialect) -> Iterator[str]:
     own = {target for line in lines for target in line.targets}
     yield f"static __attribute__((noinline)) void {head} {{"
     for line in lines:
-        yield line.text(lambda operand: operand if operand in own else carried.get(operand, operand))
+        yield line.text(dialect, lambda operand: operand if operand in own else carried.get(operand, operand))
         yield from (f"  {carried[target]} = {target};" for target in line.targets if target in carried)
     yield "}"
 

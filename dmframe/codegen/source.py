@@ -12,7 +12,7 @@ from typing import Any
 
 import casadi as ca
 
-from dmframe.codegen.function import written
+from dmframe.codegen.function import LANES, ONE, Dialect, written
 from dmframe.diagram.parts import Parts, split
 
 
@@ -21,10 +21,19 @@ def loop_source(parts: Parts) -> str:
 
     Raises `EngineError` where an expression holds what C has no word for.
     """
+    return _assembled(*_of(parts), "loop.c")
+
+
+def lanes_source(parts: Parts) -> str:
+    """The C of several whole runs at once, of which figures of the outputs are kept. Raises as `loop_source` does."""
+    return _assembled(*_of(parts), "lanes.c", LANES)
+
+
+def _of(parts: Parts) -> tuple[dict[str, int], list[Any]]:
+    """Sizes and functions."""
     hoisted = parts.hoisted
     sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0), "MOVED": int(parts.moved)}
-    functions = [hoisted.constants, hoisted.trajectory, hoisted.sample, hoisted.rate, hoisted.clip]
-    return _assembled(sizes, functions, "loop.c")
+    return sizes, [hoisted.constants, hoisted.trajectory, hoisted.sample, hoisted.rate, hoisted.clip]
 
 
 def control_source(control: Any) -> tuple[str, int]:
@@ -35,13 +44,13 @@ def control_source(control: Any) -> tuple[str, int]:
     return _assembled(sizes, [constants, step], "control.c"), constants.numel_out(0)
 
 
-def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str) -> str:
+def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str, dialect: Dialect = ONE) -> str:
     return "\n".join(
         [
-            shipped("arithmetic.h"),
+            *map(shipped, dialect.arithmetic),
             *(f"#define DM_{name} {size}" for name, size in sizes.items()),
             '#define DM_EXPORT __attribute__((visibility("default")))',
-            *(written(f) for f in functions),
+            *(written(f, dialect) for f in functions),
             shipped(frame),
         ]
     )

@@ -162,7 +162,7 @@ def functions_of(
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
-        begin=_function("begin", [_pose(posed), loop.period, loop.p], [symbolic_start(diagram, start, posed)]),
+        begin=_function("begin", [_pose(posed), loop.period, loop.p], [symbolic_start(diagram, start, posed)[1]]),
         reach=_reach(diagram, posed, start),
         flow=_function("flow", reads, [loop.on_path(loop.acting([stack(v.rate for v in loop.flowing)])[0])]),
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),

@@ -95,8 +95,13 @@ def euclidean(values: np.ndarray) -> np.ndarray:
 
 def rms_by_eighth(times: np.ndarray, norm: np.ndarray, duration: float) -> tuple[float | None, ...]:
     """Root mean square over the eighths ``[k, k + 1) duration / 8``; the last one holds its end."""
-    part = np.floor(times * EIGHTHS / duration + _ROUNDING).astype(int).clip(0, EIGHTHS - 1)
+    part = eighth_of(times, duration)
     return tuple(_rms(norm[part == k]) if np.any(part == k) else None for k in range(EIGHTHS))
+
+
+def eighth_of(times: np.ndarray, duration: float) -> np.ndarray:
+    """Which eighth of the planned duration each instant is in, from 0."""
+    return np.floor(times * EIGHTHS / duration + _ROUNDING).astype(np.int64).clip(0, EIGHTHS - 1)
 
 
 def _rms(values: np.ndarray) -> float:

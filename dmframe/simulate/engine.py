@@ -66,7 +66,7 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
     """The engine for a run of so many ticks, or of several that are so many together."""
     if choice not in get_args(Choice):
         raise ValueFault(f"engine: expected {', '.join(get_args(Choice))}, found {choice!r}", path=("engine",))
-    wanted = choice == "compiled" or (choice == "auto" and solver.method == "rk4" and ticks * _work(step) > WORTH)
+    wanted = choice == "compiled" or (choice == "auto" and solver.method == "rk4" and worth(step, ticks))
     notices = list[str]()
     if wanted and solver.method != "rk4":
         notices.append(f"engine: {solver.method} runs interpreted; solver.method rk4 can be compiled")
@@ -83,12 +83,11 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
     return Interpreted(step, kept, every, tuple(notices))
 
 
-def _work(step: Step) -> int:
-    """Instructions in a tick."""
+def worth(step: Step, ticks: int) -> bool:
+    """True for so many ticks that compiling them saves time."""
     parts = step.parts
-    return int(
-        parts.sample.n_instructions() + parts.outputs.n_instructions() + 4 * step.substeps * parts.rate.n_instructions()
-    )
+    work = parts.sample.n_instructions() + parts.outputs.n_instructions()
+    return bool(ticks * (work + 4 * step.substeps * parts.rate.n_instructions()) > WORTH)
 
 
 def _compiled(step: Step) -> tuple[Any, str | None]:

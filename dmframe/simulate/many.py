@@ -111,12 +111,13 @@ def simulate_many(
 
     if chosen.name != "compiled":
         return [one(variant) for variant in variants]
-    pool = ThreadPoolExecutor(threads or _cores())
+    pool = ThreadPoolExecutor(threads or cores())
     try:
         return list(pool.map(one, variants))
     finally:
         pool.shutdown(cancel_futures=True)  # at Ctrl-C, those that run end, and no other begins
 
 
-def _cores() -> int:
+def cores() -> int:
+    """How many this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -27,6 +27,9 @@ from dmframe.simulate.step import MOST_SUBSTEPS, Solver, Step, build_step, subst
 from dmframe.simulate.stiffness import MOST_SLOPE, RK4_TAKES, speed_of, stiffness
 from dmframe.units import plain
 
+LATER = 1.5
+"""A run that diverges this many times later at shorter steps was blamed for what its integrator did."""
+
 MOST_TICKS = 10_000_000_000
 """Some hours of computing for a small loop."""
 
@@ -154,22 +157,29 @@ class Prepared:
         """
         with SYMBOLIC:
             speed = speed_of(diagram, self.jacobian, state) if self.solver.method == "rk4" else 0.0
-            own = self._stepping(speed)
+            own = self.stepping(speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
         recording = own._run(diagram, engine, state, speed, progress)
-        if recording.divergence is None or self.solver.step is not None or own.solver.method != "rk4":
+        finer = self.finer(own)
+        if recording.divergence is None or finer is None:
             return recording
-        step = max(own.step.period / own.step.substeps / 4, own.step.period / MOST_SUBSTEPS)
-        finer = own.solved_by(replace(own.solver, step=step))
         with SYMBOLIC:
             engine = finer.engine(choice)
         again = finer._run(diagram, engine, state, speed)
-        if again.divergence is not None and again.divergence.time < 1.5 * recording.divergence.time:
+        if again.divergence is not None and again.divergence.time < LATER * recording.divergence.time:
             return recording
-        told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
-        return replace(again, notices=(*again.notices, told))
+        return again
 
-    def _stepping(self, speed: float) -> Prepared:
+    def finer(self, own: Prepared) -> Prepared | None:
+        """What to try where a run diverged at the steps of `own`, which were chosen for it; None where they were not."""
+        if self.solver.step is not None or own.solver.method != "rk4":
+            return None
+        step = max(own.step.period / own.step.substeps / 4, own.step.period / MOST_SUBSTEPS)
+        told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
+        finer = own.solved_by(replace(own.solver, step=step))
+        return replace(finer, notices=(*finer.notices, told))
+
+    def stepping(self, speed: float) -> Prepared:
         """The same, with the integrator for a plant of that speed [1/s], where nobody has chosen its step."""
         if self.solver.method != "rk4" or self.solver.step is not None:
             return self

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from dmframe.block.faults import told_by
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
-from dmframe.diagram.closed_loop import columns, stack
+from dmframe.diagram.closed_loop import Followed, columns, stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all
@@ -49,11 +49,7 @@ def start_state(
     """
     loop, made = diagram.loop, {} if made is None else made
     variables = loop.variables
-    values = _given(diagram, variables, given)
-    for variable in variables:
-        model = diagram.models[variable.block]
-        if variable.label not in values and variable.name in model.values:
-            values[variable.label] = model.values[variable.name]
+    values = told_starts(diagram, given)
     _onto_path(diagram, values, given.get(NEAR), made)
     for variable in loop.plant:
         if not _has_start(diagram, variable, made):
@@ -62,6 +58,16 @@ def start_state(
     _check_finite(variables, values)
     _into_sets(loop, values)
     return _column(variables, values)
+
+
+def told_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The states that `given` or a parameter of their block says; see `start_state`."""
+    values = _given(diagram, diagram.loop.variables, given)
+    for variable in diagram.loop.variables:
+        model = diagram.models[variable.block]
+        if variable.label not in values and variable.name in model.values:
+            values[variable.label] = model.values[variable.name]
+    return values
 
 
 def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
@@ -154,21 +160,31 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
     ]
 
 
+def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tuple[Followed, Variable]]:
+    """The plant's states that nothing else says and that a trajectory decides, each with what it follows."""
+    open_states = [v for v in diagram.loop.plant if v.label not in known and not _has_start(diagram, v, made)]
+    for followed in diagram.loop.followed if open_states else ():
+        used = [v for v in open_states if ca.depends_on(ca.vec(followed.found), ca.vec(v.symbol))]
+        if len(used) == 1:
+            yield followed, used[0]
+            open_states.remove(used[0])
+
+
+def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made: Made) -> tuple[Any, Any]:
+    """(t, p) -> where a trajectory is, and (state, p) -> where the plant is."""
+    goal = _once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
+    key = ("residual", followed.actual, unknown.label)
+    return goal, _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))
+
+
 def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:
     loop = diagram.loop
-    open_states = [v for v in loop.plant if v.label not in values and not _has_start(diagram, v, made)]
-    for desired, label, wanted, actual in loop.followed if open_states else ():
-        used = [v for v in open_states if ca.depends_on(ca.vec(actual), ca.vec(v.symbol))]
-        if len(used) != 1:
-            continue
-        (unknown,) = used
-        goal_now = _once(made, ("goal", desired), partial(_goal, loop, wanted))
+    for followed, unknown in on_path(diagram, values, made):
+        goal_now, residual = goal_and_place(loop, followed, unknown, made)
         goal = goal_now(0, loop.p_values).full().ravel()
-        key = ("residual", label, unknown.label)
-        residual = _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [actual]))
-        jacobian = _once(made, ("jacobian", *key), residual.jacobian)
-        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, f"{desired}(0)", label)
-        open_states.remove(unknown)
+        jacobian = _once(made, ("jacobian", followed.actual, unknown.label), residual.jacobian)
+        desired, actual = f"{followed.desired}(0)", followed.actual
+        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, desired, actual)
 
 
 def _solve(
@@ -306,13 +322,17 @@ def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]
     return np.asarray(function(0, loop.p_values, _column(known, values)).full().ravel())
 
 
-def symbolic_start(diagram: Diagram, given: Mapping[str, Any], posed: Variable | None) -> SX:
+def symbolic_start(
+    diagram: Diagram, given: Mapping[str, Any], posed: Variable | None, drawn: np.ndarray | None = None
+) -> tuple[SX, SX]:
     """`start_state` as an expression in the parameters, the period, and the pose: the symbol of `posed`.
 
-    States of a box or a ball are put into it, where `start_state` would refuse one that is far outside.
+    Twice: with states of a box or a ball where they are said to be, and put into it; where these differ by more than
+    rounding, `start_state` refuses. `drawn` is what is drawn for the first tick, zeros without it.
     """
     loop, made = diagram.loop, Made()
     symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
+    first = ca.SX.zeros(loop.drawn.numel()) if drawn is None else ca.SX(ca.DM(drawn))
     values = dict[str, SX]()
     for label, number in _given(diagram, loop.variables, given).items():
         values[label] = ca.SX(ca.DM(number))
@@ -336,7 +356,7 @@ def symbolic_start(diagram: Diagram, given: Mapping[str, Any], posed: Variable |
         values[variable.label] = (
             ca.SX.zeros(variable.symbol.numel())
             if said is None
-            else _stated(diagram, said, known)(0, loop.p, column, ca.SX.zeros(loop.drawn.numel()), loop.period)
+            else _stated(diagram, said, known)(0, loop.p, column, first, loop.period)
         )
     found = stack(values[variable.label] for variable in loop.variables)
-    return ca.substitute(loop.held(loop.state), loop.state, found)
+    return found, ca.substitute(loop.held(loop.state), loop.state, found)

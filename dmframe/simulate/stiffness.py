@@ -29,6 +29,19 @@ def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
 
 
+def speeds_of(diagram: Diagram, slope: Any, states: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """(N,): `speed_of` at the columns of `states` with the columns of `p`; those that are alike in p are asked once."""
+    size = stack(v.symbol for v in diagram.loop.flowing).numel()
+    if not size:
+        return np.zeros(states.shape[1])
+    found = slope(states, 0, p, 0)[0].full()
+    jacobians = found.reshape(found.shape[0], states.shape[1], -1)[:, :, -size:].transpose(1, 0, 2)
+    speeds = np.full(states.shape[1], np.inf)
+    tame = np.max(np.abs(jacobians), axis=(1, 2)) < MOST_SLOPE
+    speeds[tame] = np.max(np.abs(np.linalg.eigvals(jacobians[tame])), axis=1, initial=0.0)
+    return speeds
+
+
 def stiffness(step: Step, solver: Solver, speed: float) -> tuple[str, ...]:
     """A notice where a plant of that speed [1/s] is too stiff for a fixed-step method."""
     if solver.method != "rk4":

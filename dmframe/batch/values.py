@@ -1,0 +1,132 @@
+"""The numbers of many runs as the columns of one matrix, each checked as a graph file's are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+
+from dmframe.block import AbstractBlock
+from dmframe.diagram import Diagram
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
+from dmframe.gain import Prior
+from dmframe.parameter import Spec, specs
+
+
+def columns_of(values: Mapping[str, object]) -> dict[str, np.ndarray]:
+    """Values as arrays with a row a run. Raises `ValueFault` where they are none, or differ in length."""
+    columns = dict[str, np.ndarray]()
+    for label, column in values.items():
+        try:
+            columns[label] = np.asarray(column, dtype=float)
+        except (TypeError, ValueError):
+            raise ValueFault(f"values.{label}: expected an array of numbers with a row a run") from None
+        if columns[label].ndim == 0:
+            raise ValueFault(f"values.{label}: expected a row a run, found one number")
+    lengths = {label: len(column) for label, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        told = ", ".join(f"{label} {length}" for label, length in lengths.items())
+        raise ValueFault(f"values: expected as many rows of each, found {told}")
+    return columns
+
+
+def runs_in(columns: Mapping[str, np.ndarray]) -> int:
+    """How many runs there are; one where nothing varies."""
+    return next((len(column) for column in columns.values()), 1)
+
+
+def varied(diagram: Diagram, columns: Mapping[str, np.ndarray], run: int) -> Diagram:
+    """The diagram with the numbers of one run. Raises what `with_values` does."""
+    return with_values(diagram, {label: column[run].tolist() for label, column in columns.items()})
+
+
+def parameters_of(
+    diagram: Diagram, columns: Mapping[str, np.ndarray], runs: int
+) -> tuple[np.ndarray, dict[int, DmframeError]]:
+    """(P, N): the column `ClosedLoop.p_values` of each run, and the faults of those that have none.
+
+    Where no more than its sign and size is asked of each parameter, all runs are looked at together; else, and where
+    one is refused, each by itself.
+
+    Raises
+    ------
+    UnknownNameError, NeedsDiagramError
+        A label that cannot be varied, whatever its value.
+    """
+    p = np.repeat(diagram.loop.p_values[:, None], runs, axis=1)
+    alone = np.ones(runs, dtype=bool)
+    plain = [_plain(diagram, label, column) for label, column in columns.items()]
+    if runs and None not in plain:
+        alone[:] = False
+        for parameter in filter(None, plain):
+            alone |= ~parameter.put(p)
+        alone[[0, -1]] = True  # two that differ, as a rule: they show whether blocks take them all as symbols
+    faults = dict[int, DmframeError]()
+    for run in np.flatnonzero(alone).tolist():
+        try:
+            p[:, run] = varied(diagram, columns, run).loop.p_values
+        except (UnknownNameError, NeedsDiagramError):
+            raise
+        except DmframeError as fault:
+            faults[run] = fault
+    return p, faults
+
+
+@final
+@dataclass(frozen=True)
+class _Plain:
+    """A parameter of which every element may be any finite number of one sign, and where it stands in p."""
+
+    sign: str
+    column: np.ndarray
+    places: tuple[slice, ...]
+
+    def put(self, p: np.ndarray) -> np.ndarray:
+        """Write the values of all runs; returns which of them are allowed."""
+        for place in self.places:
+            p[place] = self.column.T
+        sound = np.all(np.isfinite(self.column), axis=1)
+        if self.sign:
+            least = np.min(self.column, axis=1, initial=np.inf)
+            sound &= least > 0 if self.sign == "> 0" else least >= 0
+        return np.asarray(sound)
+
+
+def _plain(diagram: Diagram, label: str, column: np.ndarray) -> _Plain | None:
+    """A parameter that can be put into p without its block; None for another, and for values of another size."""
+    block, _, name = label.partition(".")
+    owner = diagram.blocks.get(block)
+    spec = None if owner is None else specs(type(owner)).get(name)
+    if owner is None or spec is None or getattr(owner, name) is None or _has_rules(type(owner)):
+        return None
+    if _followed(diagram, block) or any(state.name == name for state in owner.states) or column.ndim > 2:
+        return None
+    places, first = list[slice](), 0
+    for parameter in diagram.loop.parameters:
+        size = parameter.value.size
+        if parameter.label == label:
+            if not _elements(spec, parameter.symbol.is_column()) or column.shape[1:] not in ((), parameter.value.shape):
+                return None
+            places.append(slice(first, first + size))
+        first += size
+    return _Plain(spec.sign, column.reshape(len(column), -1), tuple(places)) if places else None
+
+
+def _elements(spec: Spec, column: bool) -> bool:
+    """True where a parameter's elements are independent of one another."""
+    return column and spec.form in ("diagonal", "vector", "gain")
+
+
+def _has_rules(kind: type[AbstractBlock]) -> bool:
+    """True for a class with validators of its own."""
+    mine, base = kind.__pydantic_decorators__, AbstractBlock.__pydantic_decorators__
+    return bool(mine.model_validators) or mine.field_validators.keys() != base.field_validators.keys()
+
+
+def _followed(diagram: Diagram, block: str) -> bool:
+    """True where another block's gain follows from the block's parameters."""
+    gains = (getattr(other, key) for other in diagram.blocks.values() for key in specs(type(other)))
+    return any(isinstance(gain, Prior) and gain.inverse_of == block for gain in gains)

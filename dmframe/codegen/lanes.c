@@ -1,0 +1,97 @@
+/* Runs in plain C, DM_LANES at a time, as loop.c has one: above this stand the sizes DM_Z ... and the closed loop's own
+   functions. Of each run figures are kept alone: of each of its DM_Y outputs the sum of squares in eight parts of the run,
+   the least, the largest and the last value, and when its absolute value first left a limit. Nothing here allocates. */
+
+#define DM_PARTS 8
+#define DM_S (DM_Z + DM_X)
+
+typedef struct {
+  dm_real z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
+} dm_work;
+
+/* Of one output. */
+typedef struct {
+  dm_real squares[DM_PARTS], least, most, last, crossed;
+} dm_figures;
+
+static void dm_slope(dm_real t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
+  if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
+  dm_rate(x, k->u, k->w, p, k->c, dx);
+}
+
+/* x from t to t + T by classical Runge-Kutta. */
+static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
+  dm_real k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
+  for (int64_t j = 0; j < substeps; j++) {
+    const double now = t + (double)j * h;
+    dm_slope(dm_all(now), x, p, k, k1);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
+    dm_slope(dm_all(now + h / 2), at, p, k, k2);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k2[i];
+    dm_slope(dm_all(now + h / 2), at, p, k, k3);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
+    dm_slope(dm_all(now + h), at, p, k, k4);
+    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+  }
+}
+
+/* Into the figures of the runs that are alive, at time t in that part of the run. */
+static void dm_keep(dm_figures *all, const dm_real *y, const double *limits, double t, int part, dm_mask alive) {
+  for (int j = 0; j < DM_Y; j++) {
+    dm_figures *f = all + j;
+    const dm_real v = y[j];
+    f->squares[part] += dm_where(alive, v * v);
+    f->least = dm_choose(alive & (v < f->least), v, f->least);
+    f->most = dm_choose(alive & (v > f->most), v, f->most);
+    f->last = dm_choose(alive, v, f->last);
+    f->crossed = dm_choose(alive & (dm_abs(v) > limits[j]) & (f->crossed < 0), dm_all(t), f->crossed);
+  }
+}
+
+DM_EXPORT void dm_lanes(double *count) { *count = DM_LANES; }
+
+/* Ticks first to first + ticks - 1 of DM_LANES runs, whose numbers stand side by side in every array; `given` has a row a
+   tick, as of dm_run, and `part` says in which eighth it is kept, or -1. Of one row more, behind these ticks, figures are
+   taken alone, if it is kept. A run that leaves its bounds has that tick in `ended`, which is -1 before; from then on it
+   goes again from `begin`, unseen, so that its wild numbers hold up no other. Returns how many runs are alive. */
+DM_EXPORT int64_t dm_run_lanes(const double *begin, double *state, const double *p, double period, int64_t substeps,
+                               int64_t first, int64_t ticks, const double *given, const int64_t *part,
+                               const double *limits, const double *bounds, double *figures, int64_t *ended) {
+  dm_work k;
+  dm_real x[DM_S + 1], fresh[DM_S + 1], values[DM_P + 1], n[DM_N + 1];
+  dm_figures all[DM_Y + 1];
+  dm_mask left;
+  const dm_real whole = dm_all(period);
+  memcpy(x, state, DM_S * sizeof *x); /* vectors lie at other addresses than a caller's numbers may */
+  memcpy(fresh, begin, DM_S * sizeof *x);
+  memcpy(values, p, DM_P * sizeof *x);
+  memcpy(all, figures, DM_Y * sizeof *all);
+  memcpy(&left, ended, sizeof left);
+  dm_mask alive = left < 0;
+  dm_constants(values, k.c);
+  for (int64_t tick = 0; tick <= ticks && dm_any(alive); tick++, given += 2 + DM_N, part++) {
+    if (tick == ticks && *part < 0) break;
+    const dm_real t = dm_all(given[0]);
+    for (int i = 0; i < DM_N; i++) n[i] = dm_all(given[2 + i]);
+    dm_trajectory(&t, values, k.c, k.w);
+    dm_sample(x, k.w, n, &whole, values, k.c, k.z, k.u, k.y);
+    if (*part >= 0) dm_keep(all, k.y, limits, given[0], *part, alive);
+    if (tick == ticks) break;
+    memcpy(x, k.z, DM_Z * sizeof *x);
+    dm_integrate(x + DM_Z, given[0], given[1] / (double)substeps, substeps, values, &k);
+    dm_clip(x + DM_Z, values, k.c, x + DM_Z);
+    dm_mask sound = alive;
+    for (int i = 0; i < DM_S; i++) sound &= (dm_mask)(dm_abs(x[i]) <= bounds[i]);
+    const dm_mask lost = alive & ~sound;
+    left = (lost & (first + tick)) | (~lost & left);
+    alive = sound;
+    if (dm_any(~alive))
+      for (int i = 0; i < DM_S; i++) x[i] = dm_choose(alive, x[i], fresh[i]);
+  }
+  memcpy(state, x, DM_S * sizeof *x);
+  memcpy(figures, all, DM_Y * sizeof *all);
+  memcpy(ended, &left, sizeof left);
+  int64_t count = 0;
+  for (int i = 0; i < DM_LANES; i++) count += alive[i] != 0;
+  return count;
+}
