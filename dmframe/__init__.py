@@ -22,9 +22,10 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from dmframe.errors import DmframeError
     from dmframe.graph.graph import Graph, load
-    from dmframe.graph.runs import Runs, compare, sweep
+    from dmframe.graph.runs import Runs, compare
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
+    from dmframe.graph.sweep import sweep
     from dmframe.results.run import Run
 
     __version__: str
@@ -42,7 +43,7 @@ _HOMES: Final = {
     "load": "graph.graph",
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
-    "sweep": "graph.runs",
+    "sweep": "graph.sweep",
     "verify": "graph.shortcuts",
 }
 """Where each name lives: it is imported when someone asks for it, for some take a second."""

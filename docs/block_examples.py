@@ -115,7 +115,7 @@ def trials(kind: type[AbstractBlock], shown: Example) -> Trials | None:
 def _tried(graph: dm.Graph, label: str, values: Sequence[Any], until: float) -> list[tuple[str, str, str]]:
     """What becomes of the error with each value: all in one build, or each by itself where one of them cannot be."""
     try:
-        return [_told(run) for run in dm.sweep(graph, {label: values}, until=until)]
+        return [_told(run) for run in dm.compare(graph.variants({label: values}), until=until)]
     except DmframeError as error:
         if len(values) == 1:
             return [("", "", f"cannot be: {error.text}")]

@@ -8,7 +8,7 @@ from typing import Final, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError
+from dmframe.errors import DmframeError, ValueFault
 from dmframe.results.metrics import EIGHTHS
 
 ERROR: Final = "error"
@@ -136,6 +136,27 @@ class Board:
         """For signals with their units and rows."""
         figures = {label: Figures.empty(unit, runs, rows) for label, (unit, rows) in signals.items()}
         return cls(figures, np.full(runs, np.nan))
+
+    @classmethod
+    def like(cls, found: Measured, runs: int) -> Board:
+        """For the signals that others have measured."""
+        rows = {label: (figures.unit, figures.last.shape[1]) for label, figures in found.signals.items()}
+        return cls.empty(rows, runs)
+
+    def put(self, runs: np.ndarray, found: Measured) -> None:
+        """Write what has been measured of some runs. Raises `ValueFault` where it is of other signals."""
+        mine, theirs = (
+            {label: (figures.unit, figures.last.shape[1]) for label, figures in signals.items()}
+            for signals in (self.signals, found.signals)
+        )
+        if mine != theirs:
+            text = "expected runs that measure the same signals, found some of other units or sizes"
+            raise ValueFault(f"values: {text}; measure them apart")
+        for label, figures in found.signals.items():
+            self.signals[label].put(runs, figures)
+        self.diverged[runs] = found.diverged
+        self.faults.update({int(runs[run]): fault for run, fault in found.faults.items()})
+        self.tell(found.engine, *found.notices)
 
     def tell(self, engine: str, *notices: str) -> None:
         """What ran some of the runs, and what is to be known of them."""

@@ -123,8 +123,11 @@ def _works(library: Path, step: Step) -> bool:
         return False
     parts, rng, width = step.parts, np.random.default_rng(0), int(told[0][0])
     brief = step.with_period(float(step.period) * 1e-3)  # so short that nothing blows up
-    given, group = brief.instants.rows(0, 2), Lanes(brief, None, width).start(
-        *(rng.uniform(0.5, 1.5, (parts.sample.numel_in(place), width)) for place in (0, 4))
+    given, group = (
+        brief.instants.rows(0, 2),
+        Lanes(brief, None, width).start(
+            *(rng.uniform(0.5, 1.5, (parts.sample.numel_in(place), width)) for place in (0, 4))
+        ),
     )
     found = called(
         library,

@@ -12,6 +12,7 @@ import numpy as np
 
 from dmframe.batch.figures import ERROR, Board, Measured, Wanted
 from dmframe.batch.lanes import Lanes, compiled
+from dmframe.batch.speeds import slope_of, speeds_of
 from dmframe.batch.starts import starts_of
 from dmframe.batch.together import Together
 from dmframe.batch.values import columns_of, parameters_of, runs_in, varied
@@ -26,7 +27,6 @@ from dmframe.simulate.keep import Log
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.step import Solver, build_parts
-from dmframe.simulate.stiffness import speeds_of
 
 TOGETHER: Final = 4096
 """Runs whose numbers are held at a time."""
@@ -163,6 +163,10 @@ class Batch:
         recorded = stack([expression for _, expression in self.channels.values()])
         return compiled(replace(self.prepared.step, parts=build_parts(self.diagram.loop, clock, recorded)))
 
+    @cached_property
+    def _slope(self) -> Any:
+        return slope_of(self.prepared.step.rate)
+
     def _lanes(self, runs: int) -> Lanes | None:
         """The lanes, where these runs are to go in them."""
         prepared = self.prepared
@@ -184,7 +188,7 @@ class Batch:
             faults = {**wrong, **faults}
             good = np.setdiff1d(np.arange(runs.size), list(faults))
             p, states = p[:, good], states[:, good]
-            speeds = speeds_of(self.diagram, prepared.jacobian, states, p)
+            speeds = speeds_of(self._slope, states, p)
         board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
         left = Together(lanes, prepared, self._limits, self.threads or cores()).run(
             p, states, speeds, board, runs[good]

@@ -151,7 +151,7 @@ def written(f: Any, dialect: Dialect = ONE) -> str:
     return "\n".join([*cut, head, *body, "}"])
 
 
-def _lines(f: Any, dialect: Dialect) -> tuple[list[Line], dict[str, str]]:
+def _lines(f: Any, dialect: Dialect = ONE) -> tuple[list[Line], dict[str, str]]:
     """A function's lines, and its results: where each goes, and what it is called."""
     program, lines, angles = read(f), list[Line](), dict[str, tuple[str, str]]()
 

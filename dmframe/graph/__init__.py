@@ -1,7 +1,8 @@
 """One object to hold: a graph that is changed, run, proved, analysed and drawn; and several, compared."""
 
 from dmframe.graph.graph import Graph, load
-from dmframe.graph.runs import Runs, compare, sweep
+from dmframe.graph.runs import Runs, compare
 from dmframe.graph.shelf import blocks, graphs, robots
+from dmframe.graph.sweep import sweep
 
 __all__ = ["Graph", "Runs", "blocks", "compare", "graphs", "load", "robots", "sweep"]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +17,7 @@ from dmframe.config.document import read_document
 from dmframe.config.experiment import experiment_of
 from dmframe.config.given import document_of
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph.named import Named
 from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
@@ -115,6 +116,22 @@ class Graph:
             raise ValueFault(f"set: expected values by name, {{'dynamics.Gamma': 3}}, found {values!r:.40}")
         return Graph(self.experiment.changed({**(values or {}), **keys}))
 
+    def variants(self, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
+        """The graph with each combination of some values, ``g.variants({"dynamics.Gamma": [1, 10, 100]})``.
+
+        `compare` runs them side by side, whole; `sweep` keeps figures of thousands. Raises as `set` does, for all
+        values at once.
+        """
+        made, faults = list[Graph](), list[DmframeError]()
+        tried = listed(values)
+        for combination in itertools.product(*tried.values()):
+            try:
+                made.append(self.set(dict(zip(tried, combination, strict=True))))
+            except DmframeError as error:
+                faults += error.faults
+        raise_all(faults)
+        return made
+
     def until(self, duration: float | str) -> Graph:
         """The same graph, run for another time, ``20`` or ``"20 s"``."""
         return Graph(self.experiment.with_duration(seconds("until", duration)))
@@ -146,15 +163,15 @@ class Graph:
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
             recording = graph.experiment.simulate(self.diagram, engine=engine, progress=bar)
-        return Run(graph.experiment, self._warned(recording))
+        return Run(graph.experiment, self.warned(recording))
 
-    def _warned(self, recording: Recording) -> Recording:
-        """With a notice where a sampled loop is unstable near its set-point: a run may end before one sees it."""
+    def warned(self, recording: Recording) -> Recording:
+        """A run of it, with a notice where the sampled loop is unstable near its set-point, before it may be seen."""
         if self.clock is None or recording.divergence is not None or recording.duration < LONG:
             return recording
         from dmframe.analysis.period import TOLERANCE, sampled_radius
 
-        radius = sampled_radius(self.diagram, self.clock, self.experiment.start)
+        radius = sampled_radius(recording.diagram, self.clock, self.experiment.start)
         if radius is None or radius <= 1 + TOLERANCE:
             return recording
         said = (
@@ -345,6 +362,24 @@ def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trus
         found = type(source).__name__
         raise ValueFault(f"load: expected a graph's name, its path, its text or a dictionary, found {found}")
     return Graph(load_experiment(source))
+
+
+def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
+    """Several values by name. Raises `ValueFault` where they are none."""
+    example = '{"dynamics.Gamma": [1, 10]}'
+    if not isinstance(values, Mapping):
+        raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(values), 30)}")
+    tried = dict[str, list[Any]]()
+    for label, several in values.items():
+        if isinstance(several, str | bytes | Mapping) or not isinstance(several, Iterable):
+            raise ValueFault(
+                f"values {label}: expected a list of values, {example}, found {shorten(repr(several), 30)}"
+            )
+        tried[label] = list(several)
+    for label, several in tried.items():
+        if not several:
+            raise ValueFault(f"values {label}: expected at least one value, found none")
+    return tried
 
 
 def seconds(what: str, value: float | str) -> float:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final, overload
+from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
 from dmframe.config import Experiment
@@ -24,9 +23,6 @@ if TYPE_CHECKING:
 
     from dmframe.results.figures import Figures
     from dmframe.simulate.engine import Choice
-
-
-EXAMPLE: Final = '{"dynamics.Gamma": [1, 10]}'
 
 
 @final
@@ -119,7 +115,8 @@ def compare(
 ) -> Runs:
     """Runs beside one another; what is no `Run` yet is loaded and run.
 
-    Two of one name are told apart by the values that were set, ``ur10_fast Gamma=1``.
+    Two of one name are told apart by the values that were set, ``ur10_fast Gamma=1``. Graphs that differ by numbers of
+    blocks alone, as `Graph.variants` makes them, are built and compiled once, and run on all cores at the same time.
 
     Parameters
     ----------
@@ -142,7 +139,9 @@ def compare(
                 f"compare: {item.name} has run for {plain(item.recording.duration, 's')} already, not {until}; "
                 "give its graph, to run it again"
             )
-    graphs = [item for item in found if isinstance(item, Graph)]
+    graphs = [item if until is None else item.until(until) for item in found if isinstance(item, Graph)]
+    if len(graphs) == len(found) > 1 and (runs := ran_together(graphs, engine)) is not None:
+        return labelled(runs)
     for graph in graphs:
         _ = graph.diagram
     runs = list[Run]()
@@ -156,83 +155,25 @@ def compare(
     return labelled(runs)
 
 
-def sweep(
-    graph: Graph | str | Path | Mapping[str, Any],
-    values: Mapping[str, Iterable[Any]],
-    *,
-    until: float | str | None = None,
-    engine: Choice = "auto",
-) -> Runs:
-    """One graph run with each of some values, ``dm.sweep("ur10_fast", {"dynamics.Gamma": [1, 10, 100]})``.
-
-    With several keys every combination is run. Where only numbers of blocks change, the loop is built and compiled
-    once, and all cores run at the same time.
-
-    Parameters
-    ----------
-    values
-        By ``block.parameter`` or a key of the graph file, the values to try; see `Graph.set`.
-    until, engine
-        See `Graph.run`.
-
-    Raises
-    ------
-    DmframeError
-        Faults of any of the values, and of the first run that cannot be made.
-    """
-    base = load(graph)
-    if until is not None:
-        base = base.until(until)
-    return labelled(ran_together(base, variants(base, values), engine))
-
-
-def variants(base: Graph, values: Mapping[str, Iterable[Any]]) -> list[Graph]:
-    """The graph with each combination of values; faults of all of them at once."""
-    if not isinstance(values, Mapping):
-        raise ValueFault(f"sweep: expected values by name, {EXAMPLE}, found {shorten(repr(values), 30)}")
-    tried = dict[str, list[Any]]()
-    for label, several in values.items():
-        if isinstance(several, str | bytes | Mapping) or not isinstance(several, Iterable):
-            raise ValueFault(f"sweep {label}: expected a list of values, {EXAMPLE}, found {shorten(repr(several), 30)}")
-        tried[label] = list(several)
-    for label, several in tried.items():
-        if not several:
-            raise ValueFault(f"sweep {label}: expected at least one value, found none")
-    made, faults = list[Graph](), list[DmframeError]()
-    for combination in itertools.product(*tried.values()):
-        try:
-            made.append(base.set(dict(zip(tried, combination, strict=True))))
-        except DmframeError as error:
-            faults += error.faults
-    raise_all(faults)
-    return made
-
-
-def ran_together(base: Graph, graphs: Sequence[Graph], engine: Choice) -> list[Run]:
-    """Runs of graphs that differ from one by some values: in one build where these are symbols of blocks alone."""
-    changes = [_numbers(base.experiment, graph.experiment) for graph in graphs]
+def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
+    """Runs of graphs that differ by symbols of blocks alone, in one build; None where they differ by more."""
+    base = graphs[0]
+    changes = [numbers_between(base.experiment, graph.experiment) for graph in graphs]
     numbers = [change for change in changes if change is not None]
     if len(numbers) < len(graphs):
-        return [graph.run(engine=engine) for graph in graphs]
-    experiment = base.experiment
-    found = simulate_many(
-        base.diagram,
-        numbers,
-        base.duration,
-        engine=engine,
-        **experiment.settings,
-    )
+        return None
+    found = simulate_many(base.diagram, numbers, base.duration, engine=engine, **base.experiment.settings)
     if any(isinstance(fault, NeedsDiagramError) for fault in found):
-        return [graph.run(engine=engine) for graph in graphs]
+        return None
     raise_all([fault for fault in found if isinstance(fault, DmframeError)][:1])
     return [
-        Run(graph.experiment, recording)
+        Run(graph.experiment, graph.warned(recording))
         for graph, recording in zip(graphs, found, strict=True)
         if isinstance(recording, Recording)
     ]
 
 
-def _numbers(base: Experiment, other: Experiment) -> dict[str, Any] | None:
+def numbers_between(base: Experiment, other: Experiment) -> dict[str, Any] | None:
     """Parameters of blocks, by label, in which two experiments differ; None where they differ in anything else."""
     from dmframe.parameter import specs
 

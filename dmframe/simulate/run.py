@@ -171,7 +171,7 @@ class Prepared:
         return again
 
     def finer(self, own: Prepared) -> Prepared | None:
-        """What to try where a run diverged at the steps of `own`, which were chosen for it; None where they were not."""
+        """What to try where a run diverged at the steps that `own` has chosen for it; None where the user has."""
         if self.solver.step is not None or own.solver.method != "rk4":
             return None
         step = max(own.step.period / own.step.substeps / 4, own.step.period / MOST_SUBSTEPS)

@@ -23,21 +23,13 @@ def speed_of(diagram: Diagram, slope: Any, state: np.ndarray) -> float:
     size = stack(v.symbol for v in diagram.loop.flowing).numel()
     if not size:
         return 0.0
-    jacobian = slope(state, 0, diagram.loop.p_values, 0)[0].full()[:, -size:]
-    if not np.max(np.abs(jacobian)) < MOST_SLOPE:  # nan too
-        return math.inf
-    return float(np.max(np.abs(np.linalg.eigvals(jacobian))))
+    return float(fastest(slope(state, 0, diagram.loop.p_values, 0)[0].full()[None, :, -size:])[0])
 
 
-def speeds_of(diagram: Diagram, slope: Any, states: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """(N,): `speed_of` at the columns of `states` with the columns of `p`; those that are alike in p are asked once."""
-    size = stack(v.symbol for v in diagram.loop.flowing).numel()
-    if not size:
-        return np.zeros(states.shape[1])
-    found = slope(states, 0, p, 0)[0].full()
-    jacobians = found.reshape(found.shape[0], states.shape[1], -1)[:, :, -size:].transpose(1, 0, 2)
-    speeds = np.full(states.shape[1], np.inf)
-    tame = np.max(np.abs(jacobians), axis=(1, 2)) < MOST_SLOPE
+def fastest(jacobians: np.ndarray) -> np.ndarray:
+    """(N,): the largest modulus of an eigenvalue of each of N matrices; infinite where one is too steep for it."""
+    speeds = np.full(len(jacobians), np.inf)
+    tame = np.max(np.abs(jacobians), axis=(1, 2), initial=0.0) < MOST_SLOPE  # nan is not
     speeds[tame] = np.max(np.abs(np.linalg.eigvals(jacobians[tame])), axis=1, initial=0.0)
     return speeds
 

@@ -308,9 +308,9 @@ def test_blocks_cannot_be_exchanged_behind_a_graphs_back(pendulum: dm.Graph) -> 
     ("call", "text"),
     [
         (lambda g: g.set("dynamics.Gamma=3"), "set: expected values by name"),
-        (lambda g: dm.sweep(g, {"dynamics.Gamma": "15"}), "sweep dynamics.Gamma: expected a list of values"),
-        (lambda g: dm.sweep(g, {"dynamics.Gamma": 5}), "sweep dynamics.Gamma: expected a list of values"),
-        (lambda g: dm.sweep(g, [1]), "sweep: expected values by name"),
+        (lambda g: g.variants({"dynamics.Gamma": "15"}), "values dynamics.Gamma: expected a list of values"),
+        (lambda g: dm.sweep(g, {"dynamics.Gamma": 5}), "values dynamics.Gamma: expected a list of values"),
+        (lambda g: dm.sweep(g, [1]), "values: expected values by name"),
         (lambda g: g.run(0.1)[3], "expected a signal's name such as arm.q, found int"),
         (lambda g: g.run(0.1)["arm"], "choose from arm.ddq, arm.dq"),
         (lambda g: g.verify(seed="a"), "seed: expected a whole number, found 'a'"),

@@ -16,28 +16,29 @@ def same(one: dm.Run, other: dm.Run) -> bool:
     return all(np.array_equal(one.recording[label], other.recording[label]) for label in one)
 
 
-def test_a_sweep_gives_the_runs_that_the_graphs_alone_would_give() -> None:
+def test_variants_compared_are_the_runs_that_the_graphs_alone_would_give() -> None:
     base = dm.load("arm2_joint").until("0.1 s")
-    runs = dm.sweep(base, {"dynamics.Gamma": [1, 10, 100]})
+    runs = dm.compare(base.variants({"dynamics.Gamma": [1, 10, 100]}))
     assert runs.labels == ("arm2_joint Gamma=1", "arm2_joint Gamma=10", "arm2_joint Gamma=100")
     for run, gamma in zip(runs, (1, 10, 100), strict=True):
         assert same(run, base.set({"dynamics.Gamma": gamma}).run())
     assert not same(runs[0], runs[2])
 
 
-def test_a_sweep_over_several_keys_runs_every_combination_and_other_things_than_numbers() -> None:
-    runs = dm.sweep("arm2_joint", {"clock": ["2 ms", "4 ms"], "dynamics.Gamma": [1, 2]}, until=0.05)
+def test_variants_are_every_combination_also_of_other_things_than_numbers() -> None:
+    graphs = dm.load("arm2_joint").variants({"clock": ["2 ms", "4 ms"], "dynamics.Gamma": [1, 2]})
+    runs = dm.compare(graphs, until=0.05)
     assert [run.recording.clock for run in runs] == [0.002, 0.002, 0.004, 0.004]
     assert len(set(runs.labels)) == 4
 
 
-def test_a_key_that_cannot_be_swept_is_told_before_anything_runs() -> None:
+def test_values_that_cannot_be_are_told_before_anything_runs() -> None:
     with pytest.raises(DmframeError) as told:
-        dm.sweep("pendulum", {"dynamics.Gamma": [1, -1, 0]}, until=0.1)
+        dm.load("pendulum").variants({"dynamics.Gamma": [1, -1, 0]})
     assert "Gamma=-1" in str(told.value)
     assert "Gamma=0" in str(told.value)
-    with pytest.raises(DmframeError, match=r"sweep dynamics\.Gamma: expected at least one value, found none"):
-        dm.sweep("pendulum", {"dynamics.Gamma": []})
+    with pytest.raises(DmframeError, match=r"values dynamics\.Gamma: expected at least one value, found none"):
+        dm.load("pendulum").variants({"dynamics.Gamma": []})
 
 
 def test_what_is_compared_is_run_and_labelled_by_what_was_set() -> None:
@@ -56,7 +57,7 @@ def test_what_is_compared_is_run_and_labelled_by_what_was_set() -> None:
 
 
 def test_a_table_has_a_row_a_run_with_the_error_in_each_eighth() -> None:
-    runs = dm.sweep("pendulum", {"dynamics.Gamma": [1, 10]}, until="0.4 s")
+    runs = dm.compare(dm.load("pendulum").variants({"dynamics.Gamma": [1, 10]}), until="0.4 s")
     table = runs.table
     assert list(table.index) == list(runs.labels)
     for run in runs:
@@ -66,7 +67,7 @@ def test_a_table_has_a_row_a_run_with_the_error_in_each_eighth() -> None:
 
 
 def test_runs_are_saved_side_by_side(tmp_path: Path) -> None:
-    runs = dm.sweep("pendulum", {"dynamics.Gamma": [1, 10]}, until="0.1 s")
+    runs = dm.compare(dm.load("pendulum").variants({"dynamics.Gamma": [1, 10]}), until="0.1 s")
     runs.save(tmp_path / "out", plots=False)
     names = sorted(item.name for item in (tmp_path / "out").iterdir())
     assert names == ["pendulum_Gamma_1", "pendulum_Gamma_10"]

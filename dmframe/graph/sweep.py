@@ -1,0 +1,195 @@
+"""One graph with many values, and of each run its figures."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+
+import numpy as np
+
+from dmframe.batch import Batch, Measured, Wanted
+from dmframe.batch.figures import ERROR, Board
+from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault, raise_all
+from dmframe.graph.graph import Graph, listed, load
+from dmframe.parameter import Spec, specs
+from dmframe.results.metrics import EIGHTHS
+from dmframe.units import shorten, to_unit
+
+if TYPE_CHECKING:
+    import xarray
+
+    from dmframe.simulate.engine import Choice
+
+Design = Literal["grid", "list"]
+
+MOST_FAULTS: Final = 10
+"""Of runs that cannot be made, so many are told."""
+
+RUN: Final = "run"
+"""The dimension of a list of runs."""
+
+
+def sweep(
+    graph: Graph | str | Path | Mapping[str, Any],
+    values: Mapping[str, Iterable[Any]],
+    *,
+    until: float | str | None = None,
+    design: Design = "grid",
+    signals: Sequence[str] = (),
+    limits: Mapping[str, float] | None = None,
+    engine: Choice = "auto",
+) -> xarray.Dataset:
+    """Figures of one graph run with many values, ``dm.sweep("ur10_fast", {"dynamics.Gamma": [1, 10, 100]})``.
+
+    Where no more than numbers of blocks change, runs are computed several at a time in vector registers, on all cores:
+    tens of thousands of times real time on each. `compare` keeps whole runs instead, for figures over time.
+
+    Parameters
+    ----------
+    values
+        By ``block.parameter`` or a key of the graph file, the values to try; see `Graph.set`.
+    until
+        Simulated time, ``2``, ``"2 s"``; the graph's duration without it.
+    design
+        ``grid``: every combination, a dimension for each name. ``list``: as many values of each, which go together;
+        the dimension is called ``run``.
+    signals
+        Labels ``block.signal`` of which the least, the largest, the last value and the RMS over the last eighth are
+        kept, beside the tracking error.
+    limits
+        By label, or ``error``: when the absolute value first left it, in the signal's unit.
+    engine
+        See `Graph.run`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm, ``diverged``, ``diverged_at``
+        [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s]; nan where a run never
+        came. Units are attributes.
+
+    Raises
+    ------
+    DmframeError
+        Faults of any of the values, and of the first run that cannot be made.
+    """
+    if design not in get_args(Design):
+        raise ValueFault(f"design: expected {' or '.join(get_args(Design))}, found {design!r}")
+    base, tried = load(graph), listed(values)
+    base = base if until is None else base.until(until)
+    lengths = {label: len(several) for label, several in tried.items()}
+    if design == "list" and len(set(lengths.values())) > 1:
+        told = ", ".join(f"{label} {length}" for label, length in lengths.items())
+        raise ValueFault(f"values: expected as many of each in a list, found {told}")
+    wanted = Wanted(tuple(signals), dict(limits or {}))
+    shape = tuple(lengths.values()) if design == "grid" else (max(lengths.values(), default=1),)
+    indices = np.indices(shape).reshape(len(shape), -1)
+    places = dict(zip(tried, indices if design == "grid" else [indices[0]] * len(tried), strict=True))
+    numbers = {label: column for label in tried if (column := _column(base, label, tried[label])) is not None}
+    try:
+        found = _measured(base, tried, places, numbers, wanted, engine)
+    except NeedsDiagramError:
+        found = _measured(base, tried, places, {}, wanted, engine)
+    raise_all(list(found.faults.values())[:MOST_FAULTS])
+    names = list(tried) if design == "grid" else [RUN]
+    return _dataset(base, found, names, shape, {label: _axis(base, label, several) for label, several in tried.items()})
+
+
+def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:
+    """Values of a block's parameter as numbers, a row each; None for anything else."""
+    spec = _spec(base, label)
+    if spec is None:
+        return None
+    try:
+        return np.array([_number(value, spec.unit) for value in several], dtype=float)
+    except (DmframeError, TypeError, ValueError):
+        return None
+
+
+def _number(value: Any, unit: str) -> Any:
+    return [_number(item, unit) for item in value] if isinstance(value, list | tuple) else to_unit(value, unit)
+
+
+def _spec(base: Graph, label: str) -> Spec | None:
+    block, _, name = label.partition(".")
+    return specs(type(base.experiment.blocks[block])).get(name) if block in base.experiment.blocks else None
+
+
+def _measured(
+    base: Graph,
+    tried: Mapping[str, Sequence[Any]],
+    places: Mapping[str, np.ndarray],
+    numbers: Mapping[str, np.ndarray],
+    wanted: Wanted,
+    engine: Choice,
+) -> Measured:
+    """All runs: together those whose graphs differ by numbers alone."""
+    shaping = [label for label in tried if label not in numbers]
+    runs = next((place.size for place in places.values()), 1)
+    members = defaultdict[tuple[int, ...], list[int]](list)
+    for run in range(runs):
+        members[tuple(int(places[label][run]) for label in shaping)].append(run)
+    graphs, faults = dict[tuple[int, ...], Graph](), list[DmframeError]()
+    for chosen in members:
+        try:
+            values = {label: tried[label][place] for label, place in zip(shaping, chosen, strict=True)}
+            graphs[chosen] = base.set(values) if values else base
+        except DmframeError as error:
+            faults += error.faults
+    raise_all(faults)
+    board: Board | None = None
+    for chosen, graph in graphs.items():
+        mine = np.array(members[chosen])
+        batch = Batch.of(graph.diagram, graph.duration, wanted=wanted, engine=engine, **graph.experiment.settings)
+        found = batch.measure({label: column[places[label][mine]] for label, column in numbers.items()})
+        board = board or Board.like(found, runs)
+        board.put(mine, found)
+    assert board is not None  # there is a run, and so a graph
+    return board.measured()
+
+
+def _axis(base: Graph, label: str, several: Sequence[Any]) -> tuple[list[Any], str]:
+    """Values as coordinates, numbers where they are, else texts; and their unit."""
+    column, spec = _column(base, label, several), _spec(base, label)
+    if column is not None and column.ndim == 1:
+        return column.tolist(), spec.unit if spec else ""
+    plain = all(isinstance(value, int | float) and not isinstance(value, bool) for value in several)
+    return [value if plain else shorten(str(value)) for value in several], ""
+
+
+def _dataset(
+    base: Graph,
+    found: Measured,
+    names: Sequence[str],
+    shape: tuple[int, ...],
+    axes: Mapping[str, tuple[list[Any], str]],
+) -> xarray.Dataset:
+    import xarray
+
+    def labelled(values: np.ndarray, unit: str, *more: str) -> xarray.Variable:
+        return xarray.Variable(
+            [*names, *more], values.reshape(*shape, *values.shape[1:]), {"units": unit} if unit else {}
+        )
+
+    data = {"diverged": labelled(np.isfinite(found.diverged), ""), "diverged_at": labelled(found.diverged, "s")}
+    for label, figures in found.signals.items():
+        rows = [] if label == ERROR else [f"{label}_row"]
+        parts = {"least": figures.least, "most": figures.most, "last": figures.last, "rms_final": figures.rms_final}
+        if label == ERROR:
+            rms = figures.rms_by_eighth[:, 0]
+            data["rms_by_eighth"] = labelled(rms, figures.unit, "eighth")
+            data["rms_final"] = labelled(rms[:, -1], figures.unit)
+            data["error_most"] = labelled(figures.most[:, 0], figures.unit)
+        else:
+            data |= {f"{label}_{name}": labelled(part, figures.unit, *rows) for name, part in parts.items()}
+        crossed = figures.crossed[:, 0] if label == ERROR else figures.crossed
+        if np.isfinite(crossed).any():
+            data[f"{label}_crossed"] = labelled(crossed, "s", *rows)
+    coordinates = {
+        label: xarray.Variable([label if label in names else RUN], values, {"units": unit} if unit else {})
+        for label, (values, unit) in axes.items()
+    }
+    told = {"graph": base.name, "duration": base.duration, "engine": found.engine, "notices": "; ".join(found.notices)}
+    return xarray.Dataset(data, coordinates | {"eighth": np.arange(1, EIGHTHS + 1)}, told)
