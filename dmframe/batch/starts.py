@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import casadi as ca
@@ -27,12 +27,20 @@ Varied = Callable[[int], Diagram]
 
 
 def starts_of(
-    diagram: Diagram, varied: Varied, p: np.ndarray, given: Mapping[str, Any], instants: Instants, made: Made
+    diagram: Diagram,
+    labels: Collection[str],
+    varied: Varied,
+    p: np.ndarray,
+    given: Mapping[str, Any],
+    instants: Instants,
+    made: Made,
 ) -> tuple[np.ndarray, dict[int, DmframeError]]:
     """(S, N): where each run begins, and the faults of those that cannot.
 
     Parameters
     ----------
+    labels
+        What varies.
     p
         (P, N), the runs' parameters.
     given, instants, made
@@ -48,7 +56,9 @@ def starts_of(
             faults[run] = fault
 
     posed = list(on_path(diagram, told_starts(diagram, given), made))
-    if len(posed) > 1:  # of two, one solution may hang on the other
+    symbols = {parameter.label for parameter in diagram.loop.parameters}
+    numbers = {variable.label for variable in diagram.loop.variables} & set(labels) - symbols
+    if numbers or len(posed) > 1:  # starts that no expression reads; of two poses, one may hang on the other
         for run in range(runs):
             alone(run)
         return states, faults

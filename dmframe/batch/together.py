@@ -102,6 +102,9 @@ class Together:
             ran = self._march([(own.step, members) for own, members in fit], p, states, pool)
             tried, better = self._again(fit, ran, p, states, pool)
         ran.put(better, tried)
+        if better.size:
+            told = f"at longer steps the integrator itself diverged in {better.size} of {len(speeds)} runs"
+            board.tell(f"lanes of {self.lanes.width}", told)
         fits = np.concatenate([np.zeros(0, np.int64), *(members for _, members in fit)])
         self._write(board, runs[fits], ran.of(fits))
         return np.setdiff1d(np.arange(len(speeds)), fits)

@@ -131,6 +131,8 @@ class Batch:
         rows = {label: (unit, expression.numel()) for label, (unit, expression) in self.channels.items()}
         board = Board.empty(rows, runs)
         lanes = self._lanes(runs)
+        if lanes is None and self._asked(runs) and (notice := self._compiled[1]):
+            board.notices[notice] = None
         for first in range(0, runs, TOGETHER):
             some = np.arange(first, min(first + TOGETHER, runs))
             left = some if lanes is None else self._together(lanes, columns, board, some)
@@ -167,11 +169,14 @@ class Batch:
     def _slope(self) -> Any:
         return slope_of(self.prepared.step.rate)
 
-    def _lanes(self, runs: int) -> Lanes | None:
-        """The lanes, where these runs are to go in them."""
+    def _asked(self, runs: int) -> bool:
+        """True where so many runs should go in lanes."""
         prepared = self.prepared
         wanted = self.choice == "compiled" or (self.choice == "auto" and worth(prepared.step, prepared.ticks * runs))
-        return self._compiled[0] if wanted and prepared.solver.method == "rk4" else None
+        return wanted and prepared.solver.method == "rk4"
+
+    def _lanes(self, runs: int) -> Lanes | None:
+        return self._compiled[0] if self._asked(runs) else None
 
     def _whole(self, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> None:
         settings = {**self.settings, "engine": self.choice, "threads": self.threads}
@@ -184,7 +189,7 @@ class Batch:
         with SYMBOLIC:
             p, faults = parameters_of(self.diagram, some, runs.size)
             given = self.settings.get("start", {})
-            states, wrong = starts_of(self.diagram, of_run, p, given, prepared.step.instants, prepared.starts)
+            states, wrong = starts_of(self.diagram, some, of_run, p, given, prepared.step.instants, prepared.starts)
             faults = {**wrong, **faults}
             good = np.setdiff1d(np.arange(runs.size), list(faults))
             p, states = p[:, good], states[:, good]
