@@ -25,7 +25,25 @@ def grid(size: int) -> Array:
     return np.array(list(product(gamma, Gamma, Lambda)))[:: max(1, 1000 // size)][:size]
 
 
-def ours(size: int, seconds: float, step: float) -> dict[str, Any]:
+def in_lanes(size: int, seconds: float, step: float) -> dict[str, Any]:
+    """`dmframe.batch`: the error's figures and the last pose are kept; values, starts and steps are in its time."""
+    from dataclasses import replace
+
+    from dmframe.batch import Batch, Wanted
+    from dmframe.config.experiment import load_experiment
+
+    loaded = load_experiment(GRAPH)
+    settings = {**loaded.settings, "solver": replace(loaded.solver, step=step)}
+    batch = Batch.of(loaded.diagram(), seconds, wanted=Wanted(("arm.q",)), engine="compiled", **settings)
+    gamma, Gamma, Lambda = grid(size).T
+    values = {"task.gamma": gamma, "dynamics.Gamma": Gamma, "inverse.Lambda": Lambda}
+    batch.measure({label: column[:2] for label, column in values.items()})
+    begin = time.perf_counter()
+    found = batch.measure(values)
+    return {"wall": time.perf_counter() - begin, "q": found.signals["arm.q"].last}
+
+
+def whole(size: int, seconds: float, step: float) -> dict[str, Any]:
     """`simulate_many`, a run kept as its last pose."""
     from dataclasses import replace
 
@@ -123,9 +141,17 @@ def by_vmap(size: int, seconds: float, step: float) -> dict[str, Any]:
     return {"wall": time.perf_counter() - begin, "q": q}
 
 
+PEERS = {"jaxonomy": "jaxonomy_blocks", "jax": "jax_by_hand"}
+
 METHODS: dict[str, tuple[str, dict[str, Any], str, str]] = {
+    "dmframe, figures in lanes": (
+        "in_lanes",
+        {},
+        "dmframe",
+        "several runs at once in vector registers, on all cores; the error's figures and the last pose are kept",
+    ),
     "dmframe, simulate_many": (
-        "ours",
+        "whole",
         {},
         "dmframe",
         "threads of one process; each run's whole log is made, its last pose kept",
@@ -148,7 +174,7 @@ def section(
     rows, reference = list[Row](), dict[str, Any]()
     for name, (job, options, package, note) in METHODS.items():
         told(f"(f) {name}")
-        lacking = find("jaxonomy_blocks" if package == "jaxonomy" else "jax_by_hand").missing() if rows else ""
+        lacking = "" if package == "dmframe" else find(PEERS[package]).missing()
         if lacking:
             rows.append(Row("f", name, status="missing", agreement=lacking.split(": ", 1)[1], note=note))
             continue
