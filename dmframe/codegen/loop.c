@@ -12,6 +12,32 @@ static void dm_slope(double t, const double *x, const double *p, dm_work *k, dou
   dm_rate(x, k->u, k->w, p, k->c, dx);
 }
 
+#ifdef DM_STAGES
+/* x from t to t + T by the Rosenbrock method whose numbers stand above: (3) of dmframe.diagram.rosenbrock. */
+static void dm_integrate(double *x, double t, double h, int64_t substeps, const double *p, dm_work *k) {
+  double u[DM_STAGES][DM_X + 1], at[DM_X + 1], right[DM_X + 1], drift[DM_X + 1], dw[DM_W + 1] = {0}, factors[DM_F + 1];
+  for (int64_t j = 0; j < substeps; j++) {
+    const double now = t + (double)j * h;
+    if (DM_MOVED) dm_moving(&now, p, k->c, k->w, dw);
+    dm_begin(x, k->u, k->w, dw, &h, p, k->c, factors, drift, u[0]);
+    for (int s = 1; s < DM_STAGES; s++) {
+      for (int i = 0; i < DM_X; i++) {
+        at[i] = x[i];
+        for (int r = 0; r < s; r++) at[i] += dm_method_a[s][r] * u[r][i];
+      }
+      dm_slope(now + dm_method_nodes[s] * h, at, p, k, right);
+      for (int i = 0; i < DM_X; i++) {
+        double sum = h * right[i] + dm_method_drifts[s] * h * h * drift[i];
+        for (int r = 0; r < s; r++) sum += dm_method_c[s][r] * u[r][i];
+        right[i] = dm_method_gamma * sum;
+      }
+      dm_solve(factors, right, p, k->c, u[s]);
+    }
+    for (int i = 0; i < DM_X; i++)
+      for (int s = 0; s < DM_STAGES; s++) x[i] += dm_method_m[s] * u[s][i];
+  }
+}
+#else
 /* x from t to t + T by classical Runge-Kutta. */
 static void dm_integrate(double *x, double t, double h, int64_t substeps, const double *p, dm_work *k) {
   double k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
@@ -27,6 +53,7 @@ static void dm_integrate(double *x, double t, double h, int64_t substeps, const 
     for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
   }
 }
+#endif
 
 static void dm_log(const double *state, const dm_work *k, const int64_t *kept, int64_t columns, double *row) {
   for (int64_t j = 0; j < columns; j++)

@@ -7,6 +7,7 @@ could be taken for the C library's, which returns at once and says nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from importlib.resources import files
 from typing import Any
 
@@ -14,17 +15,37 @@ import casadi as ca
 
 from dmframe.codegen.function import written
 from dmframe.diagram.parts import Parts, split
+from dmframe.diagram.rosenbrock import ROS34PW2, Rosenbrock
 
 
-def loop_source(parts: Parts) -> str:
+def loop_source(parts: Parts, *, implicit: bool = False) -> str:
     """The C of a whole run; gains, true parameters and start states are its arguments.
 
-    Raises `EngineError` where an expression holds what C has no word for.
+    It integrates with rk4, or with ros34pw2 where it is `implicit`. Raises `EngineError` where an expression holds what
+    C has no word for.
     """
-    hoisted = parts.hoisted
+    hoisted, more = parts.implicit if implicit else (parts.hoisted, None)
     sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0), "MOVED": int(parts.moved)}
     functions = [hoisted.constants, hoisted.trajectory, hoisted.sample, hoisted.rate, hoisted.clip]
-    return _assembled(sizes, functions, "loop.c")
+    if more is None:
+        return _assembled(sizes, functions, "loop.c")
+    sizes |= {"F": more.solve.numel_in(0), "STAGES": ROS34PW2.stages}
+    return _assembled(sizes, [*functions, *more], "loop.c", _coefficients(ROS34PW2))
+
+
+def _coefficients(method: Rosenbrock) -> list[str]:
+    """A method's numbers, to the last bit of a double."""
+
+    def row(values: Sequence[Fraction]) -> str:
+        return "{" + ", ".join(map(repr, map(float, values or (Fraction(0),)))) + "}"
+
+    lines = [f"static const double dm_method_gamma = {float(method.gamma)!r};"]
+    for name, column in {"nodes": method.nodes, "drifts": method.drifts, "m": method.m}.items():
+        lines.append(f"static const double dm_method_{name}[DM_STAGES] = {row(column)};")
+    for name, rows in {"a": method.a, "c": method.c}.items():
+        listed = ", ".join(map(row, rows))
+        lines.append(f"static const double dm_method_{name}[DM_STAGES][DM_STAGES] = {{{listed}}};")
+    return lines
 
 
 def control_source(control: Any) -> tuple[str, int]:
@@ -35,12 +56,13 @@ def control_source(control: Any) -> tuple[str, int]:
     return _assembled(sizes, [constants, step], "control.c"), constants.numel_out(0)
 
 
-def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str) -> str:
+def _assembled(sizes: Mapping[str, int], functions: Sequence[Any], frame: str, numbers: Sequence[str] = ()) -> str:
     return "\n".join(
         [
             shipped("arithmetic.h"),
             *(f"#define DM_{name} {size}" for name, size in sizes.items()),
             '#define DM_EXPORT __attribute__((visibility("default")))',
+            *numbers,
             *(written(f) for f in functions),
             shipped(frame),
         ]
