@@ -102,8 +102,7 @@ def residual_small(matrix: Any, solution: Any, right: Any) -> Any:
     False too where anything is not a number. A factorisation without a choice of pivots can lose all digits.
     """
     sizes = ca.fabs(matrix) @ ca.fabs(solution) + ca.fabs(right)
-    rows = ca.vertsplit(ca.fabs(right - matrix @ solution) <= BACKWARD * sizes)
-    small = rows[0]
-    for row in rows[1:]:
+    small = ca.SX(1)
+    for row in ca.vertsplit(ca.fabs(right - matrix @ solution) <= BACKWARD * sizes):
         small = ca.logic_and(small, row)
     return small

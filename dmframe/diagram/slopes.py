@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple, final
 
 import casadi as ca
 
@@ -19,19 +19,31 @@ _HOLDING: Final = frozenset(
 _FACTORS: Final = frozenset((ca.OP_MUL, ca.OP_DIV))
 
 
-def slopes(rate: Any, x: Any, others: Any) -> tuple[Any, Any]:
-    """Of the expressions `rate` by `x`, the Jacobian for a linearly implicit method, and all of it.
+@final
+class Slopes(NamedTuple):
+    """(x, u, w, p) -> what a linearly implicit method uses of the Jacobian of the rates by the states, and all of it.
 
     They are one object where all is cheap. Of a dear one sines, cosines, powers, and products of what moves are held in
     the first: exact then are the derivatives of servos and friction, whose slopes are steep, and left out are those of
-    inertia, gravity and Coriolis forces, which are not. `others` is a column of all other symbols.
+    inertia, gravity and Coriolis forces, which are not.
     """
-    exact = ca.sparsify(ca.jacobian(rate, x))
-    if _instructions([rate, exact], x, others) <= (1 + DEAR) * _instructions([rate], x, others):
-        return exact, exact
-    moving = ca.SX.sym("moving", x.numel())
-    (cheap,) = ca.substitute([ca.jacobian(_held(rate, x, others, moving), moving)], [moving], [x])
-    return ca.sparsify(cheap), exact
+
+    used: Any
+    exact: Any
+
+    @classmethod
+    def of(cls, rate: Any, explicit: int) -> Slopes:
+        """Of (x, u, w, p) -> dx, but for the first `explicit` rows and columns."""
+        given = x, u, w, p = [ca.SX.sym(name, rate.numel_in(i)) for i, name in enumerate("xuwp")]
+        fast, others = x[explicit:], ca.vertcat(x[:explicit], u, w, p)
+        (rates,) = ca.cse([rate(*given)[explicit:]])
+        slopes = ca.sparsify(ca.jacobian(rates, fast))
+        exact = ca.Function("exact", given, [slopes])
+        if _instructions([rates, slopes], given) <= (1 + DEAR) * _instructions([rates], given):
+            return cls(exact, exact)
+        moving = ca.SX.sym("moving", fast.numel())
+        (cheap,) = ca.substitute([ca.jacobian(_held(rates, fast, others, moving), moving)], [moving], [fast])
+        return cls(ca.Function("used", given, [ca.sparsify(cheap)]), exact)
 
 
 def _held(rate: Any, x: Any, others: Any, moving: Any) -> Any:
@@ -58,5 +70,5 @@ def _held(rate: Any, x: Any, others: Any, moving: Any) -> Any:
     return ca.vertcat(*(still[place] if live[place] is None else live[place] for place in places))
 
 
-def _instructions(expressions: list[Any], x: Any, others: Any) -> int:
-    return int(ca.Function("counted", [x, others], ca.cse(expressions)).n_instructions())
+def _instructions(expressions: list[Any], given: list[Any]) -> int:
+    return int(ca.Function("counted", given, ca.cse(expressions)).n_instructions())
