@@ -53,6 +53,15 @@ class Elimination:
             factors.append(value)
             return len(factors) - 1
 
+        def check() -> None:
+            if len(factors) + sum(len(rows[i]) for i in left) > MOST_FACTORS:
+                raise EngineError(
+                    f"solver: expected linear systems of at most {MOST_FACTORS} factors, found more, in {size} states "
+                    "of the plant; take solver.method: rk4 or cvodes",
+                    path=("solver", "method"),
+                )
+
+        check()
         while left:
             pivot = min(left, key=lambda i: ((len(rows[i]) - 1) * (sum(i in rows[k] for k in left) - 1), i))
             left.remove(pivot)
@@ -69,12 +78,7 @@ class Elimination:
                 lower.append((k, kept(multiple)))
                 for j, entry in own.items():
                     rows[k][j] = rows[k].get(j, 0) - multiple * entry
-            if len(factors) > MOST_FACTORS:
-                raise EngineError(
-                    f"solver: expected linear systems of at most {MOST_FACTORS} factors, found more, in {size} states "
-                    "of the plant; take solver.method: rk4 or cvodes",
-                    path=("solver", "method"),
-                )
+            check()
             turns.append(Turn(pivot, tuple(lower), upper, inverse))
         return cls(tuple(turns), tuple(factors))
 
