@@ -155,23 +155,25 @@ def simulated_period(
     if not diagram.loop.followed:
         raise EngineError("largest stable period: expected a goal to follow, such as x_d for x, found none")
 
-    def error(period: float, step: float | None = None) -> tuple[float, float]:
-        own = solver or Solver()
-        chosen = own.step if step is None else step
-        if chosen is not None:  # no more steps than a tick may have
-            own = replace(own, step=max(chosen, period / MOST_SUBSTEPS))
+    def error(period: float, taken: Solver) -> tuple[float, Solver]:
+        if taken.step is not None:  # no more steps than a tick may have
+            taken = replace(taken, step=max(taken.step, period / MOST_SUBSTEPS))
         tell(f"simulating {horizon:g} s on a clock of {plain(period, 's')}")
-        return _largest_error(diagram, period, own, start, horizon)
+        return _largest_error(diagram, period, taken, start, horizon)
+
+    def finer(taken: Solver, period: float) -> Solver:
+        return replace(taken, step=(taken.step or period) / 4)
 
     def bounded(period: float, bound: float) -> bool:
-        found, step = error(period)
-        return found < bound or error(period, step / 4)[0] < bound
+        found, taken = error(period, own)
+        return found < bound or error(period, finer(taken, period))[0] < bound
 
+    own = solver or Solver()
     period, reference = min(clock or 0.001, horizon / 8), np.inf
     while not np.isfinite(reference) and period >= SHORTEST * 10:
-        reference, step = error(period)
+        reference, taken = error(period, own)
         if not np.isfinite(reference):
-            reference, _ = error(period, step / 4)
+            reference, _ = error(period, finer(taken, period))
         period = period if np.isfinite(reference) else period / 2
     bound = FACTOR * max(reference, 1e-6) if np.isfinite(reference) else np.inf
     meaning = (
@@ -192,14 +194,13 @@ def simulated_period(
 
 
 def _largest_error(
-    diagram: Diagram, period: float, solver: Solver | None, start: Mapping[str, Any] | None, horizon: float
-) -> tuple[float, float]:
-    """The largest norm of actual minus desired, infinite for a run that diverges; and the integrator's step [s]."""
+    diagram: Diagram, period: float, solver: Solver, start: Mapping[str, Any] | None, horizon: float
+) -> tuple[float, Solver]:
+    """The largest norm of actual minus desired, infinite for a run that diverges; and the solver that it took."""
     run = simulate(diagram, horizon, clock=period, solver=solver, start=start)
-    step = run.solver.step or period
     if run.divergence is not None:
-        return float("inf"), step
+        return float("inf"), run.solver
     desired, actual, *_ = diagram.loop.followed[0]
     with np.errstate(over="ignore"):
         norms = np.linalg.norm(run[actual] - run[desired], axis=1)
-    return float(np.max(norms)), step
+    return float(np.max(norms)), run.solver

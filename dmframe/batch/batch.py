@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Final, final
 
@@ -20,13 +20,14 @@ from dmframe.batch.whole import run_whole
 from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.parts import Parts
 from dmframe.errors import UnknownNameError, ValueFault, raise_all
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
-from dmframe.simulate.step import Solver, build_parts
+from dmframe.simulate.step import FIXED, Solver, Step, build_parts
 
 TOGETHER: Final = 4096
 """Runs whose numbers are held at a time."""
@@ -97,6 +98,7 @@ class Batch:
     settings: Mapping[str, Any]
     choice: Choice
     threads: int | None
+    _compiled: dict[str, tuple[Lanes | None, str | None]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -130,14 +132,13 @@ class Batch:
         runs = runs_in(columns)
         rows = {label: (unit, expression.numel()) for label, (unit, expression) in self.channels.items()}
         board = Board.empty(rows, runs)
-        lanes = self._lanes(runs)
-        if lanes is None and self._asked(runs) and (notice := self._compiled[1]):
-            board.notices[notice] = None
+        asked = self._asked(runs)
         for first in range(0, runs, TOGETHER):
             some = np.arange(first, min(first + TOGETHER, runs))
-            left = some if lanes is None else self._together(lanes, columns, board, some)
+            left = self._together(columns, board, some) if asked else some
             if left.size:
                 self._whole(columns, board, left)
+        board.notices.update(dict.fromkeys(notice for _, notice in self._compiled.values() if notice))
         return board.measured()
 
     @cached_property
@@ -160,10 +161,17 @@ class Batch:
         return found | {label: items[label] for label in self.wanted.signals}
 
     @cached_property
-    def _compiled(self) -> tuple[Lanes | None, str | None]:
-        clock = self.prepared.clock
+    def _parts(self) -> Parts:
+        """Of a tick, its outputs being what is measured."""
         recorded = stack([expression for _, expression in self.channels.values()])
-        return compiled(replace(self.prepared.step, parts=build_parts(self.diagram.loop, clock, recorded)))
+        return build_parts(self.diagram.loop, self.prepared.clock, recorded)
+
+    def lanes(self, step: Step) -> Lanes | None:
+        """Machine code for a step's method, which is compiled once; None where that cannot be."""
+        method = step.solver.method
+        if method not in self._compiled:
+            self._compiled[method] = compiled(replace(step, parts=self._parts))
+        return self._compiled[method][0]
 
     @cached_property
     def _slope(self) -> Any:
@@ -173,16 +181,13 @@ class Batch:
         """True where so many runs should go in lanes."""
         prepared = self.prepared
         wanted = self.choice == "compiled" or (self.choice == "auto" and worth(prepared.step, prepared.ticks * runs))
-        return wanted and prepared.solver.method == "rk4"
-
-    def _lanes(self, runs: int) -> Lanes | None:
-        return self._compiled[0] if self._asked(runs) else None
+        return wanted and prepared.solver.method in FIXED and self.lanes(prepared.step) is not None
 
     def _whole(self, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> None:
         settings = {**self.settings, "engine": self.choice, "threads": self.threads}
         run_whole(self.diagram, columns, self.duration, board, runs, self.wanted, **settings)
 
-    def _together(self, lanes: Lanes, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> np.ndarray:
+    def _together(self, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> np.ndarray:
         """Run some rows of the columns in lanes; returns those that do not fit."""
         prepared, some = self.prepared, {label: column[runs] for label, column in columns.items()}
         of_run = partial(varied, self.diagram, some)
@@ -195,9 +200,8 @@ class Batch:
             p, states = p[:, good], states[:, good]
             speeds = speeds_of(self._slope, states, p)
         board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
-        left = Together(lanes, prepared, self._limits, self.threads or cores()).run(
-            p, states, speeds, board, runs[good]
-        )
+        together = Together(self.lanes, prepared, self._limits, self.threads or cores())
+        left = together.run(p, states, speeds, board, runs[good])
         return np.asarray(runs[good[left]])
 
     @property

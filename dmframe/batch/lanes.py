@@ -36,6 +36,11 @@ class Lanes:
     run: Any
     width: int
 
+    @property
+    def name(self) -> str:
+        """As `Measured.engine` tells it."""
+        return f"lanes of {self.width}"
+
     def start(self, states: np.ndarray, p: np.ndarray) -> Group:
         """As many runs as there are columns, at most `width`, from their states; others fill what is left."""
         count = states.shape[1]
@@ -105,7 +110,7 @@ class Group:
 def compiled(step: Step) -> tuple[Lanes | None, str | None]:
     """The lanes of a tick, or None; and what a user should know of it."""
     try:
-        loaded = load(lanes_source(step.parts), lambda library: _works(library, step))
+        loaded = load(lanes_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:
@@ -117,12 +122,12 @@ def compiled(step: Step) -> tuple[Lanes | None, str | None]:
 
 
 def _works(library: Path, step: Step) -> bool:
-    """True where each lane of a new library gives the interpreter's numbers, over a tick from states near a random one."""
+    """True where each lane of a new library gives the interpreter's numbers, over one tick."""
     told = called(library, "dm_lanes", [{"doubles": [0.0]}])
     if told is None:
         return False
     parts, rng, width = step.parts, np.random.default_rng(0), int(told[0][0])
-    lanes = 1 + 0.01 * np.arange(width)  # one random state is enough to hope that its numbers are tame
+    lanes = 1 + 0.01 * np.arange(width)  # all near one random state, so that all are as tame
     brief = step.with_period(float(step.period) * 1e-3)  # so short that nothing blows up
     given, group = (
         brief.instants.rows(0, 2),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -18,8 +18,8 @@ from dmframe.batch.lanes import PER_OUTPUT, Group, Lanes
 from dmframe.results.metrics import EIGHTHS, eighth_of
 from dmframe.simulate.instants import TIME
 from dmframe.simulate.run import LATER, Prepared
-from dmframe.simulate.step import Step
-from dmframe.simulate.stiffness import MOST_SLOPE, RK4_TAKES
+from dmframe.simulate.step import FIXED, Step
+from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, RK4_TAKES, stiffness
 from dmframe.units import plain
 
 TICKS: Final = 16384
@@ -67,13 +67,15 @@ class Together:
 
     Parameters
     ----------
+    lanes
+        Machine code for a step's method, where there is some.
     limits
         Of each output's absolute value.
     threads
         How many groups of runs are computed at once.
     """
 
-    lanes: Lanes
+    lanes: Callable[[Step], Lanes | None]
     prepared: Prepared
     limits: np.ndarray
     threads: int
@@ -95,53 +97,70 @@ class Together:
         array
             Which of the N runs are too stiff for lanes, of which nothing is written.
         """
-        kinds = [(self.prepared.stepping(float(speeds[members[0]])), members) for members in self._alike(speeds)]
-        fit = [(own, members) for own, members in kinds if own.solver.method == "rk4"]
-        self._tell(board, fit)
+        kinds = self._kinds(p, states, speeds)
+        fit = [(own, members) for own, members in kinds if self._lanes_of(own) is not None]
+        for own, members in fit:
+            fastest = members[np.argmax(speeds[members])]
+            stiff = stiffness(own.step, own.solver, float(speeds[fastest]), states[:, fastest], p[:, fastest])
+            board.notices.update(dict.fromkeys(stiff))
+        self._tell(board, fit, len(speeds))
         with _threads(self.threads) as pool:
-            ran = self._march([(own.step, members) for own, members in fit], p, states, pool)
+            ran = self._march(fit, p, states, pool)
             tried, better = self._again(fit, ran, p, states, pool)
         ran.put(better, tried)
         if better.size:
             told = f"at longer steps the integrator itself diverged in {better.size} of {len(speeds)} runs"
-            board.tell(f"lanes of {self.lanes.width}", told)
+            board.notices[told] = None
         fits = np.concatenate([np.zeros(0, np.int64), *(members for _, members in fit)])
         self._write(board, runs[fits], ran.of(fits))
         return np.setdiff1d(np.arange(len(speeds)), fits)
 
-    def _alike(self, speeds: np.ndarray) -> list[np.ndarray]:
-        """Runs whose plants move at speeds for which the same steps are chosen."""
-        longest = self.prepared.step.period / self.prepared.step.substeps
-        kinds = defaultdict[str, list[int]](list)
-        for run, speed in enumerate(speeds.tolist()):
-            stiff = speed < MOST_SLOPE and longest * speed > RK4_TAKES
-            kinds[f"{RK4_TAKES / speed:.2g}" if stiff else ""].append(run)
-        return [np.array(members) for members in kinds.values()]
+    def _lanes_of(self, own: Prepared) -> Lanes | None:
+        return self.lanes(own.step) if own.solver.method in FIXED else None
 
-    def _tell(self, board: Board, fit: Sequence[tuple[Prepared, np.ndarray]]) -> None:
-        board.tell(f"lanes of {self.lanes.width}", *self.prepared.notices, *self.prepared.keeping.notices)
-        chosen = [
-            (own.solver.step or 0.0, members.size) for own, members in fit if own.notices != self.prepared.notices
-        ]
-        if chosen:
-            least, most = (plain(end(step for step, _ in chosen), "s") for end in (min, max))
-            steps = least if least == most else f"{least} to {most}"
-            told, every = sum(count for _, count in chosen), sum(members.size for _, members in fit)
-            board.tell(
-                f"lanes of {self.lanes.width}",
-                f"the plant is stiff in {told} of {every} runs: rk4 takes steps of {steps}",
-            )
+    def _kinds(self, p: np.ndarray, states: np.ndarray, speeds: np.ndarray) -> list[tuple[Prepared, np.ndarray]]:
+        """Runs for which the same method and steps are chosen, together."""
+        h, chosen = self.prepared.step.length, dict[str, Prepared]()
+        kinds = defaultdict[tuple[str, int], list[int]](list)
+        made = dict[tuple[str, int], Prepared]()
+        for run, speed in enumerate(speeds.tolist()):
+            stiff = speed < MOST_SLOPE and h * speed > RK4_TAKES
+            key = f"{RK4_TAKES / speed:.2g}" if stiff else ""
+            own = chosen.get(key) or self.prepared.stepping(states[:, run], p[:, run], speed)
+            if not key or (own.solver.method == "rk4" and h / float(key) <= RK4_STEPS):  # the speed alone decided
+                chosen[key] = own
+            kind = (own.solver.method, own.step.substeps)
+            kinds[kind].append(run)
+            made.setdefault(kind, own)
+        return [(made[kind], np.array(members)) for kind, members in kinds.items()]
+
+    def _tell(self, board: Board, fit: Sequence[tuple[Prepared, np.ndarray]], runs: int) -> None:
+        """What ran, and in which steps where these were chosen."""
+        board.notices.update(dict.fromkeys((*self.prepared.notices, *self.prepared.keeping.notices)))
+        stiff = defaultdict[str, list[tuple[float, int]]](list)
+        for own, members in fit:
+            lanes = self._lanes_of(own)
+            assert lanes is not None  # it fits
+            board.engines[lanes.name] = None
+            if own.notices != self.prepared.notices:
+                stiff[own.solver.method].append((own.step.length, members.size))
+        for method, steps in stiff.items():
+            least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
+            told, span = sum(count for _, count in steps), least if least == most else f"{least} to {most}"
+            board.notices[f"the plant is stiff in {told} of {runs} runs: {method} takes steps of {span}"] = None
 
     def _march(
-        self, kinds: Sequence[tuple[Step, np.ndarray]], p: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor
+        self, kinds: Sequence[tuple[Prepared, np.ndarray]], p: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor
     ) -> Ran:
-        """All runs of each kind with its steps; of others nothing is told."""
-        width, step, keeping = self.lanes.width, self.prepared.step, self.prepared.keeping
+        """All runs of each kind with its method and steps; of others nothing is told."""
+        step, keeping = self.prepared.step, self.prepared.keeping
         groups = list[tuple[Lanes, np.ndarray, Group]]()
-        for chosen, members in kinds:
-            lanes = replace(self.lanes, step=replace(self.lanes.step, substeps=chosen.substeps))
-            for first in range(0, members.size, width):
-                some = members[first : first + width]
+        for own, members in kinds:
+            lanes = self._lanes_of(own)
+            assert lanes is not None  # it fits
+            lanes = replace(lanes, step=replace(lanes.step, substeps=own.step.substeps))
+            for first in range(0, members.size, lanes.width):
+                some = members[first : first + lanes.width]
                 groups.append((lanes, some, lanes.start(states[:, some], p[:, some])))
         ticks = self.prepared.ticks
         for first in range(0, ticks, TICKS):
@@ -167,7 +186,7 @@ class Together:
     ) -> tuple[Ran, np.ndarray]:
         """Runs that diverged, at shorter steps; and which of them the loop is not to be blamed for."""
         kinds = [(self.prepared.finer(own), members[ran.ended[members] >= 0]) for own, members in fit]
-        wild = [(finer.step, members) for finer, members in kinds if finer is not None and members.size]
+        wild = [(finer, members) for finer, members in kinds if finer is not None and members.size]
         tried = self._march(wild, p, states, pool)
         which = np.concatenate([np.zeros(0, np.int64), *(members for _, members in wild)])
         before, after = ran.ended[which], tried.ended[which]

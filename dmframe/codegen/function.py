@@ -98,7 +98,7 @@ class Dialect:
         return by_code({name: partial(_noted, form) for name, form in self.forms.items()})
 
 
-ONE: Final = Dialect("double", "{}", _FORMS, "dm_sincos", ("arithmetic.h",))
+ONE: Final = Dialect("double", "{}", _FORMS, "dm_sincos", ("arithmetic.h", "one.h"))
 LANES: Final = Dialect("dm_real", "dm_all({})", {**_FORMS, **_IN_LANES}, "dm_sincos_lanes", ("arithmetic.h", "lanes.h"))
 
 PIECE: Final = 3000

@@ -1,39 +1,14 @@
-/* Runs in plain C, DM_LANES at a time, as loop.c has one: above this stand the sizes DM_Z ... and the closed loop's own
-   functions. Of each run figures are kept alone: of each of its DM_Y outputs the sum of squares in eight parts of the run,
-   the least, the largest and the last value, and when its absolute value first left a limit. Nothing here allocates. */
+/* Runs in plain C, DM_LANES at a time, as loop.c has one. Above this stand integrate.c and what is above that. Of each run
+   figures are kept alone: of each of its DM_Y outputs the sum of squares in eight parts of the run, the least, the largest
+   and the last value, and when its absolute value first left a limit. */
 
 #define DM_PARTS 8
 #define DM_S (DM_Z + DM_X)
-
-typedef struct {
-  dm_real z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
-} dm_work;
 
 /* Of one output. */
 typedef struct {
   dm_real squares[DM_PARTS], least, most, last, crossed;
 } dm_figures;
-
-static void dm_slope(dm_real t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
-  if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
-  dm_rate(x, k->u, k->w, p, k->c, dx);
-}
-
-/* x from t to t + T by classical Runge-Kutta. */
-static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
-  dm_real k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
-  for (int64_t j = 0; j < substeps; j++) {
-    const double now = t + (double)j * h;
-    dm_slope(dm_all(now), x, p, k, k1);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
-    dm_slope(dm_all(now + h / 2), at, p, k, k2);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k2[i];
-    dm_slope(dm_all(now + h / 2), at, p, k, k3);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
-    dm_slope(dm_all(now + h), at, p, k, k4);
-    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
-  }
-}
 
 /* Into the figures of the runs that are alive, at time t in that part of the run. */
 static void dm_keep(dm_figures *all, const dm_real *y, const double *limits, double t, int part, dm_mask alive) {

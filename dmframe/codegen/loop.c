@@ -1,32 +1,5 @@
-/* A run in plain C: what samples move, over the plant, or everything in continuous time (then DM_Z is 0).
-   Above this stand the sizes DM_Z ... and the closed loop's own functions dm_constants, dm_trajectory, dm_sample, dm_rate,
-   dm_clip. Arrays have one element more than they need, as C knows no empty ones. Nothing here allocates memory. */
-
-typedef struct {
-  double z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
-} dm_work;
-
-/* dx at time t, commands held. */
-static void dm_slope(double t, const double *x, const double *p, dm_work *k, double *dx) {
-  if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
-  dm_rate(x, k->u, k->w, p, k->c, dx);
-}
-
-/* x from t to t + T by classical Runge-Kutta. */
-static void dm_integrate(double *x, double t, double h, int64_t substeps, const double *p, dm_work *k) {
-  double k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
-  for (int64_t j = 0; j < substeps; j++) {
-    const double now = t + (double)j * h;
-    dm_slope(now, x, p, k, k1);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
-    dm_slope(now + h / 2, at, p, k, k2);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k2[i];
-    dm_slope(now + h / 2, at, p, k, k3);
-    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
-    dm_slope(now + h, at, p, k, k4);
-    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
-  }
-}
+/* A run in plain C: what samples move, over the plant, or everything in continuous time (then DM_Z is 0). Above this
+   stand integrate.c and what is above that. */
 
 static void dm_log(const double *state, const dm_work *k, const int64_t *kept, int64_t columns, double *row) {
   for (int64_t j = 0; j < columns; j++)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import casadi as ca
+
+from dmframe.diagram.implicit import Bodies, Implicit, systems
+from dmframe.diagram.slopes import Slopes
 
 
 @final
@@ -21,7 +23,7 @@ class Hoisted(NamedTuple):
     constants: Any
 
 
-def split(bodies: Mapping[str, tuple[Sequence[Any], Sequence[Any]]], p: Any) -> tuple[list[Any], Any]:
+def split(bodies: Bodies, p: Any) -> tuple[list[Any], Any]:
     """Functions of (inputs..., p, c), and c as a function of p: what stays the same for a whole run."""
     flat = [ca.vertcat(*map(ca.vec, map(ca.densify, expressions))) for _, expressions in bodies.values()]
     remaining, symbols, constants = ca.extract_parametric(ca.vertcat(*flat), p)
@@ -56,6 +58,8 @@ class Parts:
         (state, w, drawn, T, p) -> y: what is recorded beside the state.
     clip
         (x, p) -> x put back into its sets.
+    explicit
+        How many of x, its first, a linearly implicit method integrates explicitly: the controller's in continuous time.
     """
 
     trajectory: Any
@@ -63,25 +67,44 @@ class Parts:
     rate: Any
     outputs: Any
     clip: Any
+    explicit: int = 0
 
     @cached_property
     def hoisted(self) -> Hoisted:
         """The same, with what follows from p alone taken out of each."""
+        p, bodies = self._bodies
+        (trajectory, sample, rate, clip), constants = split(bodies, p)
+        return Hoisted(trajectory, sample, rate, clip, constants)
+
+    @cached_property
+    def slopes(self) -> Slopes:
+        """The plant's Jacobian, in two forms where it is dear."""
+        return Slopes.of(self.rate, self.explicit)
+
+    @cached_property
+    def implicit(self) -> tuple[Hoisted, Implicit]:
+        """`hoisted`, and beside it a linearly implicit method's own. Raises `EngineError` where that is too large."""
+        p, bodies = self._bodies
+        more = systems(self.trajectory, self.rate, self.slopes, self.explicit, p)
+        (trajectory, sample, rate, clip, *made), constants = split({**bodies, **more}, p)
+        return Hoisted(trajectory, sample, rate, clip, constants), Implicit(*made)
+
+    @cached_property
+    def _bodies(self) -> tuple[Any, Bodies]:
+        """p, and of each function its inputs and expressions."""
         t, p = ca.SX.sym("t"), ca.SX.sym("p", self.trajectory.numel_in(1))
         state, w, drawn, period = (
             ca.SX.sym(name, self.sample.numel_in(i)) for i, name in enumerate(("state", "w", "drawn", "T"))
         )
         x, u = (ca.SX.sym(name, self.rate.numel_in(i)) for i, name in enumerate("xu"))
         seen = (state, w, drawn, period, p)
-        bodies = {
+        return p, {
             "trajectory": ([t], [self.trajectory(t, p)]),
             # sample and outputs see the same instant, and share most of their work
             "sample": (list(seen[:-1]), ca.cse([*self.sample(*seen), self.outputs(*seen)])),
             "rate": ([x, u, w], [self.rate(x, u, w, p)]),
             "clip": ([x], [self.clip(x, p)]),
         }
-        (trajectory, sample, rate, clip), constants = split(bodies, p)
-        return Hoisted(trajectory, sample, rate, clip, constants)
 
     @property
     def moved(self) -> bool:

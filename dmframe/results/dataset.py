@@ -17,6 +17,7 @@ from dmframe.files import encoded, printable
 from dmframe.port import Element
 from dmframe.results.resolved import resolved_text
 from dmframe.simulate import Recording, Solver
+from dmframe.simulate.step import FIXED
 from dmframe.units import sliding
 from dmframe.version import version
 
@@ -214,5 +215,5 @@ def _prismatic(diagram: Diagram, dimensions: tuple[str, ...], unit: str) -> dict
 
 
 def _solver(solver: Solver, clock: float | None) -> str:
-    how = f"step {solver.step!r} s" if solver.method == "rk4" else f"tolerance {solver.tolerance!r}"
+    how = f"step {solver.step!r} s" if solver.method in FIXED else f"tolerance {solver.tolerance!r}"
     return f"{solver.method}, {how}" + (f", output {solver.output!r} s" if clock is None else "")

@@ -15,8 +15,9 @@ from dmframe.build import first_time, load
 from dmframe.build.library import address
 from dmframe.build.trial import called
 from dmframe.codegen import loop_source
+from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.errors import EngineError, ValueFault
-from dmframe.simulate.step import Solver, Step
+from dmframe.simulate.step import FIXED, Solver, Step
 
 Choice = Literal["auto", "compiled", "interpreted"]
 
@@ -66,10 +67,10 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
     """The engine for a run of so many ticks, or of several that are so many together."""
     if choice not in get_args(Choice):
         raise ValueFault(f"engine: expected {', '.join(get_args(Choice))}, found {choice!r}", path=("engine",))
-    wanted = choice == "compiled" or (choice == "auto" and solver.method == "rk4" and worth(step, ticks))
+    wanted = choice == "compiled" or (choice == "auto" and solver.method in FIXED and worth(step, ticks))
     notices = list[str]()
-    if wanted and solver.method != "rk4":
-        notices.append(f"engine: {solver.method} runs interpreted; solver.method rk4 can be compiled")
+    if wanted and solver.method not in FIXED:
+        notices.append(f"engine: {solver.method} runs interpreted; solver.method {' or '.join(FIXED)} can be compiled")
     elif wanted:
         found, notice = _compiled(step)
         if notice is not None and (first_time(notice) or choice == "compiled"):
@@ -85,14 +86,24 @@ def choose(choice: Choice, step: Step, solver: Solver, every: int, kept: np.ndar
 
 def worth(step: Step, ticks: int) -> bool:
     """True for so many ticks that compiling them saves time."""
+    return ticks * _work(step) > WORTH
+
+
+def _work(step: Step) -> int:
+    """Instructions in a tick."""
     parts = step.parts
-    work = parts.sample.n_instructions() + parts.outputs.n_instructions()
-    return bool(ticks * (work + 4 * step.substeps * parts.rate.n_instructions()) > WORTH)
+    substep = 4 * parts.rate.n_instructions()
+    if step.implicit:
+        (_, more), evaluations = parts.implicit, ROS34PW2.stages - 1
+        substep = more.begin.n_instructions() + evaluations * (
+            parts.rate.n_instructions() + more.solve.n_instructions()
+        )
+    return int(parts.sample.n_instructions() + parts.outputs.n_instructions() + step.substeps * substep)
 
 
 def _compiled(step: Step) -> tuple[Any, str | None]:
     try:
-        loaded = load(loop_source(step.parts), lambda library: _works(library, step))
+        loaded = load(loop_source(step.parts, implicit=step.implicit), lambda library: _works(library, step))
     except EngineError as error:
         return None, error.text
     if loaded.library is None:

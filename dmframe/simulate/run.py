@@ -23,8 +23,8 @@ from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
-from dmframe.simulate.step import MOST_SUBSTEPS, Solver, Step, build_step, substeps_of
-from dmframe.simulate.stiffness import MOST_SLOPE, RK4_TAKES, speed_of, stiffness
+from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
+from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
 from dmframe.units import plain
 
 LATER = 1.5
@@ -135,6 +135,7 @@ class Prepared:
     matrices: Sequence[Signal]
     keeping: Keeping
     starts: Made = field(default_factory=dict)
+    engines: dict[Method, Engine] = field(default_factory=dict)
     notices: tuple[str, ...] = ()
 
     @cached_property
@@ -156,8 +157,8 @@ class Prepared:
         One that diverges is tried at shorter steps before the loop is blamed. `shared` is the engine of a batch.
         """
         with SYMBOLIC:
-            speed = speed_of(diagram, self.jacobian, state) if self.solver.method == "rk4" else 0.0
-            own = self.stepping(speed)
+            speed = speed_of(diagram, self.jacobian, state) if self.solver.method in FIXED else 0.0
+            own = self.stepping(state, diagram.loop.p_values, speed)
             engine = own.engine(choice) if shared is None else own.sharing(shared, choice)
         recording = own._run(diagram, engine, state, speed, progress)
         finer = self.finer(own)
@@ -172,28 +173,34 @@ class Prepared:
 
     def finer(self, own: Prepared) -> Prepared | None:
         """What to try where a run diverged at the steps that `own` has chosen for it; None where the user has."""
-        if self.solver.step is not None or own.solver.method != "rk4":
+        if self.solver.step is not None or own.solver.method not in FIXED:
             return None
-        step = max(own.step.period / own.step.substeps / 4, own.step.period / MOST_SUBSTEPS)
-        told = f"at longer steps the integrator itself diverged: rk4 took steps of {plain(step, 's')}"
+        step = max(own.step.length / 4, own.step.period / MOST_SUBSTEPS)
+        told = f"at longer steps the integrator itself diverged: {own.solver.method} took steps of {plain(step, 's')}"
         finer = own.solved_by(replace(own.solver, step=step))
         return replace(finer, notices=(*finer.notices, told))
 
-    def stepping(self, speed: float) -> Prepared:
+    def stepping(self, state: np.ndarray, p: np.ndarray, speed: float) -> Prepared:
         """The same, with the integrator for a plant of that speed [1/s], where nobody has chosen its step."""
-        if self.solver.method != "rk4" or self.solver.step is not None:
+        if self.solver.method not in FIXED or self.solver.step is not None:
             return self
-        h = self.step.period / self.step.substeps
-        if not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
+        h = self.step.length
+        if self.solver.method != "rk4" or not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
             return replace(self, solver=replace(self.solver, step=h))
-        h = float(f"{RK4_TAKES / speed:.2g}")
-        if self.step.period / h > MOST_SUBSTEPS:
-            solver = replace(self.solver, method="cvodes")
-            told = "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+        short = float(f"{RK4_TAKES / speed:.2g}")
+        possible, stiff = self.step.period / short <= MOST_SUBSTEPS, "the plant is stiff: rk4"
+        if not (possible and h / short <= RK4_STEPS):
+            own = self.solved_by(replace(self.solver, method="ros34pw2"))
+            h = own.step.length
+            if h * left_out(own.step, state, p) <= EXPLICIT_TAKES:
+                told = f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
+                return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, told))
+        if possible:
+            own, told = self.solved_by(replace(self.solver, step=short)), f"{stiff} takes steps of {plain(short, 's')}"
         else:
-            solver = replace(self.solver, step=h)
-            told = f"the plant is stiff: rk4 takes steps of {plain(h, 's')}"
-        return replace(self.solved_by(solver), notices=(*self.notices, told))
+            own = self.solved_by(replace(self.solver, method="cvodes"))
+            told = "the plant is too stiff for rk4, whose steps would be shorter than 1/2000 of a tick: cvodes runs it"
+        return replace(own, notices=(*self.notices, told))
 
     def solved_by(self, solver: Solver) -> Prepared:
         """The same with another solver."""
@@ -206,7 +213,12 @@ class Prepared:
 
     def sharing(self, engine: Engine, choice: Choice) -> Engine:
         """A batch's engine for one run of it, which may take other steps: machine code serves them all."""
-        if isinstance(engine, Compiled) and self.solver.method == "rk4":
+        method = self.solver.method
+        if method in FIXED and method != engine.step.solver.method:
+            if method not in self.engines:
+                self.engines[method] = self.engine("compiled" if isinstance(engine, Compiled) else choice)
+            engine = self.engines[method]
+        if isinstance(engine, Compiled) and method in FIXED:
             return replace(engine, step=self.step)
         alike = (engine.step.substeps, engine.step.solver.method) == (self.step.substeps, self.solver.method)
         return engine if alike else self.engine(choice)
@@ -215,12 +227,14 @@ class Prepared:
         self, diagram: Diagram, engine: Engine, state: np.ndarray, speed: float, progress: Progress | None = None
     ) -> Recording:
         p, state = diagram.loop.p_values, state.copy()
+        with SYMBOLIC:
+            stiff = stiffness(self.step, self.solver, speed, state, p)
         begin = time.perf_counter()
         rows, end, done = march(engine, self.step, self.keeping, state, p, self.ticks, progress)
         wall = time.perf_counter() - begin
         with SYMBOLIC:
             divergence = divergence_of(diagram, self.step, end, done, state, p)
-            return self._told(diagram, engine, rows, divergence, end, wall, stiffness(self.step, self.solver, speed))
+            return self._told(diagram, engine, rows, divergence, end, wall, stiff)
 
     def _told(
         self,

@@ -14,7 +14,9 @@ With a continuous clock controller and plant are integrated together, and a tick
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, Literal, final, get_args
 
@@ -25,21 +27,29 @@ from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import columns, stack
 from dmframe.diagram.parts import Parts
+from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate.instants import DRAWN, LENGTH, TIME, Instants
 
-Method = Literal["rk4", "cvodes"]
-"""Fixed-step fourth-order Runge-Kutta, or SUNDIALS' variable-step backward differentiation."""
+Method = Literal["rk4", "ros34pw2", "cvodes"]
+"""Fixed-step fourth-order Runge-Kutta; a fixed-step Rosenbrock method of third order for stiff plants; SUNDIALS'
+variable-step backward differentiation."""
+
+FIXED = ("rk4", "ros34pw2")
+"""The methods of fixed step, which can be compiled."""
 
 RK4_STABLE = 2.785
 """Classical RK4 is stable on the negative real axis for h |lambda| below this [Hairer1996]_."""
 
 MOST_SUBSTEPS = 2000
-"""Steps of rk4 in a tick; they are written out one by one in the tick's function."""
+"""Steps of a method of fixed step in a tick; they are written out one by one in the tick's function."""
 
 
 PLAIN_STEP = 0.001
 """The longest step of rk4 where nothing says otherwise [s]."""
+
+PLAIN_STEPS = {"rk4": PLAIN_STEP, "ros34pw2": PLAIN_STEP / 2}
+"""The same of each method of fixed step: with these, their errors are alike where both can run."""
 
 
 @final
@@ -50,10 +60,10 @@ class Solver:
     Parameters
     ----------
     method
-        ``rk4`` or ``cvodes``.
+        ``rk4``, ``ros34pw2`` or ``cvodes``.
     step
-        Of rk4, the longest step [s]; a tick is divided into equal ones. None: `PLAIN_STEP`, or less where the plant is
-        too stiff for it.
+        Of rk4 and ros34pw2, the longest step [s]; a tick is divided into equal ones. None: `PLAIN_STEP`, or what the
+        plant's stiffness asks for.
     output
         With a continuous clock, how often a result is kept [s].
     tolerance
@@ -108,6 +118,16 @@ class Step:
         """T [s]."""
         return self.instants.period
 
+    @property
+    def implicit(self) -> bool:
+        """True where each step solves linear systems."""
+        return self.solver.method == "ros34pw2"
+
+    @property
+    def length(self) -> float:
+        """h, the integrator's step [s]."""
+        return self.period / self.substeps
+
     @cached_property
     def tick(self) -> Any:
         """(state, given, p) -> (state at the next tick, recorded outputs as one column), for the interpreter.
@@ -130,7 +150,7 @@ class Step:
     def with_period(self, period: float) -> Step:
         """The same with another period [s], in one step of the integrator."""
         instants = replace(self.instants, period=period, jitter=0.0)
-        return replace(self, instants=instants, substeps=1, solver=Solver(step=period))
+        return replace(self, instants=instants, substeps=1, solver=replace(self.solver, step=period))
 
     def recording(self, rows: np.ndarray) -> Step:
         """The same, but of the recorded outputs only some."""
@@ -185,16 +205,17 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
         rate=ca.Function("plant", [integrated, held, loop.w, loop.p], [ca.cse(rate)]),
         outputs=_seen("outputs", loop, [recorded]),
         clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
+        explicit=integrated.numel() - stack(variable.symbol for variable in loop.flowing).numel(),
     )
 
 
 def substeps_of(clock: float | None, solver: Solver) -> int:
     """Integrator steps in a tick. Raises `EngineError` where they are too many to write out."""
-    if solver.method != "rk4":
+    if solver.method not in FIXED:
         return 1
     period = clock if clock is not None else solver.output
     if solver.step is None:
-        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEP, 9))))
+        return min(MOST_SUBSTEPS, max(1, math.ceil(round(period / PLAIN_STEPS[solver.method], 9))))
     steps = period / solver.step
     if steps > MOST_SUBSTEPS * (1 + 1e-9):
         tick, shorter = ("", "a shorter clock") if clock is not None else ("solver.output, ", "a shorter output")
@@ -232,7 +253,8 @@ def _pruned(loop: ClosedLoop, expressions: list[SX]) -> list[SX]:
 def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> Any:
     """(state, given, p) -> the state one tick later, and what is recorded before it, for the interpreter."""
     state, given, p = _columns_of(parts)
-    t, hoisted = given[TIME], parts.hoisted
+    t, rosenbrock = given[TIME], solver.method == "ros34pw2"
+    hoisted = parts.implicit[0] if rosenbrock else parts.hoisted
     c = hoisted.constants(p)
     z, u, recorded = hoisted.sample(state, hoisted.trajectory(t, p, c), given[DRAWN:], instants.period, p, c)
     _, x = ca.vertsplit(state, [0, z.numel(), state.numel()])
@@ -241,7 +263,7 @@ def _tick(parts: Parts, solver: Solver, instants: Instants, substeps: int) -> An
     else:
         # without jitter all ticks are as long, and the step is a number that CasADi folds
         h = given[LENGTH] / substeps if instants.jitter else instants.period / substeps
-        x = _rk4(parts, x, t, u, p, c, h, substeps)
+        x = (_ros34pw2 if rosenbrock else _rk4)(parts, x, t, u, p, c, h, substeps)
     return ca.Function("tick", [state, given, p], [ca.vertcat(z, hoisted.clip(x, p, c)), recorded])
 
 
@@ -261,6 +283,32 @@ def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps:
         k4 = at(x + whole * k3, now + h)
         x = x + sixth * (k1 + 2 * (k2 + k3) + k4)
     return x
+
+
+def _ros34pw2(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps: int) -> Any:
+    """(3) of `dmframe.diagram.rosenbrock`, in the order of `loop.c`."""
+    (hoisted, implicit), moved, method = parts.implicit, parts.moved, ROS34PW2
+    w = dw = ca.MX.zeros(hoisted.rate.size1_in(2))
+    for j in range(substeps):
+        now = t + j * h
+        if moved:
+            w, dw = implicit.moving(now, p, c)
+        factors, drift, first = implicit.begin(x, u, w, dw, h, p, c)
+        stages = [first]
+        for i in range(1, method.stages):
+            if moved:
+                w = hoisted.trajectory(now + float(method.nodes[i]) * h, p, c)
+            rate = hoisted.rate(_sum(x, method.a[i], stages), u, w, p, c)
+            right = _sum(h * rate + float(method.drifts[i]) * h * h * drift, method.c[i], stages)
+            stages.append(implicit.solve(factors, float(method.gamma) * right, p, c))
+        x = _sum(x, method.m, stages)
+    return x
+
+
+def _sum(first: Any, factors: Sequence[Fraction], columns: Sequence[Any]) -> Any:
+    for factor, column in zip(factors, columns, strict=True):
+        first = first + float(factor) * column
+    return first
 
 
 def _cvodes(parts: Parts, x: Any, given: Any, u: Any, p: Any, solver: Solver, instants: Instants) -> Any:

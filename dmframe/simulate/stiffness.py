@@ -9,10 +9,18 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.simulate.step import RK4_STABLE, Solver, Step
+from dmframe.errors import EngineError
+from dmframe.simulate.step import FIXED, RK4_STABLE, Solver, Step
 
 RK4_TAKES = 0.8 * RK4_STABLE
 """h |lambda| of the steps that are chosen for rk4."""
+
+RK4_STEPS = 10
+"""How many times more steps than on a plant that is not stiff rk4 may take, before ros34pw2 runs it: one of its steps
+costs up to 2.2 of rk4, and there are twice as many."""
+
+EXPLICIT_TAKES = 0.5
+"""h |lambda| of what ros34pw2 integrates explicitly."""
 
 MOST_SLOPE = 1e12
 """No solver takes a plant whose rates change faster [1/s, or its other units]."""
@@ -34,17 +42,39 @@ def fastest(jacobians: np.ndarray) -> np.ndarray:
     return speeds
 
 
-def stiffness(step: Step, solver: Solver, speed: float) -> tuple[str, ...]:
+def left_out(step: Step, state: np.ndarray, p: np.ndarray) -> float:
+    """How fast, at a state, what moves that a linearly implicit method leaves out of its systems [1/s].
+
+    Infinite where they are too large for it.
+    """
+    try:
+        slopes, _ = step.parts.slopes, step.parts.implicit
+    except EngineError:
+        return math.inf
+    if slopes.used is slopes.exact:
+        return 0.0
+    w, drawn = step.parts.trajectory(0, p), np.zeros(step.parts.sample.numel_in(2))
+    z, u = step.parts.sample(state, w, drawn, step.period, p)
+    used, exact = (f(state[z.numel() :], u, w, p).full() for f in slopes)
+    return float(np.max(np.abs(np.linalg.eigvals(exact - used))))
+
+
+def stiffness(step: Step, solver: Solver, speed: float, state: np.ndarray, p: np.ndarray) -> tuple[str, ...]:
     """A notice where a plant of that speed [1/s] is too stiff for a fixed-step method."""
-    if solver.method != "rk4":
+    if solver.method not in FIXED:
         return ()
-    h = step.period / step.substeps
+    h = step.length
     if math.isinf(speed):
         return ("at the start the plant's rates are too steep to compute with; take parameters nearer to 1",)
-    if h * speed > 0.9 * RK4_STABLE:
+    if solver.method == "ros34pw2" and h * left_out(step, state, p) > EXPLICIT_TAKES:
+        return (
+            "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly: take a shorter "
+            "solver.step, or solver.method: cvodes",
+        )
+    if solver.method == "rk4" and h * speed > 0.9 * RK4_STABLE:
         return (
             f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
             f"{RK4_STABLE}; take solver.step: {RK4_TAKES / speed * 1e3:.2g} ms, leave it out, or take "
-            "solver.method: cvodes",
+            "solver.method: ros34pw2",
         )
     return ()

@@ -263,8 +263,8 @@ def test_a_library_with_a_wrong_lane_is_not_used(
     monkeypatch.setenv("DMFRAME_CACHE", str(tmp_path))
     source = lanes_source
 
-    def spoilt(parts: Any) -> str:
-        text = source(parts)
+    def spoilt(parts: Any, *, implicit: bool) -> str:
+        text = source(parts, implicit=implicit)
         assert right in text
         return text.replace(right, wrong)
 

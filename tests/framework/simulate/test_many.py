@@ -61,7 +61,7 @@ def test_a_run_of_a_batch_takes_the_steps_that_it_would_take_alone(engine: Any) 
         np.testing.assert_array_equal(run["arm.q"], single["arm.q"])
     first, second, third = batch
     assert second.solver.step < first.solver.step  # type: ignore[union-attr]
-    assert third.solver.method == "cvodes"  # type: ignore[union-attr]
+    assert third.solver.method == "ros34pw2"  # type: ignore[union-attr]
 
 
 def test_order_and_numbers_do_not_depend_on_the_number_of_threads() -> None:

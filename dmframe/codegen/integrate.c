@@ -1,0 +1,59 @@
+/* From one tick to the next: what a tick works with, and its integrators. Numbers are of the type dm_real, one or one of
+   several runs in a vector. Above this stand the sizes DM_Z ... and the closed loop's own functions. Arrays have one element
+   more than they need, as C knows no empty ones. Nothing here allocates memory. */
+
+typedef struct {
+  dm_real z[DM_Z + 1], u[DM_U + 1], w[DM_W + 1], y[DM_Y + 1], c[DM_C + 1];
+} dm_work;
+
+/* dx at time t, commands held. */
+static void dm_slope(double t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
+  const dm_real now = dm_all(t);
+  if (DM_MOVED) dm_trajectory(&now, p, k->c, k->w);
+  dm_rate(x, k->u, k->w, p, k->c, dx);
+}
+
+#ifdef DM_STAGES
+/* x from t to t + T by the Rosenbrock method whose numbers stand above: (3) of dmframe.diagram.rosenbrock. */
+static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
+  dm_real u[DM_STAGES][DM_X + 1], at[DM_X + 1], right[DM_X + 1], drift[DM_X + 1], dw[DM_W + 1] = {0}, factors[DM_F + 1];
+  const dm_real step = dm_all(h);
+  for (int64_t j = 0; j < substeps; j++) {
+    const double now = t + (double)j * h;
+    const dm_real moment = dm_all(now);
+    if (DM_MOVED) dm_moving(&moment, p, k->c, k->w, dw);
+    dm_begin(x, k->u, k->w, dw, &step, p, k->c, factors, drift, u[0]);
+    for (int s = 1; s < DM_STAGES; s++) {
+      for (int i = 0; i < DM_X; i++) {
+        at[i] = x[i];
+        for (int r = 0; r < s; r++) at[i] += dm_method_a[s][r] * u[r][i];
+      }
+      dm_slope(now + dm_method_nodes[s] * h, at, p, k, right);
+      for (int i = 0; i < DM_X; i++) {
+        dm_real sum = h * right[i] + dm_method_drifts[s] * h * h * drift[i];
+        for (int r = 0; r < s; r++) sum += dm_method_c[s][r] * u[r][i];
+        right[i] = dm_method_gamma * sum;
+      }
+      dm_solve(factors, right, p, k->c, u[s]);
+    }
+    for (int i = 0; i < DM_X; i++)
+      for (int s = 0; s < DM_STAGES; s++) x[i] += dm_method_m[s] * u[s][i];
+  }
+}
+#else
+/* x from t to t + T by classical Runge-Kutta. */
+static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
+  dm_real k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
+  for (int64_t j = 0; j < substeps; j++) {
+    const double now = t + (double)j * h;
+    dm_slope(now, x, p, k, k1);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
+    dm_slope(now + h / 2, at, p, k, k2);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k2[i];
+    dm_slope(now + h / 2, at, p, k, k3);
+    for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
+    dm_slope(now + h, at, p, k, k4);
+    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+  }
+}
+#endif

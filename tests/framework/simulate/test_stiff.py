@@ -1,0 +1,268 @@
+"""ros34pw2: its order on plants that are smooth and stiff, against closed forms, SciPy and cvodes; when it is chosen."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.config import load_experiment
+from dmframe.diagram import Diagram
+from dmframe.parameter import Real, Scalar
+from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
+from dmframe.simulate.engine import _work
+from dmframe.simulate.run import Prepared, prepare
+
+PANDA = ["arm.coulomb=[6, 6, 6, 6, 1.3, 1.3, 1.34]"]
+"""Coulomb friction on a Panda, with v_0 = 5 mrad/s: its last joint makes h |lambda| 46 at 1 ms."""
+
+
+class Plant(AbstractBlock):
+    """A plant by itself, dy = rate(t, y)."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "2", "", Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("y", "2"),)
+    speed: Scalar = Real(default=1.0)
+
+
+class Driven(Plant):
+    """A driven pendulum, smooth."""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        rate = ca.vertcat(x.y[1], -ca.sin(x.y[0]) - 0.1 * x.y[1] + ca.cos(u.t))
+        return Equations(outputs={"y": x.y}, rates={"y": rate})
+
+
+class Chasing(Plant):
+    """Prothero and Robinson's: y chases sin t at any speed, and is sin t from there on."""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        rate = p.speed * (ca.sin(u.t) - x.y) + ca.cos(u.t)
+        return Equations(outputs={"y": x.y}, rates={"y": rate})
+
+
+class VanDerPol(Plant):
+    """Van der Pol's oscillator, scaled: the second element is `speed` times as fast as the first."""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        rate = ca.vertcat(x.y[1], p.speed * ((1 - x.y[0] ** 2) * x.y[1] - x.y[0]))
+        return Equations(outputs={"y": x.y}, rates={"y": rate})
+
+
+class Late(Plant):
+    """dy = -k(t) y, with k from 0 up to `speed`: stiff later than at the start."""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"y": x.y}, rates={"y": -p.speed * ca.tanh(u.t) * x.y})
+
+
+class Singular(Plant):
+    """I - h gamma A has no inverse at steps of `speed`, and no first pivot at all."""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        gamma = 4.3586652150845900e-01
+        rate = ca.vertcat(x.y[0] / (gamma * p.speed) + x.y[1], x.y[0] + 1)
+        return Equations(outputs={"y": x.y}, rates={"y": rate})
+
+
+class Square(AbstractBlock):
+    """dx = -k |x|^2 x, of which a Jacobian is dear: it is left out of what ros34pw2 solves for."""
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x", "40", "", Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("x", "40"),)
+    k: Scalar = Real(default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"x": x.x}, rates={"x": -p.k * ca.sum1(x.x) ** 2 * x.x - ca.tanh(x.x)})
+
+
+def alone(block: AbstractBlock) -> Diagram:
+    return Diagram.build({"plant": block})
+
+
+def ran(block: AbstractBlock, duration: float, y: list[float], step: float, clock: float | None, **options: Any) -> Any:
+    solver = Solver("ros34pw2", step, clock or duration)
+    return simulate(alone(block), duration, clock=clock, solver=solver, start={"y": y}, **options)
+
+
+def orders(errors: list[float]) -> np.ndarray:
+    return np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+@pytest.mark.parametrize("clock", [0.4, None])
+def test_it_converges_with_the_third_order_on_a_smooth_plant(clock: float | None, engine: str) -> None:
+    exact = solve_ivp(
+        lambda t, y: [y[1], -np.sin(y[0]) - 0.1 * y[1] + np.cos(t)],
+        (0, 4),
+        [0.5, 0],
+        method="DOP853",
+        rtol=1e-13,
+        atol=1e-13,
+    ).y[:, -1]
+
+    def error(step: float) -> float:
+        # the last instant that is kept is that of the last tick's begin
+        run = simulate(
+            alone(Driven()),
+            4.4,
+            clock=clock,
+            solver=Solver("ros34pw2", step, 0.4),
+            start={"y": [0.5, 0]},
+            engine=engine,  # type: ignore[arg-type]
+        )
+        return float(np.linalg.norm(run["plant.y"][np.searchsorted(run.time, 4 - 1e-9)] - exact))
+
+    found = orders([error(0.4 / k) for k in (4, 8, 16, 32)])
+    assert np.all(np.abs(found - 3) < 0.3)
+
+
+@pytest.mark.parametrize("speed", [1e2, 1e4, 1e6])
+def test_on_a_plant_that_chases_a_path_the_error_falls_with_the_step_at_every_stiffness(speed: float) -> None:
+    errors = []
+    for k in (1, 2, 4, 8):
+        run = ran(Chasing(speed=speed), 2.0, [0, 0], 0.1 / k, 0.1)
+        errors.append(float(np.max(np.abs(run["plant.y"][:, 0] - np.sin(run.time)))))
+    assert np.all(orders(errors) > 1.8)
+    assert errors[-1] < 1e-6 * max(1.0, 1e4 / speed)
+
+
+def test_van_der_pols_oscillator_is_that_of_scipys_radau_at_thousands_of_times_rk4s_step() -> None:
+    speed, duration = 1e4, 0.5
+    exact = solve_ivp(
+        lambda t, y: [y[1], speed * ((1 - y[0] ** 2) * y[1] - y[0])],
+        (0, duration),
+        [2, -2 / 3],
+        method="Radau",
+        rtol=1e-11,
+        atol=1e-13,
+        t_eval=np.linspace(0, duration, 51),
+        jac=lambda t, y: [[0, 1], [speed * (-2 * y[0] * y[1] - 1), speed * (1 - y[0] ** 2)]],
+    ).y.T
+    errors = [
+        float(np.max(np.abs(ran(VanDerPol(speed=speed), duration, [2, -2 / 3], h, 0.01)["plant.y"] - exact)))
+        for h in (0.01, 0.005, 0.0025)
+    ]
+    assert np.all(orders(errors) > 1.8)
+    assert errors[-1] < 1e-5
+
+
+@pytest.mark.parametrize(("name", "bound"), [("arm2_joint", 2e-7), ("theorem_1", 1e-8), ("computed_torque", 1e-8)])
+def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: str, bound: float) -> None:
+    graph = load_experiment(name)
+    diagram = graph.diagram()
+
+    def q(solver: Solver) -> np.ndarray:
+        run = simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="interpreted")
+        return run["arm.q"]
+
+    exact = q(Solver("cvodes", None, graph.solver.output, 1e-12))
+    errors = [float(np.max(np.abs(q(Solver("ros34pw2", h, graph.solver.output)) - exact))) for h in (1e-3, 5e-4)]
+    assert errors[1] < bound
+    assert errors[1] < errors[0] / 2.5
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("arm2_joint", []), ("ur10_fast", []), ("theorem_1", []), ("panda_full", PANDA)],
+)
+def test_both_engines_compute_it_alike(name: str, changes: list[str]) -> None:
+    graph = load_experiment(name, changes)
+    diagram, solver = graph.diagram(), Solver("ros34pw2", 1e-3)
+    compiled, interpreted = (
+        simulate(diagram, 0.2, clock=graph.file.clock, solver=solver, start=graph.start, engine=engine)
+        for engine in ("compiled", "interpreted")
+    )
+    assert (compiled.engine, interpreted.engine) == ("compiled", "interpreted")
+    for label, values in {**compiled.states, **compiled.outputs}.items():
+        np.testing.assert_allclose(values, interpreted[label], rtol=1e-9, atol=1e-9)
+
+
+def test_a_library_that_computes_it_wrongly_is_not_loaded(
+    cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiler = tmp_path / "badcc"
+    compiler.write_text("#!/bin/sh\nsed -i 's/dm_method_m\\[s\\]/0.5 * &/' loop.c; cc \"$@\"\n", encoding="utf-8")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("CC", str(compiler))
+    run = ran(Driven(), 0.1, [0.5, 0], 1e-3, 0.01, engine="compiled")
+    assert run.engine == "interpreted"
+    assert "made a library that does not work" in run.notices[0]
+
+
+def test_a_panda_of_h_lambda_46_is_run_compiled_where_rk4_cannot_and_cvodes_is_interpreted() -> None:
+    graph = load_experiment("panda_full", PANDA)
+    diagram = graph.diagram()
+
+    def run(solver: Solver) -> Recording:
+        return simulate(diagram, 0.4, clock=graph.file.clock, solver=solver, start=graph.start, engine="compiled")
+
+    exact, plain, chosen = run(Solver("cvodes", tolerance=1e-10)), run(Solver(step=1e-3)), run(Solver())
+    assert "at rest h |lambda| = 46." in plain.notices[0]
+    assert np.max(np.abs(plain["arm.q"] - exact["arm.q"])) > 1e-3  # friction is bounded: it chatters, and goes on
+    assert (chosen.engine, chosen.solver) == ("compiled", Solver("ros34pw2", 5e-4))
+    assert chosen.notices == (
+        "the plant is stiff: rk4 would take steps of 48 µs; ros34pw2 runs it, in steps of 500 µs",
+    )
+    np.testing.assert_allclose(chosen["arm.q"], exact["arm.q"], atol=2e-6)
+    np.testing.assert_allclose(run(Solver("ros34pw2", 1e-3))["arm.q"], exact["arm.q"], atol=1e-5)
+
+
+def test_one_of_its_steps_costs_at_most_twice_and_a_quarter_of_rk4s() -> None:
+    for name in ("arm2_joint", "ur10_full"):
+        graph = load_experiment(name)
+        prepared = prepare(graph.diagram(), 1, clock=graph.file.clock, solver=graph.solver, log=Log())
+
+        def of_a_step(method: Any, prepared: Prepared = prepared, period: float = graph.file.clock or 0.0) -> int:
+            whole, halves = (prepared.solved_by(Solver(method, period / k)).step for k in (1, 2))
+            return _work(halves) - _work(whole)
+
+        assert of_a_step("ros34pw2") < 2.25 * of_a_step("rk4")
+
+
+def test_a_step_whose_system_has_no_solution_ends_the_run_instead_of_passing_garbage_on() -> None:
+    run = simulate(
+        alone(Singular(speed=0.01)), 0.1, clock=0.01, solver=Solver("ros34pw2", 0.01), start={"y": [1.0, 1.0]}
+    )
+    assert run.divergence is not None
+    assert "plant.y[0] is no longer finite" in str(run.divergence)
+    sound = ran(Singular(speed=0.01), 0.1, [1, 1], 0.009, 0.01)
+    assert sound.divergence is None
+
+
+def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
+    start = {"x": [1.0] * 40}
+    given: dict[str, Any] = {"clock": 0.01, "start": start}
+    chosen = simulate(alone(Square(k=20.0)), 0.05, **given)
+    assert chosen.solver.method == "rk4"
+    assert chosen.divergence is None
+    (notice,) = chosen.notices
+    assert notice.startswith("the plant is stiff: rk4 takes steps of ")
+    asked = simulate(alone(Square(k=20.0)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
+    assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in asked.notices[0]
+    easy = simulate(alone(Square(k=1e-3)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
+    assert easy.notices == ()
+
+
+def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() -> None:
+    run = simulate(alone(Late(speed=4e3)), 20.0, clock=0.01, start={"y": [1.0, 1.0]})
+    assert run.divergence is None
+    assert any("at longer steps the integrator itself diverged: rk4" in notice for notice in run.notices)
+
+
+def test_a_batch_shares_one_library_of_each_method(cache: Path) -> None:
+    graph = load_experiment("arm2_joint")
+    variants = [{}, *({"arm.viscous": [1.0, viscous]} for viscous in (800.0, 1e5, 1e6))]
+    runs = simulate_many(graph.diagram(), variants, 0.1, clock=graph.file.clock, start=graph.start, engine="compiled")
+    methods = [run.solver.method for run in runs if isinstance(run, Recording)]
+    assert methods == ["rk4", "rk4", "ros34pw2", "ros34pw2"]
+    assert len(list(cache.iterdir())) == 2
