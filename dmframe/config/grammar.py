@@ -99,9 +99,12 @@ class RobotSection(_Section):
 class SolverSection(_Section):
     """How the continuous part is integrated."""
 
-    method: Method = Field("rk4", description="rk4 (fixed step) or cvodes (SUNDIALS, adaptive)")
+    method: Method = Field(
+        "rk4", description="rk4 (fixed step), ros34pw2 (fixed step, for stiff plants) or cvodes (SUNDIALS, adaptive)"
+    )
     step: Seconds | None = Field(
-        None, description="longest step of rk4; without it 1 ms, or less where the plant is too stiff for that"
+        None,
+        description="longest step of rk4, ros34pw2; without it 1 ms, 0.5 ms for ros34pw2, or less where rk4 must",
     )
     output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")

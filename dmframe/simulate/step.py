@@ -78,7 +78,8 @@ class Solver:
     def __post_init__(self) -> None:
         """Refuse what cannot integrate."""
         if self.method not in get_args(Method):
-            raise ValueFault(f"solver.method: expected {' or '.join(get_args(Method))}, found {self.method!r}")
+            *first, last = get_args(Method)
+            raise ValueFault(f"solver.method: expected {', '.join(first)} or {last}, found {self.method!r}")
         for name in ("step", "output", "tolerance"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
@@ -287,22 +288,27 @@ def _rk4(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps:
 
 def _ros34pw2(parts: Parts, x: Any, t: Any, u: Any, p: Any, c: Any, h: Any, substeps: int) -> Any:
     """(3) of `dmframe.diagram.rosenbrock`, in the order of `loop.c`."""
-    (hoisted, implicit), moved, method = parts.implicit, parts.moved, ROS34PW2
-    w = dw = ca.MX.zeros(hoisted.rate.size1_in(2))
+    given = [ca.MX.sym(name, size) for name, size in (("t", 1), ("h", 1), ("u", u.numel()), ("p", p.numel()))]
+    given.append(ca.MX.sym("c", c.numel()))
+    begin = ca.MX.sym("x", x.numel())
+    step = ca.Function("step", [begin, *given], [_linearly_implicit(parts, begin, *given)])
     for j in range(substeps):
-        now = t + j * h
-        if moved:
-            w, dw = implicit.moving(now, p, c)
-        factors, drift, first = implicit.begin(x, u, w, dw, h, p, c)
-        stages = [first]
-        for i in range(1, method.stages):
-            if moved:
-                w = hoisted.trajectory(now + float(method.nodes[i]) * h, p, c)
-            rate = hoisted.rate(_sum(x, method.a[i], stages), u, w, p, c)
-            right = _sum(h * rate + float(method.drifts[i]) * h * h * drift, method.c[i], stages)
-            stages.append(implicit.solve(factors, float(method.gamma) * right, p, c))
-        x = _sum(x, method.m, stages)
+        x = step(x, t + j * h, h, u, p, c)
     return x
+
+
+def _linearly_implicit(parts: Parts, x: Any, t: Any, h: Any, u: Any, p: Any, c: Any) -> Any:
+    (hoisted, implicit), moved, method = parts.implicit, parts.moved, ROS34PW2
+    w, dw = implicit.moving(t, p, c) if moved else 2 * [ca.MX.zeros(hoisted.rate.size1_in(2))]
+    factors, drift, first = implicit.begin(x, u, w, dw, h, p, c)
+    stages = [first]
+    for i in range(1, method.stages):
+        if moved:
+            w = hoisted.trajectory(t + float(method.nodes[i]) * h, p, c)
+        rate = hoisted.rate(_sum(x, method.a[i], stages), u, w, p, c)
+        right = _sum(h * rate + float(method.drifts[i]) * h * h * drift, method.c[i], stages)
+        stages.append(implicit.solve(factors, float(method.gamma) * right, p, c))
+    return _sum(x, method.m, stages)
 
 
 def _sum(first: Any, factors: Sequence[Fraction], columns: Sequence[Any]) -> Any:

@@ -1,4 +1,4 @@
-"""(g): runs side by side in vector registers, on one core, and how far that is from what the processor could do."""
+"""(h): runs side by side in vector registers, on one core, and how far that is from what the processor could do."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def operations(batch: Any) -> float:
 
     weights = {"sin": SINE / 2, "cos": SINE / 2, "tanh": TANH}  # a sine has its cosine beside it, as a rule
     step = batch.prepared.step
-    parts = batch._compiled[0].step.parts.hoisted
+    parts = batch._parts.hoisted
 
     def of(function: Any) -> float:
         codes = [node.code for node in read(function).nodes if node.code not in (CONST, INPUT)]
@@ -107,19 +107,19 @@ def section(limit: float, told: Callable[[str], None] = lambda text: None) -> Se
         first = None
         for width in WIDTHS:
             name = f"{graph}, {width} at once" if width > 1 else f"{graph}, one run"
-            told(f"(g) {name}")
+            told(f"(h) {name}")
             try:
                 found = measure("lanes:timed", limit, graph=graph, width=width)
             except Failed as failure:
-                rows.append(Row("g", name, status="missing", agreement=str(failure), version=of("dmframe")))
+                rows.append(Row("h", name, status="missing", agreement=str(failure), version=of("dmframe")))
                 continue
             first = first or found["rate"]
             share = found["operations"] * found["rate"] / found["peak"] if width > 1 else None
             told_of = "" if share is None else f"{share:.0%} of what the processor could do"
             ratio = found["rate"] / first if width > 1 else None
-            rows.append(Row("g", name, found["rate"], "x real time", ratio, "ok", of("dmframe"), told_of))
+            rows.append(Row("h", name, found["rate"], "x real time", ratio, "ok", of("dmframe"), told_of))
     return Section(
-        "g",
+        "h",
         f"runs side by side in vector registers, {SECONDS:g} s each, on one core; figures in the loop",
         "how many times as fast as one run",
         tuple(rows),

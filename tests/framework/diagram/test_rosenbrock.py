@@ -162,7 +162,9 @@ def test_a_cheap_jacobian_is_used_whole_and_a_dear_one_but_for_inertia_gravity_a
     slope = np.cosh(dq / chain.friction_velocity) ** -2 / chain.friction_velocity
     damping = np.diag(np.asarray(arm.viscous) + np.asarray(arm.coulomb) * slope + np.asarray(servo.K_D))
     np.testing.assert_allclose(used[row, places["arm.dq"]], -np.linalg.solve(M, damping), rtol=1e-9, atol=1e-8)
-    np.testing.assert_allclose(used[row, places["arm.q"]], -np.linalg.solve(M, np.diag(servo.K_P)), rtol=1e-9, atol=1e-8)
+    np.testing.assert_allclose(
+        used[row, places["arm.q"]], -np.linalg.solve(M, np.diag(servo.K_P)), rtol=1e-9, atol=1e-8
+    )
 
 
 def test_of_a_dear_jacobian_what_stands_in_a_square_is_left_out() -> None:

@@ -321,7 +321,7 @@ def test_a_bad_call_is_told_what_is_wrong(options: dict[str, Any], text: str) ->
 
 
 def test_a_solver_is_one_of_three_with_positive_numbers() -> None:
-    with pytest.raises(ValueFault, match=r"solver\.method: expected rk4 or ros34pw2 or cvodes, found 'euler'"):
+    with pytest.raises(ValueFault, match=r"solver\.method: expected rk4, ros34pw2 or cvodes, found 'euler'"):
         Solver(method="euler")  # type: ignore[arg-type]
     with pytest.raises(ValueFault, match=r"solver\.step: expected a positive number, found 0"):
         Solver(step=0)

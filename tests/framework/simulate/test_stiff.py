@@ -1,4 +1,4 @@
-"""ros34pw2: its order on plants that are smooth and stiff, against closed forms, SciPy and cvodes; when it is chosen."""
+"""ros34pw2: its order on smooth and stiff plants, against closed forms, SciPy and cvodes; when it is chosen."""
 
 from __future__ import annotations
 
