@@ -6,7 +6,7 @@ import ctypes
 import subprocess
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -18,12 +18,15 @@ import dmframe.batch.lanes
 from dmframe.batch import Batch, Measured, Wanted
 from dmframe.batch.starts import starts_of
 from dmframe.batch.values import columns_of, parameters_of, varied
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.build.compiler import find_compiler
 from dmframe.codegen import lanes_source
 from dmframe.codegen.function import LANES, ONE, written
 from dmframe.codegen.source import shipped
+from dmframe.diagram import Diagram
 from dmframe.errors import NeedsDiagramError, UnknownNameError, ValueFault
-from dmframe.parameter import specs
+from dmframe.parameter import Real, Scalar, specs
+from dmframe.port import TIME, Access, Port, Side, State
 from dmframe.simulate.run import prepare
 from dmframe.simulate.start import start_state
 
@@ -106,12 +109,46 @@ def test_a_run_that_diverges_is_told_when_and_leaves_the_others_alone() -> None:
     assert np.isfinite(found.error.rms_by_eighth[1, 0, 0])
 
 
+class Late(AbstractBlock):
+    """dy = -speed tanh(t) y: stiff later than at the start."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "2", "", Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("y", "2"),)
+    speed: Scalar = Real(default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"y": x.y}, rates={"y": -p.speed * ca.tanh(u.t) * x.y})
+
+
 @needs_compiler
 def test_what_the_integrator_alone_blew_up_is_done_again_at_shorter_steps() -> None:
-    gains = np.array([[8e5, 800, 400], [800, 800, 400]])
-    found = batch("ur10_fast", 2.0).measure({"servo.K_D": gains})
-    assert not np.isfinite(found.diverged).any()
-    assert any("at longer steps the integrator itself diverged" in notice for notice in found.notices)
+    made = Batch.of(
+        Diagram.build({"plant": Late()}),
+        20.0,
+        wanted=Wanted(("plant.y",)),
+        clock=0.01,
+        start={"y": [1.0, 1.0]},
+        engine="compiled",
+    )
+    found = made.measure({"plant.speed": [4e3, 4.0, -4.0]})
+    assert found.engine.startswith("lanes of ")
+    np.testing.assert_array_equal(np.isfinite(found.diverged), [False, False, True])
+    assert "at longer steps the integrator itself diverged in 1 of 3 runs" in found.notices
+    # of log cosh t the last squares count: y = exp(-speed log cosh t)
+    np.testing.assert_allclose(found.signals["plant.y"].last[1], np.exp(-4 * np.log(np.cosh(20.0))), rtol=1e-3)
+
+
+@needs_compiler
+def test_a_stiff_run_goes_in_lanes_by_the_linearly_implicit_method() -> None:
+    gains = np.array([[8e5, 800, 400], [800, 800, 400], [9e5, 800, 400]])
+    wanted = Wanted(("arm.q",))
+    found, whole = (
+        batch("ur10_fast", 0.2, engine, wanted).measure({"servo.K_D": gains}) for engine in ("compiled", "interpreted")
+    )
+    assert any("ros34pw2" in notice for notice in found.notices)
+    assert furthest(found, whole) < 1e-9
 
 
 @needs_compiler

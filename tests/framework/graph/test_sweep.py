@@ -1,0 +1,74 @@
+"""`dm.sweep`: figures of one graph with many values, against the runs of the graphs alone."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.errors import DmframeError
+
+
+def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> None:
+    values = {"dynamics.Gamma": [1, 10, 100], "servo.K_P": ["30 V s/rad", 50]}
+    found = dm.sweep("arm2_joint", values, until="0.4 s", signals=["arm.q"], limits={"error": 1e-3})
+    assert found["rms_final"].dims == ("dynamics.Gamma", "servo.K_P")
+    assert found["rms_by_eighth"].shape == (3, 2, 8)
+    assert found["servo.K_P"].values.tolist() == [30, 50]
+    assert (found["servo.K_P"].units, found["rms_final"].units, found["arm.q_most"].units) == ("V s/rad", "rad", "rad")
+    run = dm.load("arm2_joint").set({"dynamics.Gamma": 10, "servo.K_P": 50}).run("0.4 s")
+    assert run.error is not None
+    mine = found.sel({"dynamics.Gamma": 10, "servo.K_P": 50})
+    np.testing.assert_allclose(mine["rms_by_eighth"], run.error.rms_by_eighth, rtol=1e-9)
+    np.testing.assert_allclose(mine["error_most"], run.error.norm.max(), rtol=1e-9)
+    np.testing.assert_allclose(mine["arm.q_last"], run["arm.q"].values[-1], rtol=1e-9)
+    first = run.error.times[np.argmax(run.error.norm > 1e-3)]
+    assert mine["error_crossed"] == first
+    assert not found["diverged"].any()
+    assert np.isnan(found["diverged_at"]).all()
+
+
+def test_a_list_takes_its_values_side_by_side_also_those_that_shape_the_loop() -> None:
+    values = {"clock": ["2 ms", "4 ms", "2 ms"], "dynamics.Gamma": [1, 2, 1e6]}
+    found = dm.sweep("arm2_joint", values, until=0.4, design="list")
+    assert found["rms_final"].dims == ("run",)
+    assert found["clock"].values.tolist() == ["2 ms", "4 ms", "2 ms"]
+    np.testing.assert_array_equal(found["diverged"], [False, False, True])
+    assert np.isnan(found["rms_final"][2])
+    for place, gamma in enumerate((1, 2)):
+        run = dm.load("arm2_joint").set({"clock": values["clock"][place], "dynamics.Gamma": gamma}).run(0.4)
+        assert run.error is not None
+        np.testing.assert_allclose(found["rms_final"][place], run.error.rms_final, rtol=1e-9)
+
+
+def test_parameters_that_are_lists_and_blocks_that_change_are_texts_on_their_axis() -> None:
+    found = dm.sweep("arm2_joint", {"servo.K_P": [[30, 20], [60, 40]]}, until=0.1)
+    assert found["servo.K_P"].values.tolist() == ["[30, 20]", "[60, 40]"]
+    runs = [dm.load("arm2_joint").set({"servo.K_P": gain}).run(0.1) for gain in ([30, 20], [60, 40])]
+    finals = [run.error.rms_final for run in runs if run.error is not None]
+    np.testing.assert_allclose(found["rms_final"], finals, rtol=1e-9)
+
+
+def test_a_sweep_of_nothing_is_one_run() -> None:
+    found = dm.sweep("pendulum", {}, until=0.1, design="list")
+    assert found["rms_final"].shape == (1,)
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "text"),
+    [
+        ({"dynamics.Gamma": [1, -1, 0]}, {}, "expected a number > 0, found -1.0"),
+        ({"dynamics.Gama": [1]}, {}, "unknown parameter of dynamic_compensator; did you mean Gamma?"),
+        ({"dynamics.Gamma": []}, {}, "values dynamics.Gamma: expected at least one value, found none"),
+        ({"dynamics.Gamma": [1, 2], "servo.K_P": [3]}, {"design": "list"}, "dynamics.Gamma 2, servo.K_P 1"),
+        ({"dynamics.Gamma": [1]}, {"design": "cube"}, "design: expected grid or list, found 'cube'"),
+        ({"dynamics.Gamma": [1]}, {"signals": ["arm.w"]}, "signals: unknown signal"),
+        ({"dynamics.Gamma": ["fast"]}, {}, "Gamma"),
+    ],
+)
+def test_what_cannot_be_swept_is_told(values: Any, options: Any, text: str) -> None:
+    with pytest.raises(DmframeError) as told:
+        dm.sweep("pendulum", values, until=0.1, **options)
+    assert text in str(told.value)
