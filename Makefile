@@ -25,7 +25,7 @@ run: setup
 	$(BIN)/dmframe run $(SLOW)
 
 test: lint
-	$(BIN)/python -m pytest -n $(WORKERS)
+	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 # Every fault that can be seeded into a block, a certificate or the plant library, in all closed loops that it touches:
 # minutes to an hour; MUTANTS=--quick puts each into one loop only.

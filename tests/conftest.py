@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,3 +16,10 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DMFRAME_CACHE", str(folder))
         yield folder
+
+
+def pytest_collection_finish() -> None:
+    """Rubbish is looked for less often, and not among what stays: a proof makes 10^5 small things and no rubbish."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(200_000, 20, 20)

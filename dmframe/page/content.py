@@ -73,7 +73,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         ],
         "flowing": stack(v.symbol for v in loop.flowing).numel(),
         "pose": _pose(diagram, functions),
-        "sliders": [slider.data for slider in sliders_of(diagram, verdict)],
+        "sliders": [slider.data for slider in sliders_of(diagram, verdict, functions.heeded)],
         "goal": None if functions.goal is None else _group(diagram, functions.goal),
         "groups": [_group(diagram, group, verdict) for group in functions.groups],
         "axes": "".join(axis_labels(diagram)) if diagram.robot is not None else "",

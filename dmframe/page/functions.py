@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, final
 
 import casadi as ca
+import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.certify import Verdict
@@ -104,6 +105,24 @@ class Functions:
     def exported(self) -> tuple[Any, ...]:
         """Those that stand beside the run."""
         return tuple(f for f in (self.begin, self.reach, self.flow, self.shown, self.judged) if f is not None)
+
+    def heeded(self, moved: Set[int], values: np.ndarray) -> set[int]:
+        """The elements of p, among those that are `moved`, on which anything depends that a reader sees.
+
+        All others stay what they are in `values`: with no Coulomb friction, say, nothing depends on where it sets in.
+        """
+        found, parts = set[int](), self.parts
+        for function in (parts.trajectory, parts.sample, parts.rate, parts.clip, *self.exported):
+            *given, p = (ca.SX.sym("given", function.size_in(i)) for i in range(function.n_in()))
+            kept = ca.vertcat(*(p[k] if k in moved else ca.SX(float(values[k])) for k in range(p.numel())))
+            seen = ca.vertcat(*map(ca.vec, function.call([*given, kept])))
+            if function is self.judged:  # a number that has to be positive, and no more, is so at every factor
+                tacit = {row for _, place in self.tacit if place for row in range(place[0], sum(place))}
+                rows = [row for row in range(seen.numel()) if row not in tacit and not seen[row].is_symbolic()]
+                seen = seen[rows]
+            at = {p[k].element_hash(): k for k in moved}
+            found |= {at[symbol.element_hash()] for symbol in ca.symvar(seen) if symbol.element_hash() in at}
+        return found
 
 
 def functions_of(

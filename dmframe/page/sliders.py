@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Set
 from dataclasses import asdict, dataclass, replace
 from typing import Any, final
 
@@ -37,6 +37,9 @@ REACH_PARTS = (1, 1 / 2, 1 / 4, 1 / 8, 1 / 16, 1 / 32, 1 / 64)
 """What is tried of a slider's reach, where its block refuses the whole."""
 REACHES = {"m": 0.1, "rad": 0.5}
 """How far an element of a place or an angle may be moved, by its unit."""
+
+Heeded = Callable[[Set[int], np.ndarray], Set[int]]
+"""Of elements of p that are moved, while the others keep their values, those on which anything depends."""
 
 
 @final
@@ -73,26 +76,35 @@ class Slider:
     written: Any
 
     @property
+    def places(self) -> range:
+        """The elements of p that it moves."""
+        return range(self.at, self.at + self.size)
+
+    @property
     def data(self) -> dict[str, Any]:
         """As plain data."""
         return asdict(self)
 
 
-def sliders_of(diagram: Diagram, verdict: Verdict) -> list[Slider]:
+def sliders_of(diagram: Diagram, verdict: Verdict, heeded: Heeded | None = None) -> list[Slider]:
     """All numbers that enter the loop as symbols alone: one that a block reads as a number needs another diagram.
 
-    Left out, too, are numbers that the proof takes for zero, and those from which another number of p was computed. A
-    slider reaches no value that its block refuses.
+    Left out, too, are numbers that the proof takes for zero, those from which another number of p was computed, and
+    those on which nothing depends that is seen, where `heeded` says so of them. A slider reaches no value that its
+    block refuses.
     """
     found, at = list[Slider](), 0
     known = {group for item in known_truths(diagram) for group in item.groups}
     for parameter in diagram.loop.parameters:
         size = parameter.symbol.numel()
         if parameter.label not in verdict.fixed and _free(diagram, parameter, verdict):
-            made = _of(diagram, parameter, at, size, known)
-            found += [narrowed for slider in made if (narrowed := _narrowed(diagram, slider)) is not None]
+            found += _of(diagram, parameter, at, size, known)
         at += size
-    return found
+    if heeded is not None:
+        moved = {place for slider in found for place in slider.places}
+        acting = heeded(moved, diagram.loop.p_values)
+        found = [slider for slider in found if not acting.isdisjoint(slider.places)]
+    return [narrowed for slider in found if (narrowed := _narrowed(diagram, slider)) is not None]
 
 
 def _of(diagram: Diagram, parameter: Parameter, at: int, size: int, known: Collection[str]) -> list[Slider]:

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from in_node import content_of_graph
 
 import dmframe as dm
 from dmframe.errors import ValueFault
@@ -88,6 +89,20 @@ def test_sliders_move_what_changes_alone(arm2):
         assert slider.label.split("[")[0] in parameters
         assert slider.most > 0
         assert slider.group in ("controller", "hidden", "path")
+
+
+def labels_of(graph):
+    return [slider["label"] for slider in content_of_graph(graph)["sliders"]]
+
+
+def test_a_number_on_which_nothing_depends_has_no_slider():
+    still, rubbing = (dm.load("pendulum").set({"arm.coulomb": size}) for size in (0, 0.2))
+    assert "robot.friction_velocity" not in labels_of(still)
+    assert "robot.friction_velocity" in labels_of(rubbing)
+    rest = [label for label in labels_of(rubbing) if label not in ("robot.friction_velocity", "arm.coulomb")]
+    assert labels_of(still) == rest
+    run = {value: still.set({"robot.friction_velocity": value}).run(until=0.2) for value in (0.01, 0.1)}
+    np.testing.assert_array_equal(run[0.01]["arm.q"], run[0.1]["arm.q"])
 
 
 def test_a_loop_with_chance_has_no_page(arm2):

@@ -1,26 +1,31 @@
-"""A live page in a browser, opened from a disk: what it says of the proof while a slider is dragged."""
+"""A live page in browsers, opened from a disk: what it says of the proof and of the run while a slider is dragged."""
 
 from __future__ import annotations
 
 import re
 import shlex
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from in_browser import Browser, browser
+from in_browser import Browser
+from in_chromium import Chromium, chromium
+from in_firefox import firefox
 from in_node import content
 
 import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
 from dmframe.page.page import assembled
+from dmframe.results import Run
 from dmframe.simulate.start import start_state
 
 HEADLINE = "document.getElementById('headline').textContent"
 SAYS = "document.getElementById('says').textContent"
 K_C = "move-inverse.K_c"
+OVERHANG = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
 
 
 def judges_truly(tab: Browser, page: Path) -> None:
@@ -37,11 +42,12 @@ def judges_truly(tab: Browser, page: Path) -> None:
     assert tab.said == []
 
 
-@pytest.fixture(scope="module")
-def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with browser(tmp_path_factory.mktemp("profile")) as found:
-        calm = [{"name": "prefers-reduced-motion", "value": "reduce"}]
-        found.ask("Emulation.setEmulatedMedia", features=calm)  # a robot that stands still leaves time for the rest
+BROWSERS = {"chromium": chromium, "firefox": firefox}
+
+
+@pytest.fixture(scope="module", params=BROWSERS)
+def tab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with BROWSERS[request.param](tmp_path_factory.mktemp("profile")) as found:
         yield found
 
 
@@ -92,6 +98,65 @@ def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_
     assert graph.diagram.loop.p_values[0] == pytest.approx(np.pi / 4 + 0.2, abs=1e-5)
 
 
+def with_its_run(html: str) -> str:
+    """The page, whose run the test may ask for; a page keeps it for itself."""
+    end = "\n</script>\n</body>"
+    assert html.count(end) == 1
+    return html.replace(end, f"\nglobalThis.simulated = () => run;{end}")
+
+
+SIMULATED = "[simulated().kept, simulated().every, Array.from(simulated().log)]"
+NORM = "(([...document.querySelectorAll('#first .plot:first-child .legend li')].at(-1)).textContent)"
+UNIT = "document.querySelector('#first .plot:first-child .unit').textContent"
+PARTS = {"m": 1.0, "mm": 1e-3, "\u00b5m": 1e-6, "rad": 1.0, "mrad": 1e-3, "\u00b5rad": 1e-6}
+
+
+@cache
+def run_of(name: str, overrides: tuple[str, ...]) -> Run:
+    (graph,) = graphs_of([name], overrides, trust=False)
+    return graph.run()
+
+
+def shows_its_run(tab: Browser, page: Path, moved: str) -> None:
+    """Open the page at one instant, and run the command that it shows."""
+    tab.opened(page, f"#{moved}&at=1.6")
+    words = shlex.split(tab.until(f"{COMMAND}.startsWith('dmframe') && {COMMAND}"))
+    run = run_of(words[2], tuple(words[4::2]))
+    assert any(word.startswith(moved.partition("=")[0] + "=") for word in words) == bool(moved)
+    kept, every, log = tab.value(SIMULATED)
+    states = np.hstack([run.recording.states[v.label] for v in run.recording.diagram.loop.variables])[::every]
+    np.testing.assert_allclose(np.reshape(log[: kept * states.shape[1]], (kept, -1)), states, rtol=1e-6, atol=1e-8)
+    said = re.fullmatch(r"norm(.+)", tab.until(f"/\\d/.test({NORM}) && {NORM}"))
+    assert said is not None
+    assert run.error is not None
+    shown = float(said[1].replace("\u2212", "-")) * PARTS[tab.value(UNIT)]
+    at = every * round(1.6 / run.time[every])
+    assert shown == pytest.approx(run.error.norm[at], rel=0.006)  # three digits are shown
+    assert tab.said == []
+
+
+@pytest.mark.parametrize(("name", "moved"), [("ur10_fast", "inverse.K_c=1.2"), ("arm2_joint", "")])
+def test_a_page_simulates_and_shows_what_the_command_on_it_gives(
+    tab: Browser, tmp_path: Path, name: str, moved: str
+) -> None:
+    shows_its_run(tab, saved(tmp_path, with_its_run(assembled(content(name)))), moved)
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ("loop.simulate({ p, ", "loop.simulate({ p: content.p, "),
+        ("Math.hypot(...rows.map(", "Math.max(...rows.map("),
+    ],
+    ids=["the run", "what is shown of it"],
+)
+def test_a_page_that_shows_another_run_would_be_noticed(tab: Browser, tmp_path: Path, right: str, wrong: str) -> None:
+    html = with_its_run(assembled(content("arm2_joint")))
+    assert html.count(right) == 1
+    with pytest.raises(AssertionError):
+        shows_its_run(tab, saved(tmp_path, html.replace(right, wrong)), "task.alpha_bar=1.5")
+
+
 def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
     told = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
     says = f"setInterval(() => parent.postMessage({HEADLINE}, '*'), 50)"
@@ -109,17 +174,19 @@ def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, 
     assert tab.value(now) == 0
     tab.value("document.getElementById('play').click()")
     tab.until(f"{now} > 0.05")
-    tab.ask("Emulation.setEmulatedMedia", features=[])
-    tab.opened(page)
-    tab.until(f"{now} > 0.05")
+    if isinstance(tab, Chromium):  # the other knows what its reader wants before it starts
+        tab.motion(True)
+        tab.opened(page)
+        tab.until(f"{now} > 0.05")
+        tab.motion(False)
     assert tab.said == []
 
 
 def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path: Path) -> None:
-    tab.ask("Emulation.setDeviceMetricsOverride", width=360, height=740, deviceScaleFactor=1, mobile=True)
+    tab.sized(360, 740)
     tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
     tab.until(f"{HEADLINE} === 'Proved'")
-    assert tab.value("document.documentElement.scrollWidth") == 360
+    assert (tab.value("innerWidth"), tab.value(OVERHANG)) == (360, 0)
     controls = "[...document.querySelectorAll('input, button, select')]"
     nameless = f"{controls}.filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
     assert tab.value(f"{nameless}.map((e) => e.outerHTML)") == []
@@ -127,7 +194,7 @@ def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path:
     assert len(set(tab.value(logs))) == tab.value(f"{logs}.length")
     moment = tab.value("document.getElementById('scrub').getAttribute('aria-valuetext')")
     assert re.fullmatch(r"\d+\.\d of 20 s", moment)
-    tab.ask("Emulation.clearDeviceMetricsOverride")
+    tab.sized(None)
 
 
 @pytest.mark.parametrize("name", ["ur10_fast", "arm2_joint"])
@@ -163,12 +230,12 @@ def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Pa
 )
 def test_a_title_is_text_and_breaks(tab: Browser, tmp_path: Path, title: str) -> None:
     data = {**content("arm2_joint"), "title": title}
-    tab.ask("Emulation.setDeviceMetricsOverride", width=320, height=640, deviceScaleFactor=1, mobile=True)
+    tab.sized(320, 640)
     tab.opened(saved(tmp_path, assembled(data)))
     tab.until(f"{HEADLINE} === 'Proved'")
     assert tab.value("document.querySelector('h1').textContent") == title
-    assert tab.value("document.documentElement.scrollWidth") == 320
-    tab.ask("Emulation.clearDeviceMetricsOverride")
+    assert tab.value(OVERHANG) == 0
+    tab.sized(None)
     assert tab.said == []
 
 
@@ -181,7 +248,7 @@ def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browse
     pixels = f"{canvas}.getContext('2d')?.getImageData(0, 0, {canvas}.width, {canvas}.height).data"
     assert tab.until(f"{pixels}?.some((part) => part > 0)")
     tab.value(f"{canvas}.focus()")
-    tab.ask("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft", code="ArrowLeft", windowsVirtualKeyCode=37)
+    tab.left_arrow()
     tab.value("new Promise((done) => setTimeout(done, 100))")
     assert tab.said == []
 

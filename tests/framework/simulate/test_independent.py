@@ -120,7 +120,7 @@ Plant = Callable[[Robot, Array, Array, float], Array]
 
 def servo_and_robot(robot: Robot, y: Array, dq_c: Array) -> Array:
     """The rate of (q, dq, q_c, i)."""
-    q, dq, q_c, i = np.split(y, 4)
+    q, dq, q_c, i = y.reshape(4, 3)
     u = -K_D * (dq - dq_c) - K_P * (q - q_c) - K_I * i
     return np.concatenate([dq, robot.acceleration(q, dq, u), dq_c, q - q_c])
 
@@ -156,7 +156,7 @@ def sampled(case: Experiment, form: str, ticks: int, advance: Plant = to_roundin
     a = np.zeros(36)
     kept: dict[str, list[Array]] = {name: [] for name in ("x", "x_d", "tau_dc", "w", "w_P", "dq_c")}
     for k in range(ticks + 1):
-        q, dq, q_c, _ = np.split(plant, 4)
+        q, dq, q_c, _ = plant.reshape(4, 3)
         first, second = reference(robot, case, k * T, q, dq)
         if form == "velocity":  # (32): q_r follows the generator, dq_r* = dq_r - K_c (q - q_r)
             dq_r, dq_ref, ddq_ref = first, first - K_c * (q - q_r), second - K_c * (dq - first)
