@@ -19,7 +19,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import MissingError, OutputError, ValueFault
+from dmframe.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.files import encoded, expanded, writing
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.computed import Computable, Computed, Table, versions
@@ -122,10 +122,12 @@ class Store:
 
     def _frame(self, chunk: Chunk, table: Table) -> Any:
         library = polars()
-        columns = dict[str, Any]()
-        for name, column in table.items():
-            columns[name] = _series(library, name, column)
-        frame = library.DataFrame(columns)
+        try:
+            frame = library.DataFrame({name: _series(library, name, column) for name, column in table.items()})
+        except library.exceptions.PolarsError as error:
+            raise ValueFault(
+                f"{chunk}: expected {chunk.runs} numbers or texts a column: {visible(str(error))}"
+            ) from None
         point, sample = (
             part.ravel()
             for part in np.meshgrid(

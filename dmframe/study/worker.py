@@ -26,7 +26,12 @@ def serve() -> None:
 
     from dmframe.study.computed import compute
 
-    study = pickle.loads(inbox.get())
+    try:
+        study = pickle.loads(inbox.get())
+    except Exception as error:
+        sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())}\n")
+        sys.stderr.flush()
+        os._exit(1)  # Python's own end would wait for the thread that listens
     _answer(answers, READY)
     while True:
         _answer(answers, compute(study, inbox.get()))

@@ -75,7 +75,8 @@ class StandIn:
         if (self.gates / f"fault-{place}").exists():
             raise ArithmeticError("no number")
         if (self.gates / place).is_fifo():
-            with (self.gates / place).open("w") as pipe:
-                pipe.write(str(os.getpid()))
-            while True:
-                signal.pause()
+            with (self.gates / place).open("w") as pipe:  # open as long as this process lives
+                pipe.write(f"{os.getpid()}\n")
+                pipe.flush()
+                while True:
+                    signal.pause()
