@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import pickle
 import threading
 import time
 import uuid
@@ -19,6 +18,7 @@ from queue import Empty, Queue
 from typing import Any, Final, final
 
 from dmframe.errors import DmframeError, MissingError, visible
+from dmframe.study.beside import packed, unpacked
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computable, Computed, Failed, compute, versions
 from dmframe.study.pool import Answer
@@ -65,7 +65,7 @@ class Cluster:
         except ImportError:
             raise MissingError('--scheduler: dask.distributed is not installed; pip install "dmframe[study]"') from None
         self._library, self._address = distributed, address
-        self._parcel, self._key = pickle.dumps(study, protocol=pickle.HIGHEST_PROTOCOL), study.key
+        self._parcel, self._key = packed(study), study.key
         self._client: Any = None
         self._answers: Queue[tuple[Chunk, Any]] = Queue()
         self._out: dict[Any, Chunk] = {}
@@ -171,7 +171,7 @@ def work(parcel: bytes, key: str, wanted: Mapping[str, str], chunk: Chunk) -> Co
     with _one:  # a worker of several threads computes one chunk after another
         if digest not in _studies:
             try:
-                study: Computable = pickle.loads(parcel)
+                study = unpacked(parcel)
             except Exception as error:
                 return Failed(
                     f"the study cannot be read by a worker: {type(error).__name__}: {visible(str(error))}", final=True

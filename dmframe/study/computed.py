@@ -47,6 +47,14 @@ class Computable(Protocol):
         """A digest of all that the runs depend on, but of how many they are."""
 
     @property
+    def identity(self) -> Mapping[str, Any]:
+        """What `key` is the digest of, as plain data."""
+
+    @property
+    def engine(self) -> str:
+        """What ran the last rows."""
+
+    @property
     def points(self) -> Sequence[Any]:
         """Of the grid."""
 
@@ -111,7 +119,7 @@ def compute(study: Computable, chunk: Chunk) -> Computed | Failed:
         table = parts[0] if len(parts) == 1 else _joined(parts)
     except Exception as error:
         return Failed(f"{type(error).__name__}: {visible(str(error))}")
-    return Computed(table, time.perf_counter() - began, {**machine(), "engine": str(getattr(study, "engine", ""))})
+    return Computed(table, time.perf_counter() - began, {**machine(), "engine": study.engine})
 
 
 def _joined(parts: Sequence[Table]) -> Table:

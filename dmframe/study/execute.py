@@ -7,7 +7,7 @@ import platform
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -16,11 +16,12 @@ from typing import Final, final
 
 from dmframe.errors import OutputError, ValueFault
 from dmframe.files import encoded, writing
+from dmframe.study.beside import files_beside
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.computed import Computable, Computed, Failed, versions
 from dmframe.study.pool import Pool, Workers
-from dmframe.study.store import PROVENANCE, Store, opened, put
+from dmframe.study.store import PROCESSES, PROVENANCE, Store, append, opened, put
 
 ATTEMPTS: Final = 3
 """How often a chunk is tried."""
@@ -73,7 +74,6 @@ def run_study(
     study: Computable,
     out: str | Path,
     *,
-    files: Mapping[str, str] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     force: bool = False,
@@ -87,8 +87,6 @@ def run_study(
     ----------
     out
         The folder; one that was begun before is gone on with.
-    files
-        Texts that are written beside the runs, by name.
     workers
         Processes on this machine; as many as there are cores without it.
     scheduler
@@ -120,7 +118,7 @@ def run_study(
         raise ValueFault(f"chunk: expected at least 1 sample, found {chunk}")
     began, moment = time.monotonic(), datetime.now(UTC)
     state = State(study.runs)
-    with opened(out, study, {"study.yaml": study.text, **(files or {})}, force=force) as store:
+    with opened(out, study, files_beside(study), force=force) as store:
         state.kept, state.notices = store.runs_done, [*store.notices, *exposed(scheduler or "")]
         each = store.each or (None if chunk is None else (1, chunk))
 
@@ -220,31 +218,24 @@ def _left(store: Store) -> Iterator[Chunk]:
 
 
 def _record(store: Store, state: State, moment: datetime, scheduler: str | None, command: Sequence[str] | None) -> None:
-    """Add this process to ``provenance.json``: what ran, where, and by which processors and engines."""
-    made = Counter((kept.made.get("processor", ""), kept.made.get("engine", "")) for kept in store.kept.values())
-    place = store.path / PROVENANCE
-    try:
-        before = json.loads(place.read_text(encoding="utf-8"))["processes"]
-    except (OSError, ValueError, KeyError, TypeError):
-        before = []
-    data = {
-        "key": store.key,
-        "versions": dict(versions()),
+    """Say in ``provenance.json`` what ran last and what made the rows, and add this process to those before it."""
+    this = {
+        "time": moment.isoformat(timespec="seconds"),
+        "command": list(sys.argv if command is None else command),
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "chunks": [{"processor": name, "engine": engine, "chunks": n} for (name, engine), n in sorted(made.items())],
-        "failed": {str(chunk): why for chunk, why in state.failed.items()},
-        "processes": [
-            *before,
-            {
-                "time": moment.isoformat(timespec="seconds"),
-                "command": list(sys.argv if command is None else command),
-                "scheduler": scheduler,
-                "workers": state.workers,
-                "runs": state.computed,
-                "seconds": round(state.seconds, 3),
-            },
-        ],
+        "versions": dict(versions()),
+        "key": store.key,
+        "scheduler": scheduler,
+        "workers": state.workers,
+        "runs": state.computed,
+        "seconds": round(state.seconds, 3),
     }
+    made = {
+        f"chunks by {what}": dict(Counter(kept.made.get(what, "") for kept in store.kept.values()))
+        for what in ("processor", "engine", "host")
+    }
+    failed = {"failed": {str(chunk): why for chunk, why in state.failed.items()}} if state.failed else {}
     with writing(store.path, "folder"):
-        put(place, encoded(json.dumps(data, indent=1, ensure_ascii=False) + "\n"))
+        put(store.path / PROVENANCE, encoded(json.dumps(this | made | failed, indent=2, ensure_ascii=False) + "\n"))
+        append(store.path / PROCESSES, json.dumps(this | failed, ensure_ascii=False) + "\n")

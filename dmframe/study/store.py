@@ -6,7 +6,6 @@ the move, holds its digest and what made it. A file that is not what its line sa
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import io
 import json
@@ -23,12 +22,16 @@ from dmframe.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.files import encoded, expanded, writing
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.computed import Computable, Computed, Table, versions
+from dmframe.units import shorten
 
 LOCK: Final = "study.lock.json"
 CHUNKS: Final = "chunks.jsonl"
 RUNS: Final = "runs"
 PROVENANCE: Final = "provenance.json"
+PROCESSES: Final = "processes.jsonl"
 _HELD: Final = ".dmframe-study.lock"
+_TOLD: Final = 4
+"""Differences that a message lists."""
 _FIXED: Final = ("run", "point", "sample")
 
 
@@ -115,7 +118,7 @@ class Store:
         content, target = buffer.getvalue(), self.file(chunk)
         kept = Kept(target.name, _digest(content), chunk.runs, computed.seconds, computed.made)
         with writing(self.path, "folder"):
-            _append(self.path / CHUNKS, json.dumps(asdict(kept), sort_keys=True) + "\n")
+            append(self.path / CHUNKS, json.dumps(asdict(kept), sort_keys=True) + "\n")
             put(target, content)
         self.kept[kept.file] = kept
         self.done.add(chunk)
@@ -148,6 +151,7 @@ class Store:
             "study": self._study.name,
             "key": self.key,
             "versions": dict(versions()),
+            "identity": _plain(self._study.identity),
             "points": self.points,
             "samples": self._study.samples,
             "each": self.each,
@@ -158,11 +162,11 @@ class Store:
         with writing(self.path, "folder"):
             put(self.path / LOCK, encoded(json.dumps(lock, indent=1, ensure_ascii=False) + "\n"))
 
-    def _begin(self, files: Mapping[str, str]) -> None:
+    def _begin(self, files: Mapping[str, bytes]) -> None:
         with writing(self.path, "folder"):
             (self.path / RUNS).mkdir(exist_ok=True)
-            for name, text in files.items():
-                put(self.path / name, encoded(text))
+            for name, content in files.items():
+                _put_below(self.path, name, content)
         self._write_lock()
 
     def _found(self) -> None:
@@ -190,13 +194,13 @@ class Store:
 
 
 @contextmanager
-def opened(path: str | Path, study: Computable, files: Mapping[str, str], *, force: bool = False) -> Iterator[Store]:
+def opened(path: str | Path, study: Computable, files: Mapping[str, bytes], *, force: bool = False) -> Iterator[Store]:
     """Hold a folder for a study, new or begun before.
 
     Parameters
     ----------
     files
-        Texts that lie beside the runs, by name: the study, its graph.
+        What lies beside the runs, by name: the study, its graph.
     force
         Where the folder holds another study, throw its runs away.
 
@@ -215,17 +219,17 @@ def opened(path: str | Path, study: Computable, files: Mapping[str, str], *, for
         store = Store(path, study)
         lock = read_lock(path)
         if lock is None:
-            strangers = [item.name for item in path.iterdir() if item.name not in (_HELD, RUNS, CHUNKS, *files)]
+            ours = {_HELD, RUNS, CHUNKS, *(Path(name).parts[0] for name in files)}
+            strangers = [item.name for item in path.iterdir() if item.name not in ours]
             if strangers:
                 raise OutputError(
                     f"{path}: expected an empty or a new folder, or one of this study, found {strangers[0]}; name "
                     "another folder"
                 )
-        elif lock["key"] != study.key:
+        elif changed := difference(lock, study.identity):
             if not force:
                 raise ValueFault(
-                    f"{path}: {difference(path, lock, files)}; name another folder, or take --force, which "
-                    "throws those runs away"
+                    f"{path}: {changed}; name another folder, or take --force, which throws those runs away"
                 )
             _clear(path)
         else:
@@ -247,7 +251,7 @@ def read_lock(path: Path) -> dict[str, Any] | None:
     """What ``study.lock.json`` says; None where there is none. Raises `OutputError` for one that cannot be read."""
     try:
         lock = json.loads((path / LOCK).read_text(encoding="utf-8"))
-        if not {"key", "versions", "samples", "extents", "each", "types"} <= lock.keys():
+        if not {"key", "versions", "identity", "samples", "extents", "each", "types"} <= lock.keys():
             raise ValueError
     except FileNotFoundError:
         return None
@@ -258,26 +262,42 @@ def read_lock(path: Path) -> dict[str, Any] | None:
     return dict(lock)
 
 
-def difference(path: Path, lock: Mapping[str, Any], files: Mapping[str, str]) -> str:
-    """In one sentence, what has changed since a study was begun in a folder."""
-    now = dict(versions())
-    changed = [f"{name} {old}, now {now.get(name)}" for name, old in lock["versions"].items() if now.get(name) != old]
-    if changed:
-        return f"holds runs of {', '.join(changed)}"
-    for name, text in files.items():
-        try:
-            old = (path / name).read_text(encoding="utf-8").splitlines()
-        except (OSError, ValueError):
-            continue
-        lines = [
-            line
-            for line in difflib.unified_diff(old, text.splitlines(), n=0, lineterm="")
-            if line[:1] in "-+" and line[:3] not in ("---", "+++") and line[1:].strip()
-        ]
-        if lines:
-            told = "; ".join(" ".join(line.split()) for line in lines[:6])
-            return f"holds another study; in {name} (- there, + now): {told}" + ("; ..." if len(lines) > 6 else "")
-    return "holds another study: the same texts, but a block's source or the robot's file is another"
+def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
+    """In one sentence, what has changed since a study was begun; empty where nothing has."""
+    old, now = ({**_leaves(held), **_leaves(of, "versions.")} for held, of in _both(lock, identity))
+    changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]
+    told = [f"{name} was {_shown(old, name)}, now {_shown(now, name)}" for name in changed[:_TOLD]]
+    more = f"; and {len(changed) - _TOLD} more" if len(changed) > _TOLD else ""
+    return f"holds another study: {'; '.join(told)}{more}" if changed else ""
+
+
+def _both(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
+    yield lock["identity"], lock["versions"]
+    yield _plain(identity), dict(versions())
+
+
+def _plain(data: Any) -> Any:
+    """As it comes back from a file."""
+    return json.loads(json.dumps(data, default=str))
+
+
+def _leaves(data: Any, path: str = "") -> dict[str, str]:
+    """Each number and text in nested data, by its path."""
+    if not isinstance(data, dict):
+        return {path.strip("."): json.dumps(data)}
+    return {name: leaf for key, value in data.items() for name, leaf in _leaves(value, f"{path}{key}.").items()}
+
+
+def _shown(leaves: Mapping[str, str], name: str) -> str:
+    return shorten(leaves[name]) if name in leaves else "nothing"
+
+
+def _put_below(folder: Path, name: str, content: bytes) -> None:
+    """Write a file where it is not there already, in a folder that may be new."""
+    target = folder / name
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if not target.is_file() or target.read_bytes() != content:
+        put(target, content)
 
 
 def put(target: Path, content: bytes) -> None:
@@ -295,7 +315,8 @@ def put(target: Path, content: bytes) -> None:
     _sync(target.parent)
 
 
-def _append(target: Path, line: str) -> None:
+def append(target: Path, line: str) -> None:
+    """Add a line to a file, and force it to the disk."""
     with target.open("ab") as file:
         file.write(encoded(line))
         file.flush()
@@ -319,7 +340,7 @@ def _lines(path: Path) -> dict[str, Kept]:
     except FileNotFoundError:
         return found
     if text and not text.endswith("\n"):
-        _append(path, "\n")
+        append(path, "\n")
     for line in text.splitlines():
         try:
             kept = Kept(**json.loads(line))

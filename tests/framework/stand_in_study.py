@@ -52,6 +52,14 @@ class StandIn:
     def key(self) -> str:
         return hashlib.sha256(f"{self.points_} {self.meaning}".encode()).hexdigest()
 
+    @property
+    def identity(self) -> dict[str, Any]:
+        return {"points": self.points_, "meaning": self.meaning}
+
+    @property
+    def engine(self) -> str:
+        return "none"
+
     def rows(self, point: int, first: int, stop: int) -> dict[str, Any]:
         self._pass(f"{point}-{first}")
         sample = np.arange(first, stop)

@@ -16,6 +16,7 @@ from stand_in_study import StandIn
 from study_processes import check, client, close, environment, files, gate, kill, said, wait_for_end
 
 from dmframe.study import cluster
+from dmframe.study.beside import packed
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computed, Failed, versions
 from dmframe.study.execute import run_study
@@ -90,15 +91,13 @@ def test_where_no_scheduler_is_one_sentence_says_so(tmp_path: Path, monkeypatch:
 
 
 def test_a_worker_of_other_versions_or_another_study_is_refused() -> None:
-    import pickle
-
     study, chunk = StandIn(), Chunk(0, 1, 0, 8)
-    parcel = pickle.dumps(study)
+    parcel = packed(study)
     assert isinstance(cluster.work(parcel, study.key, versions(), chunk), Computed)
     other = cluster.work(parcel, study.key, {**versions(), "numpy": "1.0"}, chunk)
     assert isinstance(other, cluster.Refused)
     assert "where the client has 1.0; install the same versions there" in other.text
-    strange = cluster.work(pickle.dumps(StandIn(meaning="two")), study.key, versions(), chunk)
+    strange = cluster.work(packed(StandIn(meaning="two")), study.key, versions(), chunk)
     assert isinstance(strange, cluster.Refused)
     unread = cluster.work(b"none", study.key, versions(), chunk)
     assert isinstance(unread, Failed)
