@@ -6,11 +6,14 @@ import pickle
 from collections.abc import Callable
 from pathlib import Path
 
+import jsonschema
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
 from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
+from dmframe.study.grammar import study_schema
 from dmframe.study.plan import Study
 
 Make = Callable[..., Study]
@@ -166,3 +169,16 @@ sample: {runs: 4, path.radius: {uniform: [100 mm, 700 mm]}}
     assert [fault is not None for fault in rows["fault"]] == far.tolist()
     assert np.isnan(rows["rms_final"]).tolist() == far.tolist()
     assert not rows["diverged"].any()
+
+
+def test_the_schema_takes_what_the_grammar_takes_and_refuses_a_wrong_key() -> None:
+    validator = jsonschema.Draft202012Validator(study_schema())
+    data = {"dmframe-study": 1, "graph": "arm.yaml", **YAML(typ="safe", pure=True).load(TEXT)}
+    assert list(validator.iter_errors(data)) == []
+    for wrong in (
+        {"sample": {"servo.K_P": {"scale": [1, 2], "pre": "joint"}}},
+        {"sample": {"runs": "many"}},
+        {"grid": {"clock": 3}},
+        {"measure": {"signal": []}},
+    ):
+        assert list(validator.iter_errors({**data, **wrong})), wrong
