@@ -61,7 +61,12 @@ class Extent:
     @property
     def count(self) -> int:
         """How many chunks."""
-        return -(-(self.end - self.point) // self.points) * -(-(self.stop - self.first) // self.samples)
+        return -(-(self.end - self.point) // self.points) * self._parts
+
+    @property
+    def _parts(self) -> int:
+        """Of a point's samples; what is left over is a part of its own, or makes the last one longer."""
+        return max(round((self.stop - self.first) / self.samples), 1)
 
     @property
     def runs(self) -> int:
@@ -71,8 +76,10 @@ class Extent:
     def __iter__(self) -> Iterator[Chunk]:
         """Point by point: a worker has prepared the diagram of a point that it has met."""
         for point in range(self.point, self.end, self.points):
-            for first in range(self.first, self.stop, self.samples):
-                yield Chunk(point, min(point + self.points, self.end), first, min(first + self.samples, self.stop))
+            end = min(point + self.points, self.end)
+            for part in range(self._parts):
+                first = self.first + part * self.samples
+                yield Chunk(point, end, first, first + self.samples if part < self._parts - 1 else self.stop)
 
 
 @final

@@ -11,7 +11,7 @@ import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, final
@@ -171,7 +171,8 @@ class Store:
 
     def _found(self) -> None:
         """Look at every chunk that should be there."""
-        held = _lines(self.path / CHUNKS)
+        held = kept_in(self.path)
+        _end_line(self.path / CHUNKS)
         wanted = {f"{chunk.name(self.key)}.parquet": chunk for extent in self.extents for chunk in extent}
         wrong = list[str]()
         for item in sorted((self.path / RUNS).iterdir()):
@@ -332,15 +333,13 @@ def _sync(folder: Path) -> None:
             os.close(descriptor)
 
 
-def _lines(path: Path) -> dict[str, Kept]:
+def kept_in(folder: Path) -> dict[str, Kept]:
     """By file, the last line of each; a line that is not whole is of a process that was ended."""
     found = dict[str, Kept]()
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = (folder / CHUNKS).read_text(encoding="utf-8", errors="replace")
     except FileNotFoundError:
         return found
-    if text and not text.endswith("\n"):
-        append(path, "\n")
     for line in text.splitlines():
         try:
             kept = Kept(**json.loads(line))
@@ -348,6 +347,15 @@ def _lines(path: Path) -> dict[str, Kept]:
             continue
         found[kept.file] = kept
     return found
+
+
+def _end_line(path: Path) -> None:
+    """What is appended must begin a line."""
+    with suppress(FileNotFoundError):
+        with path.open("rb") as file:
+            whole = file.read()[-1:] in (b"", b"\n")
+        if not whole:
+            append(path, "\n")
 
 
 def _is(path: Path, sha256: str) -> bool:

@@ -93,9 +93,7 @@ def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
 
 def test_a_changed_study_is_refused_with_what_has_changed(out: Path) -> None:
     with (
-        pytest.raises(
-            ValueFault, match='study: meaning was "one", now "two"; name another folder, or take --force'
-        ),
+        pytest.raises(ValueFault, match='study: meaning was "one", now "two"; name another folder, or take --force'),
         opened(out, StandIn(meaning="two"), {}),
     ):
         pass
