@@ -127,7 +127,7 @@ class Cluster:
     def __enter__(self) -> Cluster:
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told in one sentence
         try:
-            self._client = self._library.Client(  # type: ignore[no-untyped-call]
+            self._client = _client(self._library)(
                 self._address, timeout=_CONNECT, set_as_default=False, name="dmframe-study"
             )
         except Exception as error:
@@ -143,6 +143,16 @@ class Cluster:
 
     def _lost(self) -> WorkersLost:
         return WorkersLost(f"--scheduler {self._address}: the scheduler has gone")
+
+
+def _client(library: Any) -> Any:
+    """Dask's client, but for its end where it could not connect: there it waits, and then complains."""
+
+    class Client(library.Client):  # type: ignore[misc]
+        def __del__(self) -> None:
+            pass
+
+    return Client
 
 
 @final

@@ -82,6 +82,12 @@ class Store:
         self._study = study
 
     @property
+    def seed(self) -> int | None:
+        """Of what is drawn; None where nothing is."""
+        found: int | None = self._study.identity.get("sample", {}).get("seed")
+        return found
+
+    @property
     def runs_done(self) -> int:
         """How many rows are there."""
         return sum(chunk.runs for chunk in self.done)
