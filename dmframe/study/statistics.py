@@ -300,24 +300,27 @@ class Map:
     diverged: np.ndarray
 
 
-def axis_of(draws: np.ndarray, runs: int) -> Axis:
-    """Bins that the draws fill: equally wide, on a logarithmic scale where they span more than a decade."""
+def axis_of(draws: np.ndarray, runs: int, *, log: bool = False) -> Axis:
+    """Bins that the draws fill: equally wide, of a `log` axis in their logarithms; of few values, these themselves."""
     distinct = np.unique(draws)
     if len(distinct) <= 12:
         return Axis(distinct, True, False)
     low, high = float(distinct[0]), float(distinct[-1])
     # some twenty runs in a bin of two such axes
     count = int(np.clip(np.sqrt(runs / 20), 3, 16))
-    log = low > 0 and high / low > 10
+    log = log and low > 0
     edges = np.geomspace(low, high, count + 1) if log else np.linspace(low, high, count + 1)
     return Axis(edges, False, log)
 
 
-def map_of(x: np.ndarray, y: np.ndarray, values: np.ndarray) -> Map:
-    """Cut the runs into bins of two factors; the median counts those that diverged as infinite."""
+def map_of(x: np.ndarray, y: np.ndarray, values: np.ndarray, *, logs: tuple[bool, bool] = (False, False)) -> Map:
+    """Cut the runs into bins of two factors; the median counts those that diverged as infinite.
+
+    `logs` are those of x and y that are drawn by their logarithms.
+    """
     there = ~np.isnan(values)
     x, y, values = x[there], y[there], values[there]
-    across, up = axis_of(x, len(values)), axis_of(y, len(values))
+    across, up = (axis_of(axis, len(values), log=log) for axis, log in zip((x, y), logs, strict=True))
     shape = (up.size, across.size)
     cell = up.place(y) * across.size + across.place(x)
     runs = np.bincount(cell, minlength=up.size * across.size)

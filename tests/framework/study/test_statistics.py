@@ -168,7 +168,7 @@ def test_a_map_counts_its_bins() -> None:
 
 def test_a_map_of_many_draws_holds_all_of_them() -> None:
     x, y = np.random.default_rng(0).uniform([[0.01], [5]], [[1], [6]], size=(2, 4000))
-    found = map_of(x, y, x + y)
+    found = map_of(x, y, x + y, logs=(True, False))
     assert found.runs.sum() == 4000
     assert found.x.log
     assert not found.y.log
