@@ -85,7 +85,7 @@ def distribution_figure(found: Findings) -> Any:
             shares = 100 * np.arange(1, len(values) + 1) / len(values)
             finite = np.isfinite(values)
             values, shares = factor * values[finite], shares[finite]
-            kept = np.unique(np.linspace(0, len(values) - 1, min(MOST, len(values))).astype(int)) if len(values) else []
+            kept = np.unique(np.linspace(0, max(len(values) - 1, 0), min(MOST, len(values))).astype(int))
             axes.step(values[kept], shares[kept], where="post", label=_short(each), **look(place))
             ends += [] if not len(values) else [values[0], values[-1]]
         _scaled(axes, ends)
@@ -181,9 +181,7 @@ def map_figure(found: Findings, maps: Sequence[Drawn]) -> Any:
     return figure
 
 
-def _field(
-    found: Findings, axes: Any, drawn: Drawn, values: np.ndarray, norm: Any, colours: str, name: str
-) -> None:
+def _field(found: Findings, axes: Any, drawn: Drawn, values: np.ndarray, norm: Any, colours: str, name: str) -> None:
     import matplotlib as mpl
 
     x, y = (_edges(axis, label(found, key)[1]) for axis, key in ((drawn.map.x, drawn.x), (drawn.map.y, drawn.y)))
@@ -191,7 +189,9 @@ def _field(
     mesh = axes.pcolormesh(x, y, shown, norm=norm, cmap=colours, edgecolors="face", linewidth=0.3)
     for row, column in np.argwhere(np.isinf(values)):
         corner, size = (x[column], y[row]), (x[column + 1] - x[column], y[row + 1] - y[row])
-        axes.add_patch(mpl.patches.Rectangle(corner, *size, facecolor="white", edgecolor=GREY, hatch="////", linewidth=0))
+        axes.add_patch(
+            mpl.patches.Rectangle(corner, *size, facecolor="white", edgecolor=GREY, hatch="////", linewidth=0)
+        )
     for axis, key, set_scale, set_ticks in (
         (drawn.map.x, drawn.x, axes.set_xscale, axes.set_xticks),
         (drawn.map.y, drawn.y, axes.set_yscale, axes.set_yticks),

@@ -178,7 +178,9 @@ def findings_of(results: Results) -> Findings:
             faults.append(error)
     varied = [column.name for column in results.study.varied]
     for pair in asked.map:
-        faults += [UnknownNameError(f"report.map {list(pair)}", "varied quantity", n, varied) for n in pair if n not in varied]
+        faults += [
+            UnknownNameError(f"report.map {list(pair)}", "varied quantity", n, varied) for n in pair if n not in varied
+        ]
     figures = [name for name in dict.fromkeys((main, *asked.worst)) if name in there]
     raise_all(faults)
     names = [*figures, *(event.figure for event in events if event.figure != DIVERGED), *varied, *EIGHTHS]

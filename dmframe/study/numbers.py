@@ -18,7 +18,11 @@ def percent(share: float, up: bool | None = None) -> str:
     if not math.isfinite(share):
         return "-"
     if share > 0.99:
-        return "100 %" if share >= 1 or (up and 1 - share < 1e-12) else f"{100 - _two(100 * (1 - share), _turned(up)):.10g} %"
+        return (
+            "100 %"
+            if share >= 1 or (up and 1 - share < 1e-12)
+            else f"{100 - _two(100 * (1 - share), _turned(up)):.10g} %"
+        )
     return f"{_two(100 * share, up):.10g} %"
 
 

@@ -4,25 +4,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, final
+from typing import Any, Final, final
 
+import casadi as ca
 import numpy as np
 
+from dmframe.block.model import SYMBOLIC
 from dmframe.certify import Verdict, verify
 from dmframe.certify.checked import Checked
+from dmframe.certify.elsewhere import elsewhere
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
 from dmframe.exact.rational import Interval
 from dmframe.robot.rational import decimal
-
-if TYPE_CHECKING:
-    from dmframe.graph import Graph
-    from dmframe.study.design import Spread
-    from dmframe.study.varied import Factor
+from dmframe.study.design import Spread
+from dmframe.study.plan import Study
+from dmframe.study.table import Loops
+from dmframe.study.varied import Factor
 
 HELD: Final = 0.99
 """Probability of the box, where what is drawn has no ends."""
-MOST: Final = 24
-"""Grid points at which the proof is decided; it takes about a second each."""
+MOST: Final = 12
+"""Grid points at which the proof is decided; it takes about two seconds each."""
+LOOKED: Final = 20_000
+"""Samples of which each is looked at by itself, where the proof does not hold over the whole box."""
 
 
 @final
@@ -60,13 +67,13 @@ def _column(values: np.ndarray) -> np.ndarray:
     return values.ravel(order="F")
 
 
-def box_of(graph: Graph, factors: Sequence[Factor]) -> Box:
-    """The box of what factors do to a graph's parameters.
+def box_of(diagram: Diagram, factors: Sequence[Factor]) -> Box:
+    """The box of what factors do to a loop's parameters.
 
     The ends are computed as the runs compute their values, and rounding never turns an order round: no run lies
     outside.
     """
-    parameters = graph.diagram.loop.parameters
+    parameters = diagram.loop.parameters
     own = {parameter.label: np.asarray(parameter.value, dtype=float) for parameter in parameters}
     ends, outside = dict[str, tuple[np.ndarray, np.ndarray]](), list[str]()
     drawn = [(factor, factor.spread) for factor in factors if factor.spread is not None]
@@ -112,6 +119,9 @@ class Proof:
     ----------
     verdict
         None where the point could not be built; `why` says the reason.
+    drawn
+        (n,) bool, where the box as a whole is not proved: which of the first n samples fulfil every condition by
+        themselves; None where that is not known.
     """
 
     index: int
@@ -119,6 +129,7 @@ class Proof:
     box: Box
     verdict: Verdict | None
     why: str = ""
+    drawn: np.ndarray | None = None
 
     @property
     def proved(self) -> bool:
@@ -131,14 +142,77 @@ class Proof:
         return () if self.verdict is None else tuple(item for item in self.verdict.conditions if not item.holds)
 
 
-def proof_of(index: int, name: str, graph: Graph, factors: Sequence[Factor]) -> Proof:
-    """Decide a graph's certificate over all that factors draw. A fault is told, not raised."""
-    from dmframe.block.model import SYMBOLIC
+def proofs_of(study: Study, names: Sequence[str]) -> list[Proof]:
+    """Decide the certificates of a study's first grid points over all that it draws. A fault is told, not raised."""
+    loops, found = Loops(), list[Proof]()
+    for point in study.points[:MOST]:
+        name = names[point.index]
+        try:
+            experiment = point.graph.experiment
+            diagram, numbers = loops.of(experiment)
+            diagram = with_values(diagram, numbers) if numbers else diagram
+            found.append(_proof(study, point.index, name, diagram, experiment.start))
+        except DmframeError as error:
+            found.append(Proof(point.index, name, Box({}, {}, 1.0, ()), None, str(error)))
+    return found
 
-    try:
-        box = box_of(graph, factors)
-        with SYMBOLIC:
-            verdict = verify(graph.diagram, uncertain=box.intervals, start=graph.experiment.start)
-    except DmframeError as error:
-        return Proof(index, name, Box({}, {}, 1.0, ()), None, str(error))
-    return Proof(index, name, box, verdict)
+
+def _proof(study: Study, index: int, name: str, diagram: Diagram, start: Mapping[str, Any]) -> Proof:
+    box = box_of(diagram, study.factors)
+    with SYMBOLIC:
+        verdict = verify(diagram, uncertain=box.intervals, start=start)
+    drawn = None
+    if verdict.outcome == "not_applicable" and study.samples > 1:
+        count = min(study.samples, LOOKED)
+        drawn = held_at(diagram, start, study.values(index, 0, count), count)
+    return Proof(index, name, box, verdict, drawn=drawn)
+
+
+def held_at(
+    diagram: Diagram, start: Mapping[str, Any], values: Mapping[str, np.ndarray], count: int
+) -> np.ndarray | None:
+    """Which of `count` samples fulfil every condition of the proof, each at its own numbers, in floating point.
+
+    Parameters
+    ----------
+    values
+        Rows by ``block.parameter``, as `Study.values` has them.
+
+    Returns
+    -------
+    (count,) bool
+        None where some condition cannot be had as a margin, or the claim is not proved but for its conditions.
+    """
+    with SYMBOLIC:
+        verdict = verify(diagram, start=start)
+        claim = verdict.claim
+        if claim is None or verdict.test is None or not verdict.test.zero or not verdict.conditions:
+            return None
+        everything = elsewhere(verdict.conditions, claim, {})
+        loop, shapes = claim.loop, {item.label: item.value.shape for item in claim.loop.parameters}
+        rows = {label: _rows(column, shapes[label], count) for label, column in values.items() if label in shapes}
+        moved = stack([item.symbol for item in loop.parameters if item.label in rows])
+        margins = ca.SX(0, 1)
+        strict, holds = list[bool](), True
+        for item in everything:
+            if item.margin is None:
+                if item.reads is not None and ca.depends_on(item.reads, moved):
+                    return None
+                holds = holds and item.checked.holds
+                continue
+            margins = ca.vertcat(margins, ca.vec(item.margin))
+            strict += [item.checked.strict] * item.margin.numel()
+        function = ca.Function("margins", [loop.p], [margins])
+    fixed = {item.label: item.value.ravel(order="F")[:, None] for item in loop.parameters}
+    column = np.vstack([rows[label] if label in rows else np.repeat(fixed[label], count, axis=1) for label in fixed])
+    found = np.array(function(column)).reshape(len(strict), count)
+    above = np.where(np.array(strict)[:, None], found > 0, found >= 0)
+    return np.asarray(above.all(axis=0) & holds)
+
+
+def _rows(values: np.ndarray, shape: tuple[int, ...], count: int) -> np.ndarray:
+    """(elements, count): each sample's parameter, column by column; one number stands for all elements."""
+    if values.ndim == 1:
+        values = values.reshape(count, *(1 for _ in shape))
+    full = np.broadcast_to(values, (count, *shape))
+    return np.stack([each.ravel(order="F") for each in full], axis=1) if count else np.zeros((0, 0))

@@ -8,17 +8,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.plotting import files_of
 from dmframe.port import Side
 from dmframe.report import html
 from dmframe.report.html import Html, plain, tag
 from dmframe.report.page import document
+from dmframe.study.answer import Saved, Told, lead
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
-from dmframe.study.proof import MOST, Proof, proof_of
-from dmframe.study.sections import Saved, Told, lead, sections
+from dmframe.study.proof import proofs_of
+from dmframe.study.sections import sections
 
 if TYPE_CHECKING:
     from dmframe.graph import Graph
@@ -39,7 +39,7 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
     results
         The folder's, where they are at hand.
     proofs
-        Decide the proof; it takes about a second a grid point.
+        Decide the proof; it takes about two seconds a grid point, of a dozen at most.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
     told = Told(
         found,
         tuple(_saved(results)),
-        tuple(_proofs(results)) if proofs else (),
+        tuple(proofs_of(results.study, results.names)) if proofs else (),
         _robots(results),
         _commands(results),
         _made(results.folder),
@@ -132,13 +132,6 @@ def _save(graph: Graph, path: Path) -> None:
         if source.resolve() != target.resolve():
             with writing(target):
                 shutil.copyfile(source, target)
-
-
-def _proofs(results: Results) -> list[Proof]:
-    study = results.study
-    return [
-        proof_of(point.index, results.names[point.index], point.graph, study.factors) for point in study.points[:MOST]
-    ]
 
 
 def _robots(results: Results) -> bool:

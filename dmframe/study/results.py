@@ -56,7 +56,9 @@ class Results:
     def __init__(self, folder: str | Path, study: Study | None = None) -> None:
         place = expanded(folder)
         if not place.is_dir():
-            raise MissingError(f"{folder}: expected the folder of a study; run it first: dmframe study FILE --out {folder}")
+            raise MissingError(
+                f"{folder}: expected the folder of a study; run it first: dmframe study FILE --out {folder}"
+            )
         object.__setattr__(self, "folder", place)
         object.__setattr__(self, "study", _study_in(place) if study is None else study)
 
@@ -75,7 +77,8 @@ class Results:
         files = sorted(self.folder.joinpath(RUNS).glob("*.parquet"))
         if not files:
             raise MissingError(f"{self.folder}: expected runs in {RUNS}/, found none; run the study first")
-        return polars.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
+        table: pl.LazyFrame = polars.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
+        return table
 
     @cached_property
     def units(self) -> dict[str, str]:
@@ -115,7 +118,10 @@ class Results:
         polars = need_polars()
         sheet, rows = self.sheet(*filter(None, [self.main])), list[dict[str, Any]]()
         for point in self.study.points:
-            k, told = point.index, {"point": point.index, **{key: plain_value(each) for key, each in point.values.items()}}
+            k, told = (
+                point.index,
+                {"point": point.index, **{key: plain_value(each) for key, each in point.values.items()}},
+            )
             lost = share(sheet.of(k, sheet.diverged), independent=self.independent)
             told |= {"runs": lost.runs, "failed": int(sheet.failed[k].sum()), "diverged": lost.count}
             told |= {"low": lost.low, "high": lost.high, "at_most": lost.most}
@@ -124,10 +130,11 @@ class Results:
                 for name, p in (("median", 0.5), ("q99", 0.99)):
                     told[f"{self.main}_{name}"] = quantile(values, p, independent=False).value
             rows.append(told)
-        return polars.DataFrame(rows, infer_schema_length=None)
+        table: pl.DataFrame = polars.DataFrame(rows, infer_schema_length=None)
+        return table
 
     def worst_runs(self, figure: str = "", n: int = 1, points: Sequence[int] | None = None) -> list[int]:
-        """The numbers of the n worst runs, the worst first: those that diverged, the earliest first, then by the figure.
+        """The numbers of the n worst runs: those that diverged, the earliest first, then by the figure.
 
         Parameters
         ----------
@@ -171,6 +178,8 @@ class Results:
         there = [name for name in names if name in schema and name not in ("diverged", "diverged_at")]
         sheet = self.sheet(*there)
         samples = np.arange(sheet.samples)
+        dims: tuple[str, ...]
+        shape: tuple[int, ...]
         if not full:
             dims, shape, places = ("point",), (len(values),), np.arange(len(values))
             coordinates = {key: ("point", [each[key] for each in values]) for key in grid}

@@ -49,7 +49,7 @@ class Sheet:
     @property
     def samples(self) -> int:
         """Samples at each."""
-        return self.done.shape[1]
+        return int(self.done.shape[1])
 
     def figure(self, name: str) -> np.ndarray:
         """(points, samples): a figure, where the worst number stands for a run that diverged; nan where none could be.

@@ -253,7 +253,7 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
 
 
 def _groups(draws: np.ndarray, bins: int) -> np.ndarray:
-    """The bin of each draw, from 0 without gaps; draws of one value are in one bin, so that a factor of few is whole."""
+    """The bin of each draw, from 0 without gaps; of few values, each is a bin."""
     distinct, place = np.unique(draws, return_inverse=True)
     if len(distinct) <= max(bins, 1):
         return np.asarray(place)

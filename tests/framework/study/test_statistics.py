@@ -177,4 +177,3 @@ def test_a_map_of_many_draws_holds_all_of_them() -> None:
     bin_of = found.x.place(x)
     assert all(found.x.edges[bin_of] <= x)
     assert all(x <= found.x.edges[bin_of + 1])
-
