@@ -55,8 +55,8 @@ def proof(t: Told) -> Iterator[Part]:
             "The conditions of the proof were decided exactly, for all values of the parameters in this box at once, "
             "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one "
             "may diverge where the proof holds. Where a condition fails somewhere in the box, it may still hold for "
-            "most of what was drawn: each of these was looked at by itself, in floating point, and the last column "
-            "says how many fulfil every condition."
+            "most of what was drawn: each of these was looked at by itself, in floating point, and a column says "
+            "how many fulfil every condition."
         )
     )
     first = next((each for each in t.proofs if each.box.ends), None)
@@ -79,9 +79,8 @@ def proof(t: Told) -> Iterator[Part]:
     for each in t.proofs:
         badge = Badge("proved", "proved") if each.proved else Badge("not proved", "open")
         row: list[Cell] = [Word(each.name, "code")] if several else []
-        row += [badge, _conditions(each)]
-        rows.append([*row, _fulfilled(each)] if looked else row)
-    heads = ["setting"] * several + ["over the box", "conditions"] + [f"fulfilled by, of the {t.noun}"] * looked
+        rows.append([*row, badge, *([_fulfilled(each)] if looked else []), _conditions(each)])
+    heads = ["setting"] * several + ["over the box"] + [f"{t.noun} that fulfil all"] * looked + ["conditions"]
     yield Table(rows, heads, kind="study", keys=several)
     if len(t.found.points) > len(t.proofs):
         yield Paragraph(f"The first {len(t.proofs)} of {len(t.found.points)} settings.", note=True)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from dmframe.copies import shared
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.plotting import files_of
 from dmframe.port import Side
@@ -63,30 +65,38 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
         _commands(results),
         _made(results.folder),
     )
-    page = results.folder / PAGE
-    _write_figures(results.folder / FIGURES, found)
-    write_text(page, as_html(told))
+    page, files = results.folder / PAGE, _figures(found)
+    _write_figures(results.folder / FIGURES, files)
+    pictures = {Path(name).stem: content.decode() for name, content in files.items() if name.endswith(".svg")}
+    write_text(page, as_html(told, pictures))
     return page
 
 
-def as_html(told: Told) -> str:
-    """The page, in one file that fetches nothing."""
+def as_html(told: Told, pictures: Mapping[str, str]) -> str:
+    """The page, in one file that fetches nothing; `pictures` are SVG by name."""
     name, title = told.found.results.name, told.found.results.study.title
     titled = [tag("p", plain(title), class_="doc-title")] if title else []
     head = tag("header", tag("p", plain("Study of a control loop"), class_="doc-kind"), tag("h1", plain(name)), *titled)
-    writer, parts, answer = html.Writer("s"), list(sections(told)), lead(told)
+    writer, parts, answer = html.Writer("s"), list(sections(told, pictures)), lead(told)
     inside = [html.lead(answer), writer.contents(name, parts), *map(writer.section, parts)]
     return document(f"{name}: {answer.headline}", [head, tag("article", html.joined(map(Html, inside)), id="s")])
 
 
-def _write_figures(place: Path, found: Findings) -> None:
-    with writing(place, "figures"):
+def _figures(found: Findings) -> dict[str, bytes]:
+    """All figures as files; matplotlib takes most of a report's time, on other cores where there are some."""
+    name = found.results.name
+    jobs = [partial(files_of, figure, each, name) for each, figure in figures_of(found).items()]
+    with shared(jobs) as finished:
+        return {file: content for files in finished() for file, content in files.items()}
+
+
+def _write_figures(place: Path, files: Mapping[str, bytes]) -> None:
+    with writing(place):
         place.mkdir(exist_ok=True)
         for old in (*place.glob("*.png"), *place.glob("*.svg")):
             old.unlink()
-    for name, figure in figures_of(found).items():
-        for file, content in files_of(figure, name, found.results.name).items():
-            write_bytes(place / file, content)
+    for name, content in files.items():
+        write_bytes(place / name, content)
 
 
 def _saved(results: Results) -> list[Saved]:
@@ -97,7 +107,7 @@ def _saved(results: Results) -> list[Saved]:
         if figure in there:
             for run in results.worst_runs(figure, number):
                 runs.setdefault(run, figure)
-    with writing(results.folder, "folder"):
+    with writing(results.folder):
         for old in results.folder.glob(WORST.format("*")):
             old.unlink()
     if not runs:

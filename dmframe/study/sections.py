@@ -6,11 +6,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from dmframe.plotting import figure_svg
 from dmframe.report.parts import Cell, Columns, Marked, Paragraph, Part, Picture, Section, Table, Titled, Word
 from dmframe.study import basis
 from dmframe.study.answer import Told, code, no_interval, summary
-from dmframe.study.figures import FACTORS, figures_of
+from dmframe.study.figures import FACTORS
 from dmframe.study.findings import DIVERGED, SHOWN, Found
 from dmframe.study.numbers import between, chance, count, figure, interval, percent
 from dmframe.study.statistics import BINS, Paired
@@ -20,9 +19,8 @@ ROWS: Final = 60
 """Grid points in a table; the folder's table holds all."""
 
 
-def sections(t: Told) -> Iterator[Section]:
-    """Everything below the answer."""
-    pictures = {name: figure_svg(drawn) for name, drawn in figures_of(t.found).items()}
+def sections(t: Told, pictures: Mapping[str, str]) -> Iterator[Section]:
+    """Everything below the answer; `pictures` are SVG, by the names of `figures_of`."""
     yield Section("found", "What was found", [*summary(t)])
     yield Section("settings", "The settings" if len(t.found.points) > 1 else "The figures", [*_settings(t, pictures)])
     if "distribution" in pictures or "eighths" in pictures:
@@ -181,7 +179,7 @@ def _maps(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
             f"Median of `{t.found.results.main}`, and share of the runs that diverged, in bins of `{x}` and `{y}`; all "
             "else varies within a bin. White bins hold no run; in hatched ones most diverged."
         )
-        yield Picture(pictures[f"map_{place}"], f"map_{place}", caption)
+        yield Picture(pictures[f"map_{place}"], f"map_{place}", caption, wide=True)
 
 
 def _influence(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
