@@ -360,12 +360,17 @@ def learn(
 @app.command()
 def schema(
     verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
+    study: Annotated[bool, typer.Option("--study", help="Of study files, instead.")] = False,
 ) -> None:
     """Print the JSON Schema of graph files, for an editor."""
     from dmframe.certify.schema import verdict_schema
+    from dmframe.cli.options import refuse
     from dmframe.config.schema import json_schema
+    from dmframe.study.grammar import study_schema
 
-    tell(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
+    refuse({"--study": study and verdict}, "it does nothing with --verdict; leave one out")
+    made = study_schema() if study else verdict_schema() if verdict else json_schema()
+    tell(json.dumps(made, indent=2))
 
 
 @app.command()

@@ -19,7 +19,7 @@ Method = Literal["random", "latin_hypercube", "sobol"]
 DIGITS: Final = 12
 """Significant decimal digits of a drawn number: the last bits of a logarithm differ between machines."""
 _BITS: Final = 52
-_SOBOL_BITS: Final = 40
+_SOBOL_BITS: Final = 30  # SciPy looks no further ahead with more than 32
 
 
 @final

@@ -51,6 +51,12 @@ Pair: TypeAlias = Annotated[tuple[float | str, float | str], BeforeValidator(_pa
 Labels: TypeAlias = Annotated[tuple[str, ...], BeforeValidator(_labels)]
 
 KINDS: Final = ("uniform", "log", "normal")
+_DRAWN: Final = {
+    "type": "object",
+    "properties": dict.fromkeys((*KINDS, "clip"), _PAIR),
+    "additionalProperties": False,
+    "minProperties": 1,
+}
 
 
 class Distribution(Section):
@@ -84,7 +90,7 @@ class Distribution(Section):
 Factors: TypeAlias = Annotated[
     Distribution | None,
     BeforeValidator(_factors),
-    WithJsonSchema({"anyOf": [_PAIR, {"$ref": "#/$defs/Distribution"}]}),
+    WithJsonSchema({"anyOf": [_PAIR, _DRAWN]}),
 ]
 """A distribution of factors or differences, or the two ends of a uniform one."""
 

@@ -14,7 +14,7 @@ from dmframe.config.experiment import Experiment, experiment_of
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
 from dmframe.study.grammar import own_name
 from dmframe.study.varied import SETTINGS, Factor
@@ -173,11 +173,20 @@ def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
     """A graph with values of the study file. Raises `DmframeError`, each fault at its place in the study."""
     if not sets:
         return base
-    document, texts = base.document, list[str]()
+    document, texts, faults = base.document, list[str](), list[DmframeError]()
     for given in sets:
-        document = given.put(document)
+        try:
+            document = given.put(document)
+        except DmframeError as error:
+            faults += error.faults
         texts.append(f"{given.label}={json.dumps(given.plain)}")
-    return replace(experiment_of(document), name=base.name, overrides=(*base.overrides, *texts))
+    try:
+        made = experiment_of(document)
+    except DmframeError as error:
+        raise_all([*faults, *error.faults])
+        raise
+    raise_all(faults)
+    return replace(made, name=base.name, overrides=(*base.overrides, *texts))
 
 
 def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Experiment:

@@ -63,9 +63,10 @@ def load_study(
         if told:
             data["sample"] = {**(data.get("sample") or {}), **told}
         document = replace(document, data=data)
-    file = _checked(document)
+    file, faults = _checked(document)
     folder = path.parent if path is not None else Path()
-    bases, axes, faults = _graphs(file, document, folder, overrides)
+    bases, axes, more = _graphs(file, document, folder, overrides)
+    faults += more
     if bases:
         axes, more = _in_graphs(bases, axes)
         faults += more
@@ -109,9 +110,9 @@ def _written(data: Mapping[str, Any]) -> str:
     return text.getvalue()
 
 
-def _checked(document: Document) -> StudyFile:
-    """The file's grammar; names of parameters are not looked at yet."""
-    faults = list[DmframeError]()
+def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
+    """The file's grammar, and unknown keys beside it; names of parameters are not looked at yet."""
+    faults, data = list[DmframeError](), dict(document.data)
     for section in ("sample", "tune"):
         found = document.data.get(section)
         held = found if isinstance(found, dict) else {}
@@ -119,16 +120,13 @@ def _checked(document: Document) -> StudyFile:
             known = [*keys_at((section,))]
             if own_name(key) and key not in (*known, *SETTINGS) and not _is_group(held[key]):
                 faults.append(UnknownNameError(f"{section}.{key}", "key", key, known, path=(section, key)))
-    file = None
+                data[section] = {other: value for other, value in data[section].items() if other != key}
     try:
-        file = StudyFile.model_validate(document.data)
+        return StudyFile.model_validate(data), faults
     except ValidationError as error:
-        strange = {fault.path for fault in faults}
-        wrong = [fault_of(detail, keys_at) for detail in error.errors(include_url=False)]
-        faults += [fault for fault in wrong if fault.path[:2] not in strange]
+        faults += [fault_of(detail, keys_at) for detail in error.errors(include_url=False)]
     raise_placed(faults, document)
-    assert file is not None  # a file that is not valid left a fault
-    return file
+    raise AssertionError("a file that is not valid left a fault")
 
 
 def _is_group(value: Any) -> bool:
@@ -186,9 +184,8 @@ def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[l
                 graphs.append(made)
             except DmframeError as error:
                 for fault in error.faults:
-                    if not any(str(fault) == str(other) for other in faults):
-                        if not fault.location:
-                            fault.path = ("grid", axis.name)
+                    fault.path = fault.path if fault.location else ("grid", axis.name)
+                    if fault.text not in [other.text for other in faults]:  # a name is wrong in each of its cases
                         faults.append(fault)
         found.append(told_in(axis, graphs) if len(graphs) == len(axis.cases) else axis)
     return found, faults
@@ -203,6 +200,7 @@ def _factors(file: StudyFile, base: Experiment, axes: Sequence[Axis]) -> tuple[l
         except DmframeError as error:
             for fault in error.faults:
                 fault.path = fault.path if fault.location else ("sample", name, *fault.path)
+                fault.text = f"sample.{name}: {fault.text.removeprefix(f'{name}: ')}"
                 faults.append(fault)
     faults += told_twice(found, {label for axis in axes for label in axis.labels})
     columns = [axis.name for axis in axes] + [name for each in found for name in each.columns]

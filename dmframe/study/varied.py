@@ -192,7 +192,7 @@ def factor(name: str, variation: Variation, experiment: Experiment, diagram: Cal
     """
     labels = variation.of or (name,)
     if own_name(name) and name not in SETTINGS and not variation.of:
-        raise ValueFault(f"{name}: expected block.parameter, or {name}: {{..., of: [block.parameter, ...]}}")
+        raise ValueFault(f"expected block.parameter, or {name}: {{..., of: [block.parameter, ...]}}")
     targets = list[Target]()
     for label in labels:
         try:
@@ -204,18 +204,18 @@ def factor(name: str, variation: Variation, experiment: Experiment, diagram: Cal
     kind = variation.kinds[0]
     how: How = "scale" if kind == "scale" else "shift" if kind == "shift" else "value"
     held = getattr(variation, kind) if how != "value" else variation
-    unit = "" if how == "scale" else _unit(name, targets)
+    unit = "" if how == "scale" else _unit(targets)
     spread = spread_of(held, unit, (kind,) if how != "value" else ())
     for each in targets:
         _check_target(each, how, spread)
     return Factor(name, labels, how, spread, _elements(name, variation, targets, diagram), unit)
 
 
-def _unit(name: str, targets: Sequence[Target]) -> str:
+def _unit(targets: Sequence[Target]) -> str:
     units = {each.unit for each in targets}
     if len(units) > 1:
         found = ", ".join(f"{each.label} [{each.unit}]" for each in targets)
-        raise ValueFault(f"{name}: expected parameters of one unit, found {found}; scale them, or let each vary alone")
+        raise ValueFault(f"expected parameters of one unit, found {found}; scale them, or let each vary alone")
     return units.pop()
 
 
@@ -268,7 +268,7 @@ def _check_target(found: Target, how: How, spread: Spread) -> None:
         return
     unit = "" if how == "scale" else found.unit
     ends = "no lower end" if math.isinf(least) else f"{plain(least, unit)} as the least"
-    what = "the factor" if how == "scale" else found.label
+    what = "its factor" if how == "scale" else "it"
     remedy = "; clip: [lower, upper] gives it ends" if spread.kind == "normal" else ""
     raise ValueFault(f"{found.label} is {found.sign}, and {what} is drawn with {ends}{remedy}")
 
@@ -285,7 +285,7 @@ def _elements(name: str, variation: Variation, targets: Sequence[Target], diagra
         counts.add(_count(each, diagram))
     if len(counts) > 1:
         found = ", ".join(f"{each.label} {_count(each, diagram)}" for each in targets)
-        raise ValueFault(f"{name}: expected parameters of one size, found {found}", path=("of",))
+        raise ValueFault(f"expected parameters of one size, found {found}", path=("of",))
     return counts.pop()
 
 
@@ -310,7 +310,7 @@ def told_twice(factors: Iterable[Factor], fixed: Iterable[str]) -> list[ValueFau
     for each in factors:
         for label in each.labels:
             if each.how == "value" and label in seen:
-                text = f"{each.name}: {label} has its value from {seen[label]} already; keep one of them"
+                text = f"sample.{each.name}: {label} has its value from {seen[label]} already; keep one of them"
                 faults.append(ValueFault(text, path=("sample", each.name)))
             seen.setdefault(label, each.name)
     return faults

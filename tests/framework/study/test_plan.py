@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 
+from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
-from dmframe.study.plan import Study, load_study
+from dmframe.study.grammar import study_schema
+from dmframe.study.plan import Study
+
+Make = Callable[..., Study]
 
 TEXT = """\
-dmframe-study: 1
-graph: arm.yaml
 set: {duration: 0.2 s}
 sample:
   runs: 6
@@ -28,38 +32,9 @@ grid:
 measure: {signals: [servo.u], limits: {error: 1 mm, servo.u: 0.005 kV}}
 """
 
-ARM = """\
-dmframe: 1
-title: A planar arm
-robot: arm2
-clock: 4 ms
-duration: 1 s
-start: {q: [0.5, 0.5]}
-blocks:
-  path:     {type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
-  geometry: {type: kinematics}
-  task:     {type: task_tracking, gamma: 0.8}
-  model:    {type: regressor, friction: [viscous]}
-  dynamics: {type: dynamic_compensator, Gamma: 1}
-  inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
-  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
-  arm:      {type: manipulator, viscous: [1, 0.5]}
-"""
 
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    (tmp_path / "arm.yaml").write_text(ARM, encoding="utf-8")
-    return tmp_path
-
-
-def study(folder: Path, text: str = TEXT, **options: Any) -> Study:
-    (folder / "study.yaml").write_text(text, encoding="utf-8")
-    return load_study(folder / "study.yaml", **options)
-
-
-def test_the_table_has_a_column_for_all_that_varies_with_its_unit(folder: Path) -> None:
-    found = study(folder)
+def test_the_table_has_a_column_for_all_that_varies_with_its_unit(study: Make) -> None:
+    found = study(TEXT)
     assert (len(found.points), found.samples, found.runs) == (4, 6, 24)
     assert [(column.name, column.unit, column.kind, column.how) for column in found.varied] == [
         ("dynamics.Gamma", "", "grid", "value"),
@@ -74,8 +49,8 @@ def test_the_table_has_a_column_for_all_that_varies_with_its_unit(folder: Path) 
     ]
 
 
-def test_a_row_is_what_the_graph_of_its_run_gives_alone(folder: Path) -> None:
-    found = study(folder)
+def test_a_row_is_what_the_graph_of_its_run_gives_alone(study: Make) -> None:
+    found = study(TEXT)
     rows = found.rows(2, 1, 4)
     assert rows["run"].tolist() == [6, 10, 14]
     for k, run in enumerate(rows["run"].tolist()):
@@ -91,8 +66,8 @@ def test_a_row_is_what_the_graph_of_its_run_gives_alone(folder: Path) -> None:
     assert rows["fault"] == [None] * 3
 
 
-def test_the_numbers_of_a_row_are_those_of_its_graph_to_the_last_bit(folder: Path) -> None:
-    found = study(folder)
+def test_the_numbers_of_a_row_are_those_of_its_graph_to_the_last_bit(study: Make) -> None:
+    found = study(TEXT)
     values, drawn = found.values(3, 2, 3), found.drawn(2, 3)
     graph = found.graph_of(2 * 4 + 3)
 
@@ -105,16 +80,16 @@ def test_the_numbers_of_a_row_are_those_of_its_graph_to_the_last_bit(folder: Pat
         assert each.clock == 0.002
 
 
-def test_chunks_make_no_difference_and_points_share_their_samples(folder: Path) -> None:
-    found = study(folder)
+def test_chunks_make_no_difference_and_points_share_their_samples(study: Make) -> None:
+    found = study(TEXT)
     whole, parts = found.rows(1, 0, 6), [found.rows(1, *each) for each in ((0, 1), (1, 5), (5, 6))]
     for name, column in whole.items():
         assert list(column) == pytest.approx([item for part in parts for item in part[name]], abs=0, nan_ok=True), name
     assert whole["servo.K_P"].tolist() == found.rows(0, 0, 6)["servo.K_P"].tolist()
 
 
-def test_a_pickled_study_is_small_and_gives_the_same_rows(folder: Path) -> None:
-    found = study(folder)
+def test_a_pickled_study_is_small_and_gives_the_same_rows(study: Make) -> None:
+    found = study(TEXT)
     _ = found.measures
     data = pickle.dumps(found)
     assert len(data) < 50_000
@@ -124,24 +99,22 @@ def test_a_pickled_study_is_small_and_gives_the_same_rows(folder: Path) -> None:
     assert again.rows(0, 0, 2)["rms_final"].tolist() == found.rows(0, 0, 2)["rms_final"].tolist()
 
 
-def test_the_key_covers_what_decides_a_row_and_not_how_many_there_are(folder: Path) -> None:
-    key = study(folder).key
-    assert study(folder, runs=50).key == key
-    assert study(folder, TEXT.replace("seed: 3", "seed: 4")).key != key
-    assert study(folder, TEXT.replace("0.2 s", "0.3 s")).key != key
-    assert study(folder, TEXT.replace("1.25", "1.26")).key != key
-    assert study(folder, TEXT.replace("[1, 10]", "[1, 11]")).key != key
-    assert study(folder, TEXT.replace("1 mm", "2 mm")).key != key
+def test_the_key_covers_what_decides_a_row_and_not_how_many_there_are(study: Make, arm: Path) -> None:
+    key = study(TEXT).key
+    assert study(TEXT, runs=50).key == key
+    assert study(TEXT.replace("seed: 3", "seed: 4")).key != key
+    assert study(TEXT.replace("0.2 s", "0.3 s")).key != key
+    assert study(TEXT.replace("1.25", "1.26")).key != key
+    assert study(TEXT.replace("[1, 10]", "[1, 11]")).key != key
+    assert study(TEXT.replace("1 mm", "2 mm")).key != key
     latin = TEXT.replace("runs: 6", "runs: 6\n  method: latin_hypercube")
-    assert study(folder, latin).key != study(folder, latin, runs=50).key
-    (folder / "arm.yaml").write_text(ARM.replace("gamma: 0.8", "gamma: 0.9"), encoding="utf-8")
-    assert study(folder).key != key
+    assert study(latin).key != study(latin, runs=50).key
+    arm.write_text(arm.read_text(encoding="utf-8").replace("gamma: 0.8", "gamma: 0.9"), encoding="utf-8")
+    assert study(TEXT).key != key
 
 
-def test_whole_blocks_and_named_cases_are_points(folder: Path) -> None:
+def test_whole_blocks_and_named_cases_are_points(study: Make) -> None:
     text = """\
-dmframe-study: 1
-graph: arm.yaml
 set: {duration: 0.1 s}
 grid:
   controller:
@@ -149,7 +122,7 @@ grid:
     kinematic: {blocks.inverse: {type: kinematic_command}, blocks.model: null, blocks.dynamics: null}
   servo: {scale: [1, 2], of: [servo.K_P, servo.K_I]}
 """
-    found = study(folder, text)
+    found = study(text)
     assert [tuple(point.values.values()) for point in found.points] == [
         ("adaptive", 1.0),
         ("adaptive", 2.0),
@@ -165,17 +138,15 @@ grid:
         assert rows["rms_final"][0] == pytest.approx(alone.rms_final, rel=1e-12)
 
 
-def test_what_shapes_the_loop_is_run_graph_by_graph(folder: Path) -> None:
+def test_what_shapes_the_loop_is_run_graph_by_graph(study: Make) -> None:
     text = """\
-dmframe-study: 1
-graph: arm.yaml
 set: {duration: 0.1 s}
 sample:
   runs: 2
   clock: {uniform: [2 ms, 6 ms]}
   start.q: {shift: [-1 deg, 1 deg], per: joint}
 """
-    found = study(folder, text)
+    found = study(text)
     rows = found.rows(0, 0, 2)
     for run in range(2):
         graph = found.graph_of(run)
@@ -186,17 +157,28 @@ sample:
         assert rows["rms_final"][run] == pytest.approx(alone.rms_final, rel=1e-12)
 
 
-def test_a_run_that_cannot_be_made_is_a_row_with_its_fault(folder: Path) -> None:
+def test_a_run_that_cannot_be_made_is_a_row_with_its_fault(study: Make) -> None:
     text = """\
-dmframe-study: 1
-graph: arm.yaml
 set: {duration: 0.1 s, start: {near: [0.5, 0.5]}}
 sample: {runs: 4, path.radius: {uniform: [100 mm, 700 mm]}}
 """
-    rows = study(folder, text).rows(0, 0, 4)
+    rows = study(text).rows(0, 0, 4)
     far = np.hypot(0.5, 0.3 + rows["path.radius"]) > 0.85  # the length of the stretched arm
     assert far.any()
     assert not far.all()
     assert [fault is not None for fault in rows["fault"]] == far.tolist()
     assert np.isnan(rows["rms_final"]).tolist() == far.tolist()
     assert not rows["diverged"].any()
+
+
+def test_the_schema_takes_what_the_grammar_takes_and_refuses_a_wrong_key() -> None:
+    validator = jsonschema.Draft202012Validator(study_schema())
+    data = {"dmframe-study": 1, "graph": "arm.yaml", **YAML(typ="safe", pure=True).load(TEXT)}
+    assert list(validator.iter_errors(data)) == []
+    for wrong in (
+        {"sample": {"servo.K_P": {"scale": [1, 2], "pre": "joint"}}},
+        {"sample": {"runs": "many"}},
+        {"grid": {"clock": 3}},
+        {"measure": {"signal": []}},
+    ):
+        assert list(validator.iter_errors({**data, **wrong})), wrong
