@@ -15,6 +15,8 @@ from dmframe.study.proof import HELD, Proof
 from dmframe.study.statistics import Quantile
 from dmframe.units import plain
 
+WORTH: Final = 0.05
+"""Share of the variance from which a quantity is named as one that decides."""
 NAMED: Final = 4
 """Settings that a sentence names."""
 METHODS: Final = {
@@ -165,12 +167,14 @@ def summary(t: Told) -> Iterator[Part]:
         each, top = best
         told = ", ".join(f"{100 * q.p:g} % below {figure(q.value, t.unit(main))}" for q in each.quantiles[main])
         items.append(Marked(f"`{main}`: {told}."))
-    for figure_name, influences in (found.points[0].influences if found.points else {}).items():
-        strong = [item for item in influences if item.share >= 0.05][:3]
+    for name in dict.fromkeys(name for each in found.points for name in each.influences):
+        each = next(each for each in found.points if name in each.influences)
+        strong = [item for item in each.influences[name] if item.share >= WORTH][:3]
         if strong:
             told = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
-            what = "whether a run diverges" if figure_name == DIVERGED else f"`{figure_name}`"
-            items.append(Marked(f"What decides {what} most: {told}, each as a share of the variance of ranks."))
+            what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
+            at = f" at {code(each)}" if each.name else ""
+            items.append(Marked(f"What decides {what} most{at}: {told}, each as a share of the variance of ranks."))
     if t.worst:
         first = t.worst[0]
         how = f"diverged after {plain(first.diverged_at, 's')}" if math.isfinite(first.diverged_at) else ""

@@ -43,7 +43,8 @@ def worst(t: Told) -> Iterator[Part]:
     yield Paragraph(
         Marked(
             "Each file is a whole graph with the numbers of its run, and runs again exactly as it did: "
-            f"`dmframe run {first} --out worst` draws it, `dmframe verify {first}` proves it or says why not."
+            f"`dmframe run {first} --engine compiled --out worst` draws it (the interpreter rounds some last digits "
+            f"differently), `dmframe verify {first}` proves it or says why not."
         )
     )
 

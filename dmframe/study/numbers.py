@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from dmframe.study.statistics import Quantile, Share
 from dmframe.units import plain
+
+ALMOST: Final = 0.999999
+"""Of a share above it no more digits are said."""
 
 
 def count(number: int) -> str:
@@ -17,17 +21,11 @@ def percent(share: float, up: bool | None = None) -> str:
     """A share with two digits, rounded up or down where it is a limit; near 1, the two digits are those that lack."""
     if not math.isfinite(share):
         return "-"
+    if share > ALMOST:
+        return "100 %" if up or share >= 1 else "99.9999 %"
     if share > 0.99:
-        return (
-            "100 %"
-            if share >= 1 or (up and 1 - share < 1e-12)
-            else f"{100 - _two(100 * (1 - share), _turned(up)):.10g} %"
-        )
+        return f"{100 - _two(100 * (1 - share), None if up is None else not up):.10g} %"
     return f"{_two(100 * share, up):.10g} %"
-
-
-def _turned(up: bool | None) -> bool | None:
-    return None if up is None else not up
 
 
 def _two(value: float, up: bool | None) -> float:
