@@ -125,7 +125,11 @@ def _check(diagram: Diagram, wanted: Wanted) -> tuple[str, ...]:
     raise_all([UnknownNameError("signals", "signal", label, known) for label in strangers])
     measured = {*labels, ERROR}
     raise_all(
-        [UnknownNameError("limits", "measured signal", key, measured) for key in wanted.limits or () if key not in measured]
+        [
+            UnknownNameError("limits", "measured signal", key, measured)
+            for key in wanted.limits or ()
+            if key not in measured
+        ]
     )
     return labels
 

@@ -74,11 +74,15 @@ def key_of(identity: Mapping[str, Any]) -> str:
 def files_of(study: Study) -> dict[str, str]:
     """A hash of each file that decides how the graphs move: sources of blocks, models of robots."""
     found = dict[str, str]()
-    graphs = [*study.bases.values(), *(_first_of_each(study))]
-    for experiment in graphs:
+    for experiment in graphs_of(study):
         for path in _paths(experiment):
             found.setdefault(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
     return dict(sorted(found.items()))
+
+
+def graphs_of(study: Study) -> list[Experiment]:
+    """Its graphs, and one for each case that puts in a block or a robot of its own: together they name all files."""
+    return [*study.bases.values(), *_first_of_each(study)]
 
 
 def _first_of_each(study: Study) -> list[Experiment]:

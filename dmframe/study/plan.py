@@ -231,6 +231,11 @@ class Study:
         experiment = graph.experiment.changed(numbers) if numbers else graph.experiment
         return Graph(replace(experiment, name=f"{self.name}_{run}"))
 
+    @property
+    def engine(self) -> str:
+        """What ran the last `rows` of this process: ``lanes of 8``, ``compiled``, ``interpreted``."""
+        return self._loops.engine
+
     def check(self) -> None:
         """Build each closed loop, and prepare a run's values at each point.
 

@@ -62,6 +62,7 @@ def load_study(
         told = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
         if told:
             data["sample"] = {**(data.get("sample") or {}), **told}
+            text = _written(data)
         document = replace(document, data=data)
     file, faults = _checked(document)
     folder = path.parent if path is not None else Path()

@@ -47,9 +47,16 @@ class Column:
 @final
 @dataclass
 class Loops:
-    """Closed loops by what they are built of: graphs that differ in numbers alone share one."""
+    """Closed loops by what they are built of: graphs that differ in numbers alone share one.
+
+    Attributes
+    ----------
+    engine
+        What ran the last of them.
+    """
 
     held: OrderedDict[int, tuple[Experiment, Diagram]] = field(default_factory=OrderedDict)
+    engine: str = ""
 
     def of(self, experiment: Experiment) -> tuple[Diagram, dict[str, Any]]:
         """A diagram, and the parameters in which the graph differs from it. Raises what `Experiment.diagram` does."""
@@ -112,6 +119,8 @@ def together(
     found = _measured(diagram, experiment, rows, wanted, threads)
     if found is None and fixed:  # what differs from the shared loop may shape it
         found = _measured(loops.own(experiment), experiment, values, wanted, threads)
+    if found is not None:
+        loops.engine = found.engine
     return found
 
 
