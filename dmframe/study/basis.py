@@ -42,9 +42,9 @@ def worst(t: Told) -> Iterator[Part]:
     first = t.worst[0].file
     yield Paragraph(
         Marked(
-            "Each file is a whole graph with the numbers of its run, and runs again exactly as it did: "
-            f"`dmframe run {first} --engine compiled --out worst` draws it (the interpreter rounds some last digits "
-            f"differently), `dmframe verify {first}` proves it or says why not."
+            "Each file is a whole graph with the numbers of its run, and runs again as it did, state by state, where "
+            f"it is compiled too: `dmframe run {first} --engine compiled --out worst` draws it. Of an RMS the last digits "
+            f"may differ, for many runs sum in another order. `dmframe verify {first}` proves it, or says why not."
         )
     )
 

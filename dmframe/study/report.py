@@ -154,9 +154,10 @@ def _robots(results: Results) -> bool:
 def _commands(results: Results) -> Sequence[tuple[str, str]]:
     place = results.folder.name or str(results.folder)
     return (
-        (f"dmframe study {place}/study.yaml --out AGAIN", "runs the whole study again, in another folder"),
-        (f"dmframe study {place}/study.yaml --rerun RUN", "runs one run by its number, as a graph"),
-        (f"dmframe study report {place}", "writes this page again, from the runs that are there"),
+        (f"dmframe study {place}", "computes the runs that are not there yet"),
+        (f"dmframe study {place}/study.yaml --out AGAIN", "runs all of it again, in another folder"),
+        (f"dmframe study {place} --rerun RUN", "runs one run by its number, as a graph, and compares it with its row"),
+        (f"dmframe study report {place}", "writes this page anew, from the runs that are there"),
     )
 
 

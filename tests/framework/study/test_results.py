@@ -162,24 +162,26 @@ def test_of_a_least_the_smallest_is_the_worst(folder: Callable[..., Path]) -> No
 
 
 def test_a_worst_run_runs_again_exactly_as_it_did(tmp_path: Path) -> None:
-    text = text_of(runs=8, report="report: {worst: {rms_final: 2}}")
+    text = text_of(runs=8, report="measure: {signals: [arm.q]}\nreport: {worst: {rms_final: 2}}")
     (tmp_path / "study.yaml").write_text(text, encoding="utf-8")
     (tmp_path / "runs").mkdir()
     study = load_study(tmp_path / "study.yaml")
     for point in study.points:
-        pl.DataFrame(study.rows(point.index, 0, 8), strict=False).write_parquet(
-            tmp_path / f"runs/{point.index}.parquet"
-        )
+        rows = pl.DataFrame(study.rows(point.index, 0, 8), strict=False)
+        rows.write_parquet(tmp_path / f"runs/{point.index}.parquet")
     found = Results(tmp_path)
     write_report(tmp_path, found, proofs=False)
     runs = found.worst_runs("rms_final", 2)
     table = found.frame.collect()
+    assert table["rms_final"].max() == table.filter(pl.col("run") == runs[0])["rms_final"][0]
     for place, run in enumerate(runs, start=1):
         row = table.filter(pl.col("run") == run).row(0, named=True)
-        again = dm.load(tmp_path / f"worst_{place}.yaml").run(engine="compiled").error
-        assert again is not None
-        assert again.rms_final == row["rms_final"]
-    assert table["rms_final"].max() == table.filter(pl.col("run") == runs[0])["rms_final"][0]
+        again = dm.load(tmp_path / f"worst_{place}.yaml").run(engine="compiled")
+        path = again.recording["arm.q"][:, 0]
+        assert (path.min(), path.max(), path[-1]) == (row["arm.q.least"], row["arm.q.most"], row["arm.q.last"])
+        assert again.error is not None
+        # a batch sums in another order
+        assert again.error.rms_final == pytest.approx(row["rms_final"], rel=1e-12)
 
 
 def test_the_page_begins_with_the_answer(page: Callable[..., tuple[Path, str]]) -> None:
