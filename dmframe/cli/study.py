@@ -18,11 +18,13 @@ from dmframe.study.again import Again, again
 from dmframe.study.execute import State, run_study
 from dmframe.study.foreseen import Foreseen, foreseen
 from dmframe.study.plan import Study, load_study
+from dmframe.study.results import Results
 from dmframe.study.store import LOCK, polars
 from dmframe.trust import remember
 
 INCOMPLETE: Final = 1
 FILE: Final = "study.yaml"
+REPORT: Final = "report"
 MANY: Final = 64
 """Points that are looked at one by one before a study runs."""
 
@@ -55,11 +57,12 @@ def run(
     workers: int | None,
     scheduler: str | None,
     out: Path | None,
+    report: bool,
     force: bool,
     as_json: bool,
     trust: bool,
 ) -> int:
-    """Compute the rows that are not there yet; returns the exit status."""
+    """Compute the rows that are not there yet, and write the report; returns the exit status."""
     polars()  # before anything takes long
     study, place = study_of(file, trust=trust)
     place = out or place
@@ -80,8 +83,24 @@ def run(
         if last is not None:
             tell(f"{last.kept} of {last.runs} runs are kept in {place}; the same command continues", aside=True)
         return STOPPED
-    _tell(study, state, place, as_json)
+    page = _reported(Results(place), quiet=as_json) if report and state.complete else None
+    _tell(study, state, place, page, as_json)
     return 0 if state.complete else INCOMPLETE
+
+
+def report(folder: str, *, as_json: bool, trust: bool) -> int:
+    """Write the report of a folder's runs anew; returns the exit status."""
+    if trust:
+        remember(Path(folder).expanduser())
+    page = _reported(Results(folder), quiet=as_json)
+    tell(json.dumps({"report": str(page)}, indent=2) if as_json else f"wrote {page}")
+    return 0
+
+
+def _reported(results: Results, *, quiet: bool) -> Path:
+    with telling(results.name, quiet=quiet) as say:
+        say("writing the report")
+        return results.report()
 
 
 def _check(study: Study) -> None:
@@ -101,7 +120,7 @@ def _note(state: State, scheduler: str | None) -> str:
     return ", ".join(notes)
 
 
-def _tell(study: Study, state: State, place: Path, as_json: bool) -> None:
+def _tell(study: Study, state: State, place: Path, page: Path | None, as_json: bool) -> None:
     counted = _counted(place) if state.kept else {"diverged": 0, "faults": 0}
     if as_json:
         data = {
@@ -116,6 +135,7 @@ def _tell(study: Study, state: State, place: Path, as_json: bool) -> None:
             "seconds": round(state.seconds, 3),
             "workers": state.workers,
             "out": str(place),
+            "report": None if page is None else str(page),
         }
         tell(json.dumps(data, indent=2))
         return
@@ -131,6 +151,8 @@ def _tell(study: Study, state: State, place: Path, as_json: bool) -> None:
     tell(f"{study.name}: {state.kept} of {state.runs} runs; {state.computed} computed in {_time(state.seconds)}{rate}")
     tell(f"diverged: {counted['diverged']}, not run for a fault: {counted['faults']}")
     tell(f"results: {place}")
+    if page is not None:
+        tell(f"report: {page}")
 
 
 def _workers(count: int) -> str:

@@ -9,14 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final, overload
 
-import numpy as np
-
 from dmframe import notebook
-from dmframe.block import AbstractBlock
 from dmframe.config import Experiment
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
-from dmframe.gain import Prior
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
@@ -238,20 +234,15 @@ def ran_together(base: Graph, graphs: Sequence[Graph], engine: Choice) -> list[R
 
 def _numbers(base: Experiment, other: Experiment) -> dict[str, Any] | None:
     """Parameters of blocks, by label, in which two experiments differ; None where they differ in anything else."""
-    if base.file.model_copy(update={"blocks": {}}) != other.file.model_copy(update={"blocks": {}}):
-        return None
-    return numbers_between(base.blocks, other.blocks)
-
-
-def numbers_between(base: Mapping[str, AbstractBlock], other: Mapping[str, AbstractBlock]) -> dict[str, Any] | None:
-    """Parameters, by label, in which the other blocks differ; None where they differ in anything but numbers."""
     from dmframe.parameter import specs
 
-    if base.keys() != other.keys():
+    if base.file.model_copy(update={"blocks": {}}) != other.file.model_copy(update={"blocks": {}}):
+        return None
+    if base.blocks.keys() != other.blocks.keys():
         return None
     changed = dict[str, Any]()
-    for name, block in base.items():
-        new = other[name]
+    for name, block in base.blocks.items():
+        new = other.blocks[name]
         if type(new) is not type(block):
             return None
         for key in type(block).model_fields:
@@ -259,11 +250,7 @@ def numbers_between(base: Mapping[str, AbstractBlock], other: Mapping[str, Abstr
             if old_value == value:
                 continue
             spec = specs(type(block)).get(key)
-            if spec is None or value is None or old_value is None:
-                return None
-            if Prior in (type(value), type(old_value)):
-                return None
-            if spec.form == "gain" and np.ndim(value) != np.ndim(old_value):  # a matrix has other symbols
+            if spec is None or value is None or old_value is None or spec.form == "gain":
                 return None
             changed[f"{name}.{key}"] = value
     return changed

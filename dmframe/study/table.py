@@ -15,8 +15,8 @@ from dmframe.batch.measure import Wanted
 from dmframe.config.experiment import Experiment
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
+from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError
-from dmframe.graph.runs import numbers_between
 from dmframe.results.metrics import EIGHTHS, goal_of
 
 KEPT: Final = 8
@@ -63,7 +63,7 @@ class Loops:
         for key, (other, diagram) in self.held.items():
             if experiment.file.robot != other.file.robot or experiment.file.wires != other.file.wires:
                 continue
-            numbers = numbers_between(other.blocks, experiment.blocks)
+            numbers = changed_numbers(other.blocks, experiment.blocks)
             if numbers is not None:
                 self.held.move_to_end(key)
                 return diagram, numbers

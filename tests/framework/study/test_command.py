@@ -108,14 +108,22 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     status, out, err = dmframe("there/study.yaml", "--workers", "1")
     assert (status, err) == (0, "")
     assert out.startswith("study: 18 of 18 runs; 18 computed in ")
-    assert out.endswith("diverged: 0, not run for a fault: 0\nresults: studies/study\n")
+    assert out.endswith(
+        "diverged: 0, not run for a fault: 0\nresults: studies/study\nreport: studies/study/report.html\n"
+    )
+    assert "None of 9 robots diverged at 2 of 2 settings" in (tmp_path / "studies/study/report.html").read_text("utf-8")
 
     folder = tmp_path / "studies" / "study"
     moved = tmp_path / "moved"
     shutil.move(folder, moved)
     shutil.rmtree(mine.parent)  # the folder holds the study, its graph and its block
-    status, out, _ = dmframe("moved", "--json")
+    status, out, _ = dmframe("moved", "--json", "--no-report")
     assert (status, json.loads(out)["computed"], json.loads(out)["kept"]) == (0, 0, 18)
+    assert json.loads(out)["report"] is None
+    (moved / "report.html").unlink()
+    status, out, err = dmframe("report", "moved")
+    assert (status, out, err) == (0, "wrote moved/report.html\n", "")
+    assert "dmframe study report moved" in (moved / "report.html").read_text("utf-8")
 
     status, out, err = dmframe("moved", "--rerun", "7", "--json")
     assert status == 0, err
@@ -212,3 +220,17 @@ def test_a_wrong_call_is_told_in_one_line(words: tuple[str, ...], told: str, tmp
 def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
     study = load_study({"dmframe-study": 1, "graph": "pendulum", "set": {"duration": "0.1 s"}})
     assert unpacked(packed(study)).key == study.key
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["report", "nowhere"], "nowhere: expected the folder of a study; run it first"),
+        (["report", "nowhere", "--out", "x"], "--out: it does nothing with report; leave one out"),
+        (["report", "one", "two"], "expected one file, found 2"),
+    ],
+)
+def test_a_report_of_nothing_says_so(words: list[str], said: str, tmp_path: Path, dmframe: Dmframe) -> None:
+    status, out, err = dmframe(*words)
+    assert (status, out) == (2, "")
+    assert said in err
