@@ -126,10 +126,16 @@ class Batch:
         given = {key: value for key, value in settings.items() if value is not None}
         return cls(diagram, duration, wanted, given, engine, threads)
 
-    def measure(self, values: Mapping[str, Any]) -> Measured:
-        """The figures of a run for each row of values; see `dmframe.batch.measure`."""
+    def measure(self, values: Mapping[str, Any], runs: int = 1) -> Measured:
+        """The figures of a run for each row of values; see `dmframe.batch.measure`.
+
+        Parameters
+        ----------
+        runs
+            How many, where nothing varies.
+        """
         columns = columns_of(values)
-        runs = runs_in(columns)
+        runs = runs_in(columns, runs)
         rows = {label: (unit, expression.numel()) for label, (unit, expression) in self.channels.items()}
         board = Board.empty(rows, runs)
         asked = self._asked(runs)

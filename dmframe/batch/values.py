@@ -33,9 +33,9 @@ def columns_of(values: Mapping[str, object]) -> dict[str, np.ndarray]:
     return columns
 
 
-def runs_in(columns: Mapping[str, np.ndarray]) -> int:
-    """How many runs there are; one where nothing varies."""
-    return next((len(column) for column in columns.values()), 1)
+def runs_in(columns: Mapping[str, np.ndarray], alike: int = 1) -> int:
+    """How many runs there are; `alike` where nothing varies."""
+    return next((len(column) for column in columns.values()), alike)
 
 
 def varied(diagram: Diagram, columns: Mapping[str, np.ndarray], run: int) -> Diagram:

@@ -24,13 +24,15 @@ from dmframe.cli.arguments import (
     Trust,
     Tube,
     graph_names,
+    home,
     lesson_numbers,
     robot_names,
     type_names,
 )
 from dmframe.cli.streams import tell
+from dmframe.cli.studies import study
 from dmframe.errors import UnknownNameError, raise_all, visible
-from dmframe.files import check_place, expanded, write_text
+from dmframe.files import check_place, write_text
 
 if TYPE_CHECKING:
     from dmframe.graph.named import Named
@@ -50,17 +52,15 @@ SCHEMA = "dmframe.schema.json"
 HORIZON = "20"
 
 
-def _home(path: Path | None) -> Path | None:
-    """A path that an option names, ``--report=~/x.html`` too, which no shell expands."""
-    return None if path is None else expanded(path)
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         from dmframe.version import version as installed
 
         tell(f"dmframe {installed()}")
         raise typer.Exit
+
+
+app.command()(study)
 
 
 @app.callback()
@@ -104,7 +104,7 @@ def _tell_shelf(shelf: Named[Any], as_json: bool) -> None:
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=graph_names)],
-    file: Annotated[Path | None, typer.Argument(callback=_home, help="The new file; NAME.yaml without it.")] = None,
+    file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
     """Copy a packaged graph to a file of your own, to edit it; an editor completes it from the schema beside it."""
@@ -161,7 +161,7 @@ def run(
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", callback=_home, help="Folder of the results; new or empty.")
+        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
@@ -196,7 +196,7 @@ def verify(
     graph: Graphs,
     overrides: Overrides = [],  # noqa: B006 - as above
     report: Annotated[
-        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write a report: .html, .md or .json.")
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write a report: .html, .md or .json.")
     ] = None,
     seed: Annotated[str, typer.Option(metavar="N", help="Of the random points and primes.")] = "0",
     as_json: AsJson = False,
@@ -264,7 +264,7 @@ def draw(
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", metavar="FILE", callback=_home, help=".svg, .png, .pdf, .mmd; Mermaid text without it."
+            "-o", "--out", metavar="FILE", callback=home, help=".svg, .png, .pdf, .mmd; Mermaid text without it."
         ),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
@@ -296,7 +296,7 @@ def page(
     graph: OneGraph,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", callback=_home, help="A file .html; GRAPH.html without it."),
+        typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
     ] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
     trust: Trust = False,
@@ -360,12 +360,17 @@ def learn(
 @app.command()
 def schema(
     verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
+    study: Annotated[bool, typer.Option("--study", help="Of study files, instead.")] = False,
 ) -> None:
     """Print the JSON Schema of graph files, for an editor."""
     from dmframe.certify.schema import verdict_schema
+    from dmframe.cli.options import refuse
     from dmframe.config.schema import json_schema
+    from dmframe.study.grammar import study_schema
 
-    tell(json.dumps(verdict_schema() if verdict else json_schema(), indent=2))
+    refuse({"--study": study and verdict}, "it does nothing with --verdict; leave one out")
+    made = study_schema() if study else verdict_schema() if verdict else json_schema()
+    tell(json.dumps(made, indent=2))
 
 
 @app.command()
@@ -375,12 +380,12 @@ def regressor(
     kinematic: Annotated[bool, typer.Option("--kinematic", help="Y_k instead of Y_d.")] = False,
     symbolic: Annotated[bool, typer.Option("--symbolic", help="Print each entry; up to 3 joints.")] = False,
     prove: Annotated[bool, typer.Option("--prove", help="Prove the properties that controllers rely on.")] = False,
-    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", callback=_home, help="Write it as C source.")] = None,
+    c: Annotated[Path | None, typer.Option("--c", metavar="FILE", callback=home, help="Write it as C source.")] = None,
     python: Annotated[
-        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write it as a NumPy module.")
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write it as a NumPy module.")
     ] = None,
     latex: Annotated[
-        Path | None, typer.Option(metavar="FILE", callback=_home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
+        Path | None, typer.Option(metavar="FILE", callback=home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
     ] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
     hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006 - as above

@@ -7,6 +7,13 @@ from typing import Annotated
 
 import typer
 
+from dmframe.files import expanded
+
+
+def home(path: Path | None) -> Path | None:
+    """A path that an option names, ``--report=~/x.html`` too, which no shell expands."""
+    return None if path is None else expanded(path)
+
 
 def graph_names(begin: str) -> list[str]:
     """For a shell's completion: packaged graphs, and graph files."""

@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeAlias, final
+from typing import Any, Final, TypeAlias, final
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError
@@ -38,6 +38,18 @@ Steps: TypeAlias = tuple[str | int, ...]
 MOST_BYTES = 1_000_000
 DEEPEST = 50
 MOST_NODES = 100_000  # aliases counted as often as they are used
+
+
+@final
+@dataclass(frozen=True)
+class Kind:
+    """What a text is, as messages call it, and how it begins."""
+
+    noun: str
+    begins: str
+
+
+GRAPH: Final = Kind("graph", "dmframe: 1")
 
 _WORDS: dict[str, Scalar] = dict.fromkeys(("", "~", "null", "Null", "NULL"))
 _WORDS |= {form: form.lower() == "true" for form in ("true", "True", "TRUE", "false", "False", "FALSE")}
@@ -83,6 +95,13 @@ class Document:
         node, named, exact = self._at(path)
         return (named if key or not exact else node).place(self.name)
 
+    def node(self, path: Sequence[str | int]) -> Node:
+        """What stands at `path`. Raises `KeyError` where nothing does."""
+        node, _, exact = self._at(path)
+        if not exact:
+            raise KeyError(path)
+        return node
+
     def is_said(self, path: Sequence[str | int], key: bool = False) -> bool:
         """Did an override put there what `locate` finds?"""
         node, named, exact = self._at(path)
@@ -106,8 +125,8 @@ class Document:
         return node, named, True
 
 
-def read_file(path: Path | str) -> Document:
-    """Read a graph file.
+def read_file(path: Path | str, kind: Kind = GRAPH) -> Document:
+    """Read a graph file, or one of another kind.
 
     Raises `MissingError` where there is no such file, `DocumentError` where it cannot be read, and what
     `read_document` raises.
@@ -118,13 +137,14 @@ def read_file(path: Path | str) -> Document:
             raw = file.read(MOST_BYTES + 1)
     except FileNotFoundError:
         near = nearest(path.name, _neighbours(path.parent))
-        raise MissingError(f"expected a graph file, found none; {near}", location=str(path)) from None
+        raise MissingError(f"expected a {kind.noun} file, found none; {near}", location=str(path)) from None
     except IsADirectoryError:
-        raise DocumentError("expected a graph file, found a folder; name a file in it", location=str(path)) from None
+        text = f"expected a {kind.noun} file, found a folder; name a file in it"
+        raise DocumentError(text, location=str(path)) from None
     except OSError as fault:
         reason = (fault.strerror or str(fault)).lower()
         raise DocumentError(f"cannot read this file: {reason}", location=str(path)) from None
-    _check_size(len(raw), str(path))
+    _check_size(len(raw), str(path), kind)
     try:
         text = raw.decode("utf-8")
     except UnicodeDecodeError as fault:
@@ -133,20 +153,20 @@ def read_file(path: Path | str) -> Document:
         raise DocumentError(
             f"expected text in UTF-8, found the byte 0x{raw[fault.start]:02x}; save the file as UTF-8", location=place
         ) from None
-    return read_document(text, str(path))
+    return read_document(text, str(path), kind)
 
 
-def read_document(text: str, name: str) -> Document:
+def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
     """Read a YAML text that holds one mapping.
 
     Raises `DocumentError` and, for numbers that are not finite, `ValueFault`; several of them as `Faults`.
     """
     text = text.removeprefix("\ufeff")
-    _check_size(len(text.encode("utf-8", "surrogatepass")), name)
+    _check_size(len(text.encode("utf-8", "surrogatepass")), name, kind)
     strange = UNPRINTABLE.search(text)
     if strange:
         raise DocumentError(unreadable(strange.group()), location=_place(name, text, strange.start()))
-    reader = _Reader(name)
+    reader = _Reader(name, kind)
     root: Node | None = None
     try:
         root = reader.document(text)
@@ -157,10 +177,10 @@ def read_document(text: str, name: str) -> Document:
         reader.faults.append(fault)
     raise_all(sorted(reader.faults, key=_order))
     if root is None or root.value is None:
-        raise DocumentError("expected a graph, found nothing; a graph begins with dmframe: 1", location=f"{name}:1:1")
+        raise DocumentError(f"expected a {kind.noun}, found nothing; {_begin(kind)}", location=f"{name}:1:1")
     if not isinstance(root.value, dict):
         raise DocumentError(
-            f"expected a graph, keys with their values, found {_kind(root.value)}; a graph begins with dmframe: 1",
+            f"expected a {kind.noun}, keys with their values, found {_kind(root.value)}; {_begin(kind)}",
             location=f"{name}:{root.line}:{root.column}",
         )
     return Document(name, mapping_of(root), root)
@@ -171,9 +191,13 @@ def unreadable(letter: str) -> str:
     return f"expected readable text, found the control character U+{ord(letter):04X}; remove it"
 
 
-def _check_size(count: int, name: str) -> None:
+def _begin(kind: Kind) -> str:
+    return f"a {kind.noun} begins with {kind.begins}"
+
+
+def _check_size(count: int, name: str, kind: Kind) -> None:
     if count > MOST_BYTES:
-        raise DocumentError("a graph is at most 1 MB; is this the right file?", location=name)
+        raise DocumentError(f"a {kind.noun} is at most 1 MB; is this the right file?", location=name)
 
 
 def _place(name: str, text: str, index: int) -> str:
@@ -231,8 +255,8 @@ def _plain(node: Node) -> Plain:
 class _Reader:
     """Builds nodes from the parser's events and gathers the faults that do not stop the reading."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, kind: Kind) -> None:
+        self.name, self.noun = name, kind.noun
         self.faults: list[DmframeError] = []
         self._count = 0
         self._anchors: dict[str, Node | None] = {}  # None while the anchor's own value is being read
@@ -244,15 +268,17 @@ class _Reader:
         for event in events:
             if isinstance(event, DocumentStartEvent):
                 if root is not None:
-                    raise self._fault("a second document begins here; a graph file holds one", event)
+                    raise self._fault(f"a second document begins here; a {self.noun} file holds one", event)
                 if event.version or event.tags:
-                    self._note("directives (%) are not used in a graph; remove the lines that begin with %", event)
+                    self._note(
+                        f"directives (%) are not used in a {self.noun}; remove the lines that begin with %", event
+                    )
                 root = self._node(next(events), events, ())
         return root
 
     def _node(self, event: Any, events: Iterator[Any], path: Steps) -> Node:
         if len(path) > DEEPEST:
-            raise self._fault(f"nested deeper than {DEEPEST} levels; a graph needs about four", event, path)
+            raise self._fault(f"nested deeper than {DEEPEST} levels; a {self.noun} needs about four", event, path)
         self._count += 1
         self._bound(self._count, event, path)
         if isinstance(event, AliasEvent):
@@ -269,7 +295,7 @@ class _Reader:
     def _value(self, event: Any, events: Iterator[Any], path: Steps) -> Scalar | list[Node] | dict[str, Any]:
         if event.tag is not None:
             tag = visible(str(event.tag)).replace("tag:yaml.org,2002:", "!!")
-            self._note(f"tags such as {shorten(tag)} are not used in a graph; write the value alone", event, path)
+            self._note(f"tags such as {shorten(tag)} are not used in a {self.noun}; write the value alone", event, path)
         if isinstance(event, SequenceStartEvent):
             items: list[Node] = []
             while not isinstance(inner := next(events), SequenceEndEvent):
@@ -354,7 +380,9 @@ class _Reader:
 
     def _bound(self, count: int, event: Any, path: Steps) -> None:
         if count > MOST_NODES:
-            raise self._fault(f"more than {MOST_NODES} values, aliases written out; shorten the graph", event, path)
+            raise self._fault(
+                f"more than {MOST_NODES} values, aliases written out; shorten the {self.noun}", event, path
+            )
 
     def _at(self, event: Any) -> str:
         return f"{self.name}:{event.start_mark.line + 1}:{event.start_mark.column + 1}"

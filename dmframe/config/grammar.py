@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Final, Literal, final
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
 
@@ -47,13 +48,15 @@ def _clock(value: Any) -> Any:
     return value
 
 
-def _seed(value: Any) -> Any:
+def seed_of(value: Any) -> Any:
+    """A seed. Raises `ValueError`."""
     if text := seed_fault(value):
         raise ValueError(text)
     return value
 
 
-def _version(value: Any) -> Any:
+def version(value: Any) -> Any:
+    """The version of a file's format. Raises `ValueError`."""
     if type(value) is not int or value != 1:
         raise ValueError(f"expected 1, the version of this format, found {value!r}")
     return value
@@ -75,12 +78,14 @@ def robot_name(value: Any) -> Any:
     return {"model": value} if isinstance(value, str) else value
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """A section of a file: its keys and no others."""
+
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 @final
-class RobotSection(_Section):
+class RobotSection(Section):
     """Which robot, and which of its joints move."""
 
     model: str = Field(description="name of a robot, or a path to a URDF file")
@@ -96,7 +101,7 @@ class RobotSection(_Section):
 
 
 @final
-class SolverSection(_Section):
+class SolverSection(Section):
     """How the continuous part is integrated."""
 
     method: Method = Field(
@@ -111,7 +116,7 @@ class SolverSection(_Section):
 
 
 @final
-class LogSection(_Section):
+class LogSection(Section):
     """What a run keeps."""
 
     every: Seconds | None = Field(
@@ -121,10 +126,10 @@ class LogSection(_Section):
 
 
 @final
-class GraphFile(_Section):
+class GraphFile(Section):
     """The keys of a graph file."""
 
-    dmframe: Annotated[Literal[1], BeforeValidator(_version)] = Field(description="version of this format")
+    dmframe: Annotated[Literal[1], BeforeValidator(version)] = Field(description="version of this format")
     title: str = Field("", description="one line that a reader understands")
     robot: Annotated[RobotSection | None, BeforeValidator(robot_name)] = Field(
         None, description="the robot's name, or its name with what moves and where the tool is"
@@ -133,7 +138,7 @@ class GraphFile(_Section):
         description="sampling period of the controller, or continuous"
     )
     jitter: Jitter = Field(0.0, description="how much earlier or later a sample may begin, at random")
-    seed: Annotated[int, BeforeValidator(_seed)] = Field(0, ge=0, description="decides what is drawn at random")
+    seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, ge=0, description="decides what is drawn at random")
     duration: Seconds = Field(description="simulated time")
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()
@@ -160,8 +165,11 @@ def shown(value: Any) -> str:
     return repr(value) if len(repr(value)) < 40 else "a list" if isinstance(value, list) else "keys with values"
 
 
-def fault_of(detail: Any) -> DmframeError:
-    """What is said of one of pydantic's errors of a `GraphFile`."""
+Path: TypeAlias = tuple[str | int, ...]
+
+
+def fault_of(detail: Any, keys: Callable[[Path], Sequence[str]] | None = None) -> DmframeError:
+    """What is said of one of pydantic's errors of a `GraphFile`, or of another file whose sections have `keys`."""
     *parts, last = detail["loc"]
     # pydantic puts its own words between, function-before[...]; a user's unknown key is the last
     kept = [part for part in parts if not (isinstance(part, str) and "[" in part)]
@@ -170,7 +178,7 @@ def fault_of(detail: Any) -> DmframeError:
     where, found = ".".join(str(part) for part in path), detail["input"]
     match detail["type"]:
         case "extra_forbidden":
-            choices = _keys(path[:-1])
+            choices = (keys or _keys)(path[:-1])
             return UnknownNameError(where, "key", str(path[-1]), choices, path=path)
         case "missing":
             return MissingError(f"{where}: this key is missing", path=path)
@@ -185,8 +193,8 @@ def fault_of(detail: Any) -> DmframeError:
             return ValueFault(f"{where}: expected {expected}, found {shown(found)}", path=path)
 
 
-def _keys(path: tuple[str | int, ...]) -> list[str]:
-    sections: dict[tuple[str | int, ...], type[BaseModel]] = {
+def _keys(path: Path) -> list[str]:
+    sections: dict[Path, type[BaseModel]] = {
         (): GraphFile,
         ("robot",): RobotSection,
         ("solver",): SolverSection,

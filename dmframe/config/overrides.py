@@ -26,9 +26,7 @@ def overridden(document: Document, overrides: Sequence[str], known: Sequence[str
     """The document with ``--set`` values put in, `known` being a graph's keys."""
     for text in overrides:
         said = f"--set {shorten(visible(text), 200)}"
-        keys = _target(text, said, document.data, known)
-        root = _put(document.root, keys, _value(text, said), said)
-        document = Document(document.name, mapping_of(root), root)
+        document = put_at(document, text.partition("=")[0], _value(text, said), said, known, equals="=" in text)
     return document
 
 
@@ -44,10 +42,25 @@ def changed(document: Document, values: Mapping[str, Any], known: Sequence[str])
         node = node_of(value, (label,), said)
         texts.append(f"{label}={json.dumps(mapping_of(Node(0, 0, {'value': (node, node)}))['value'])}")
         said = f"set {shorten(visible(texts[-1]), 200)}"
-        keys = _target(f"{label}=", said, document.data, known)
-        root = _put(document.root, keys, _by(node, said), said)
-        document = Document(document.name, mapping_of(root), root)
+        document = put_at(document, label, node, said, known)
     return document, tuple(texts)
+
+
+def put_at(
+    document: Document, label: str, value: Node, said: str, known: Sequence[str], *, equals: bool = True
+) -> Document:
+    """The document with a value under a label such as ``dynamics.Gamma``; messages call its place `said`.
+
+    A whole block is put in by its name, ``blocks.inverse``, and left out by nothing.
+    """
+    held = value.value
+    whole = held is None or (isinstance(held, dict) and "type" in held)
+    keys = _target(label, said, document.data, known, whole=whole, equals=equals)
+    if len(keys) == 2 and keys[0] == "blocks" and held is None:
+        root = _without(document.root, keys[1], said)
+    else:
+        root = _put(document.root, keys, _by(value, said), said)
+    return Document(document.name, mapping_of(root), root)
 
 
 def put(document: Document, key: str, value: float, said: str) -> Document:
@@ -56,10 +69,11 @@ def put(document: Document, key: str, value: float, said: str) -> Document:
     return Document(document.name, {**document.data, key: value}, root)
 
 
-def _target(text: str, said: str, data: Mapping[str, Any], known: Sequence[str]) -> list[str]:
-    """The keys that lead to what an override sets. A block's name needs no ``blocks.`` before it."""
-    key, equals, _ = text.partition("=")
-    keys, blocks = key.strip().split("."), data.get("blocks")
+def _target(
+    label: str, said: str, data: Mapping[str, Any], known: Sequence[str], *, whole: bool, equals: bool
+) -> list[str]:
+    """The keys that lead to what an override sets, a `whole` block too. Before a block, ``blocks.`` may stand."""
+    keys, blocks = label.strip().split("."), data.get("blocks")
     names = list(blocks) if isinstance(blocks, dict) else []
     if not equals or not all(keys):
         raise ValueFault(f"{said}: expected block.parameter=value or key=value")
@@ -69,12 +83,24 @@ def _target(text: str, said: str, data: Mapping[str, Any], known: Sequence[str])
         raise UnknownNameError(said, "block or key", keys[0], [*names, *known])
     if keys[0] == "blocks" and len(keys) > 2 and keys[1] not in names:
         raise UnknownNameError(said, "block", keys[1], names)
+    if keys[0] == "blocks" and len(keys) == 2 and whole:
+        return keys
     if keys[0] == "blocks" and len(keys) < 3:
         raise ValueFault(f"{said}: expected a parameter of a block, {(*keys, 'block')[1]}.parameter=value")
     for section in LABELLED:
         if tuple(keys[: len(section)]) == section and len(keys) > len(section):
             return [*section, ".".join(keys[len(section) :])]
     return keys
+
+
+def _without(root: Node, name: str, said: str) -> Node:
+    """The graph's mapping without one of its blocks."""
+    entries = dict(root.value) if isinstance(root.value, dict) else {}
+    key, blocks = entries["blocks"]
+    kept = dict(blocks.value) if isinstance(blocks.value, dict) else {}
+    if kept.pop(name, None) is None:
+        raise UnknownNameError(said, "block", name, kept)
+    return replace(root, value={**entries, "blocks": (key, replace(blocks, value=kept))})
 
 
 def _value(text: str, said: str) -> Node:

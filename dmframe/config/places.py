@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Any, Final
 
 from dmframe.config.document import Document
@@ -13,25 +14,25 @@ TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log",
 """They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
 
 
-def placed(error: DmframeError, document: Document) -> DmframeError:
-    """The fault, or each of several in the order of the file, with ``file:line:column``.
+def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) -> DmframeError:
+    """The fault, or each of several in the order of the file, with ``file:line:column``; `keys` may stand in the file.
 
     One whose culprit an override has set is placed there, ``--set task.gamma=-1``; one of a whole block or section says
     which overrides changed it.
     """
     faults = error.faults
     for fault in faults:
-        fault.location = fault.location or _location(fault, document)
+        fault.location = fault.location or _location(fault, document, keys)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
 
 
-def _location(fault: DmframeError, document: Document) -> str:
+def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> str:
     """Where the culprit stands: an unknown name itself, be it a key, a value or an item of a list.
 
     Empty for what is said of no graph, such as an engine.
     """
     path = fault.path
-    if path and path[0] not in (*KEYS, *document.data):
+    if path and path[0] not in (*keys, *document.data):
         return ""
     if path in TIMES:
         path = next((other for other in (path, *TIMES) if document.is_said(other)), path)

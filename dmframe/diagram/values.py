@@ -8,6 +8,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import casadi as ca
+import numpy as np
 
 from dmframe.block import AbstractBlock
 from dmframe.block.faults import told_by
@@ -69,6 +70,28 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
         for parameter in diagram.loop.parameters
     )
     return replace(diagram, blocks=blocks, models=models, loop=replace(diagram.loop, parameters=parameters))
+
+
+def changed_numbers(blocks: Mapping[str, AbstractBlock], others: Mapping[str, AbstractBlock]) -> dict[str, Any] | None:
+    """What `with_values` has to set so that blocks become the others; None where they differ in more than numbers."""
+    if blocks.keys() != others.keys():
+        return None
+    changed = dict[str, Any]()
+    for name, block in blocks.items():
+        other = others[name]
+        if type(other) is not type(block):
+            return None
+        for key in type(block).model_fields:
+            old, new = getattr(block, key), getattr(other, key)
+            if old == new:
+                continue
+            spec = specs(type(block)).get(key)
+            if spec is None or new is None or old is None or Prior in (type(old), type(new)):
+                return None
+            if spec.form == "gain" and np.ndim(old) != np.ndim(new):  # a matrix has other symbols than a diagonal
+                return None
+            changed[f"{name}.{key}"] = new
+    return changed
 
 
 def _priors(blocks: Mapping[str, AbstractBlock], changed: Mapping[str, Any]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, final
@@ -13,7 +14,7 @@ from rich.text import Text
 
 from dmframe.simulate.march import Progress as Bar
 
-__all__ = ["Bar", "Bars", "shown", "telling"]
+__all__ = ["Bar", "Bars", "counting", "shown", "telling"]
 
 
 def _aside() -> Console:
@@ -87,3 +88,37 @@ def telling(name: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]
     console = _aside()
     with console.status(Text(name)) as status:
         yield lambda text: status.update(Text(f"{name}: {text}"))
+
+
+@contextmanager
+def counting(name: str, total: int, noun: str, *, quiet: bool | None = None) -> Iterator[Callable[[int, str], None]]:
+    """A bar of things that are counted, with how many a second and the time that is left.
+
+    What it yields is called with how many are done, and a word beside the bar. `quiet` is as `Bars` has it.
+    """
+    bars = Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=30),
+        TextColumn(f"{{task.completed:.0f}} / {{task.total:.0f}} {noun}"),
+        TextColumn("{task.fields[speed]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}", markup=False),
+        console=_aside(),
+        disable=not sys.stderr.isatty() if quiet is None else quiet,
+        speed_estimate_period=60,
+    )
+    began: tuple[float, int] | None = None
+    task = bars.add_task(name, total=total, start=False, speed="", note="")
+
+    def done(count: int, note: str) -> None:
+        nonlocal began
+        if began is None:  # what was there before says nothing about speed
+            began = (time.monotonic(), count)
+            bars.update(task, completed=count)
+            bars.start_task(task)
+        elapsed, more = time.monotonic() - began[0], count - began[1]
+        speed = f"{more / elapsed:.3g} {noun}/s" if more and elapsed > 0 else ""
+        bars.update(task, completed=count, speed=speed, note=note)
+
+    with bars:
+        yield done

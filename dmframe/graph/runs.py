@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, final, overload
 
 from dmframe import notebook
 from dmframe.config import Experiment
+from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
 from dmframe.graph.graph import Graph, load, seconds
@@ -158,7 +159,7 @@ def compare(
 def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     """Runs of graphs that differ by symbols of blocks alone, in one build; None where they differ by more."""
     base = graphs[0]
-    changes = [numbers_between(base.experiment, graph.experiment) for graph in graphs]
+    changes = [_numbers_between(base.experiment, graph.experiment) for graph in graphs]
     numbers = [change for change in changes if change is not None]
     if len(numbers) < len(graphs):
         return None
@@ -173,28 +174,11 @@ def ran_together(graphs: Sequence[Graph], engine: Choice) -> list[Run] | None:
     ]
 
 
-def numbers_between(base: Experiment, other: Experiment) -> dict[str, Any] | None:
+def _numbers_between(base: Experiment, other: Experiment) -> dict[str, Any] | None:
     """Parameters of blocks, by label, in which two experiments differ; None where they differ in anything else."""
-    from dmframe.parameter import specs
-
     if base.file.model_copy(update={"blocks": {}}) != other.file.model_copy(update={"blocks": {}}):
         return None
-    if base.blocks.keys() != other.blocks.keys():
-        return None
-    changed = dict[str, Any]()
-    for name, block in base.blocks.items():
-        new = other.blocks[name]
-        if type(new) is not type(block):
-            return None
-        for key in type(block).model_fields:
-            old_value, value = getattr(block, key), getattr(new, key)
-            if old_value == value:
-                continue
-            spec = specs(type(block)).get(key)
-            if spec is None or value is None or old_value is None or spec.form == "gain":
-                return None
-            changed[f"{name}.{key}"] = value
-    return changed
+    return changed_numbers(base.blocks, other.blocks)
 
 
 def labelled(runs: Sequence[Run]) -> Runs:

@@ -1,0 +1,73 @@
+"""The commands about many runs: thin calls of the library, as those of `dmframe.cli.app`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dmframe.cli.arguments import Trust, home
+
+
+def study(
+    words: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[report] FILE",
+            help="A study file, or the folder of a study's results; report DIR writes that folder's report anew.",
+        ),
+    ],
+    workers: Annotated[
+        str | None, typer.Option(metavar="N", help="Processes on this machine; as many as cores without it.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a dask scheduler, whose workers compute instead.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", callback=home, help="Folder of the results; studies/NAME without it."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be run, and how long it takes.")] = False,
+    rerun: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Write this run as a graph, run it, compare it with its row.")
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report in the end.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Throw away the runs of another study that --out holds.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    trust: Trust = False,
+) -> int:
+    """Run a study: a graph over what varies. What its folder holds already is not computed again."""
+    from dmframe.cli.options import refuse, whole
+    from dmframe.cli.study import REPORT, one_file, report, run
+    from dmframe.cli.study import dry_run as said
+    from dmframe.cli.study import rerun as repeated
+
+    if words[0] == REPORT and len(words) > 1:
+        given = {"--workers": workers, "--scheduler": scheduler, "--out": out, "--dry-run": dry_run, "--rerun": rerun}
+        refuse({**given, "--no-report": no_report, "--force": force}, "it does nothing with report; leave one out")
+        return report(one_file(words[1:]), as_json=as_json, trust=trust)
+    file = one_file(words)
+    count = None if workers is None else whole("--workers", workers)
+    if dry_run or rerun is not None:
+        what = "--dry-run" if dry_run else "--rerun"
+        refuse({"--scheduler": scheduler}, f"it does nothing with {what}; leave one out")
+    if dry_run:
+        unused = {"--rerun": rerun, "--force": force, "--no-report": no_report}
+        refuse(unused, "it does nothing with --dry-run; leave one out")
+        return said(file, workers=count, out=out, as_json=as_json, trust=trust)
+    if rerun is not None:
+        refuse({"--workers": workers, "--no-report": no_report}, "it does nothing with --rerun; leave one out")
+        return repeated(file, whole("--rerun", rerun), out=out, force=force, as_json=as_json, trust=trust)
+    return run(
+        file,
+        workers=count,
+        scheduler=scheduler,
+        out=out,
+        report=not no_report,
+        force=force,
+        as_json=as_json,
+        trust=trust,
+    )

@@ -1,0 +1,238 @@
+"""``dmframe study``: run a study, say what would be run, or run one of its runs again."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from dmframe.cli import STOPPED
+from dmframe.cli.streams import tell
+from dmframe.columns import columns
+from dmframe.errors import MissingError, ValueFault, visible
+from dmframe.graph.progress import counting, telling
+from dmframe.results.folder import safe_name
+from dmframe.study.again import Again, again
+from dmframe.study.execute import State, run_study
+from dmframe.study.foreseen import Foreseen, foreseen
+from dmframe.study.plan import Study, load_study
+from dmframe.study.results import Results
+from dmframe.study.store import LOCK, polars
+from dmframe.trust import remember
+
+INCOMPLETE: Final = 1
+FILE: Final = "study.yaml"
+REPORT: Final = "report"
+MANY: Final = 64
+"""Points that are looked at one by one before a study runs."""
+
+
+def one_file(words: Sequence[str]) -> str:
+    """The one study that a command names."""
+    if len(words) > 1:
+        raise ValueFault(f"study: expected one file, found {len(words)}: {' '.join(words)[:60]}")
+    return words[0]
+
+
+def study_of(file: str, *, trust: bool = False) -> tuple[Study, Path]:
+    """A study from its file, or from the folder of its results; and the folder where those are, or will be."""
+    path = Path(file).expanduser()
+    if path.is_dir():
+        path /= FILE
+        if not path.is_file():
+            raise MissingError(f"{file}: expected a study's file, or the folder of its results, found neither")
+    if trust:
+        remember(path.parent)
+    study = load_study(path)
+    if path.name == FILE and (path.parent / LOCK).is_file():
+        return study, path.parent
+    return study, Path("studies", safe_name(study.name))
+
+
+def run(
+    file: str,
+    *,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    report: bool,
+    force: bool,
+    as_json: bool,
+    trust: bool,
+) -> int:
+    """Compute the rows that are not there yet, and write the report; returns the exit status."""
+    polars()  # before anything takes long
+    study, place = study_of(file, trust=trust)
+    place = out or place
+    with telling(study.name, quiet=as_json) as say:
+        say("building its closed loops")
+        _check(study)
+    last: State | None = None
+    try:
+        with counting(study.name, study.runs, "runs", quiet=True if as_json else None) as bar:
+
+            def told(state: State) -> None:
+                nonlocal last
+                last = state
+                bar(state.kept, _note(state, scheduler))
+
+            state = run_study(study, place, workers=workers, scheduler=scheduler, force=force, told=told)
+    except KeyboardInterrupt:
+        if last is not None:
+            tell(f"{last.kept} of {last.runs} runs are kept in {place}; the same command continues", aside=True)
+        return STOPPED
+    page = _reported(Results(place), quiet=as_json) if report and state.complete else None
+    _tell(study, state, place, page, as_json)
+    return 0 if state.complete else INCOMPLETE
+
+
+def report(folder: str, *, as_json: bool, trust: bool) -> int:
+    """Write the report of a folder's runs anew; returns the exit status."""
+    if trust:
+        remember(Path(folder).expanduser())
+    page = _reported(Results(folder), quiet=as_json)
+    tell(json.dumps({"report": str(page)}, indent=2) if as_json else f"wrote {page}")
+    return 0
+
+
+def _reported(results: Results, *, quiet: bool) -> Path:
+    with telling(results.name, quiet=quiet) as say:
+        say("writing the report")
+        return results.report()
+
+
+def _check(study: Study) -> None:
+    """Tell what is wrong before anything runs. Of many points, the closed loops alone: each point takes a while."""
+    if len(study.points) <= MANY:
+        study.check()
+    else:
+        _ = study.measures
+
+
+def _note(state: State, scheduler: str | None) -> str:
+    notes = []
+    if scheduler is not None:
+        notes.append(f"{state.workers} workers" if state.workers else "waiting for workers")
+    if state.failed:
+        notes.append(f"{len(state.failed)} chunks failed")
+    return ", ".join(notes)
+
+
+def _tell(study: Study, state: State, place: Path, page: Path | None, as_json: bool) -> None:
+    counted = _counted(place) if state.kept else {"diverged": 0, "faults": 0}
+    if as_json:
+        data = {
+            "study": study.name,
+            "runs": state.runs,
+            "kept": state.kept,
+            "computed": state.computed,
+            **counted,
+            "failed": {str(chunk): why for chunk, why in state.failed.items()},
+            "lost": state.lost or None,
+            "notices": state.notices,
+            "seconds": round(state.seconds, 3),
+            "workers": state.workers,
+            "out": str(place),
+            "report": None if page is None else str(page),
+        }
+        tell(json.dumps(data, indent=2))
+        return
+    for notice in state.notices:
+        tell(visible(notice), aside=True)
+    for chunk, why in state.failed.items():
+        tell(f"{chunk}: failed three times: {visible(why)}", aside=True)
+    if state.lost:
+        tell(
+            f"{visible(state.lost)}; {state.kept} of {state.runs} runs are kept, the same command continues", aside=True
+        )
+    rate = f", {state.computed / state.seconds:.3g} runs/s on {_workers(state.workers)}" if state.computed else ""
+    tell(f"{study.name}: {state.kept} of {state.runs} runs; {state.computed} computed in {_time(state.seconds)}{rate}")
+    tell(f"diverged: {counted['diverged']}, not run for a fault: {counted['faults']}")
+    tell(f"results: {place}")
+    if page is not None:
+        tell(f"report: {page}")
+
+
+def _workers(count: int) -> str:
+    return f"{count} worker{'' if count == 1 else 's'}"
+
+
+def _counted(place: Path) -> dict[str, int]:
+    """From the rows, read one column at a time."""
+    library = polars()
+    column = library.col
+    table = library.scan_parquet(place / "runs" / "*.parquet")
+    names = set(table.collect_schema().names())
+    wanted = {"diverged": column("diverged").sum(), "faults": column("fault").is_not_null().sum()}
+    asked = [expression.alias(name) for name, expression in wanted.items() if {"diverged", "fault"} <= names]
+    row = table.select(asked).collect().row(0, named=True) if asked else {}
+    return {name: int(row.get(name) or 0) for name in wanted}
+
+
+def dry_run(file: str, *, workers: int | None, out: Path | None, as_json: bool, trust: bool) -> int:
+    """Say what would be run; returns the exit status."""
+    study, place = study_of(file, trust=trust)
+    with telling(study.name, quiet=as_json) as say:
+        say("building its closed loops")
+        _check(study)
+        say("timing some runs")
+        found = foreseen(study, out or place, workers)
+    if as_json:
+        tell(json.dumps(found.summary | {"out": str(out or place)}, indent=2))
+    else:
+        tell(_foretold(study, found, out or place))
+    return 0
+
+
+def _foretold(study: Study, found: Foreseen, place: Path) -> str:
+    rows = [
+        ("points", str(found.points), _axes(study)),
+        ("samples", str(found.samples), f"a point, {study.file.sample.method}, seed {study.file.sample.seed}"),
+        ("runs", str(found.runs), f"of {study.bases[''].file.duration:g} s; {found.kept} are kept in {place}"),
+        ("chunks", str(found.chunks), f"that are left, of up to {found.each} runs"),
+        ("time", _time(found.seconds), f"on {_workers(found.workers)} here, at {found.rate:.3g} runs/s each"),
+    ]
+    varied = [(column.name, f"[{column.unit}]" if column.unit else "", column.kind) for column in study.varied]
+    return "\n".join([f"{study.name}: {study.title}", columns(rows), "varies:", columns(varied)])
+
+
+def _axes(study: Study) -> str:
+    return " x ".join(f"{len(axis.cases)} of {axis.name}" for axis in study.axes) or "no grid"
+
+
+def _time(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.2g} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def rerun(file: str, number: int, *, out: Path | None, force: bool, as_json: bool, trust: bool) -> int:
+    """Write one run as a graph, run it, and compare it with its row; returns the exit status."""
+    study, place = study_of(file, trust=trust)
+    place = out or place
+    with telling(study.name, quiet=as_json) as say:
+        say(f"run {number}")
+        found = again(study, number, place, place if place.is_dir() else Path(), force=force)
+    tell(json.dumps(found.summary, indent=2) if as_json else _told_again(study, found))
+    return 0 if found.alike else INCOMPLETE
+
+
+def _told_again(study: Study, found: Again) -> str:
+    values = ", ".join(f"{key} = {value}" for key, value in study.points[found.point].values.items())
+    head = f"run {found.run}: sample {found.sample} of point {found.point}" + (f", {values}" if values else "")
+    rows = [("", "unit", "rerun", "row"), *((name, found.units[name], *_pair(found, name)) for name in found.rerun)]
+    kept = f"its row is not in {found.place}: nothing to compare with" if found.row is None else found.verdict
+    return "\n".join([head, f"wrote {os.fspath(found.graph)}", columns(rows), kept])
+
+
+def _pair(found: Again, name: str) -> tuple[str, str]:
+    row: Mapping[str, Any] = found.row or {}
+    return _number(found.rerun[name]), _number(row[name]) if name in row else ""
+
+
+def _number(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,126 @@
+"""One run of a study as a graph of its own, run again, beside its row."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+from dmframe.errors import OutputError
+from dmframe.files import write_text, writing
+from dmframe.graph import load
+from dmframe.results.resolved import companions
+from dmframe.study.plan import Study
+from dmframe.study.store import RUNS, polars
+
+ROUNDING: Final = 1e-9
+"""Relative: figures of a whole run are summed in another order than those of a batch."""
+
+
+@final
+@dataclass(frozen=True)
+class Again:
+    """A run, and the row of the same run.
+
+    Parameters
+    ----------
+    graph
+        The file that was written, and run from.
+    rerun, row
+        Figures by column; of the row None where the study's folder does not hold it.
+    units
+        By column.
+    """
+
+    run: int
+    point: int
+    sample: int
+    graph: Path
+    place: Path
+    rerun: Mapping[str, Any]
+    row: Mapping[str, Any] | None
+    units: Mapping[str, str]
+
+    @property
+    def difference(self) -> float:
+        """The largest relative difference; infinite where one diverged alone."""
+        return max((_apart(self.rerun[name], value) for name, value in (self.row or {}).items()), default=0.0)
+
+    @property
+    def alike(self) -> bool:
+        """They are equal to rounding, or there is no row."""
+        return self.difference <= ROUNDING
+
+    @property
+    def verdict(self) -> str:
+        """The comparison in a sentence."""
+        if self.difference == 0:
+            return "equal to its row, bit by bit"
+        if self.alike:
+            return f"equal to its row to rounding: they differ by at most {self.difference:.1e} of a figure"
+        return f"differs from its row, by up to {self.difference:.1e} of a figure"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """Plain data that JSON can hold."""
+        told = {"run": self.run, "point": self.point, "sample": self.sample, "graph": str(self.graph)}
+        row = None if self.row is None else _finite(self.row)
+        difference = None if self.row is None or math.isinf(self.difference) else self.difference
+        return {**told, "rerun": _finite(self.rerun), "row": row, "difference": difference, "alike": self.alike}
+
+
+def again(study: Study, run: int, place: Path, into: Path, *, force: bool = False) -> Again:
+    """Write a run as a graph into the folder `into`, run that file, and find its row in the study's folder, `place`.
+
+    Raises
+    ------
+    DmframeError
+        There is no such run, or its file is there already and not to be replaced.
+    """
+    graph = study.graph_of(run)
+    sample, point = divmod(run, len(study.points))
+    target = into / f"{study.name}_run_{run}.yaml"
+    if target.exists() and not force and target.read_text(encoding="utf-8") != graph.text:
+        raise OutputError(f"{target}: expected a new file, found another one; move it, or take --force")
+    write_text(target, graph.text)
+    for name, source in companions(graph.experiment).items():
+        if source.resolve() != (into / name).resolve():
+            with writing(into / name):
+                shutil.copyfile(source, into / name)
+    done = load(target).run(progress=False)
+    at = None if done.divergence is None else done.divergence.time
+    figures: dict[str, Any] = {"diverged": done.divergence is not None, "diverged_at": math.nan if at is None else at}
+    error = done.error
+    if error is not None:
+        eighths = [math.nan if value is None else float(value) for value in error.rms_by_eighth]
+        figures |= {f"rms_{k + 1}": value for k, value in enumerate(eighths)}
+        figures |= {"rms_final": eighths[-1], "error_most": float(error.norm.max())}
+    units = {column.name: column.unit for column in study.measures}
+    row = _row(place, run, list(figures))
+    return Again(run, point, sample, target, place, figures, row, {name: units.get(name, "") for name in figures})
+
+
+def _row(place: Path, run: int, names: list[str]) -> Mapping[str, Any] | None:
+    if not any((place / RUNS).glob("*.parquet")):
+        return None
+    library = polars()
+    found = library.scan_parquet(place / RUNS / "*.parquet").filter(library.col("run") == run).select(names).collect()
+    return dict(found.row(0, named=True)) if len(found) else None
+
+
+def _apart(a: Any, b: Any) -> float:
+    if a == b or (a != a and b != b):  # nan is nan here
+        return 0.0
+    if isinstance(a, bool) or a != a or b != b:
+        return math.inf
+    return float(abs(a - b) / max(abs(a), abs(b)))
+
+
+def _finite(figures: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in figures.items()
+    }

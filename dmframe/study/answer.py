@@ -1,0 +1,223 @@
+"""The answer that a study's page begins with, in plain words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+from dmframe.errors import listed
+from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
+from dmframe.study.findings import DIVERGED, Findings, Found
+from dmframe.study.numbers import count, figure, percent
+from dmframe.study.proof import HELD, Proof
+from dmframe.study.statistics import Quantile
+from dmframe.units import plain
+
+WORTH: Final = 0.05
+"""Share of the variance from which a quantity is named as one that decides."""
+NAMED: Final = 4
+"""Settings that a sentence names."""
+METHODS: Final = {
+    "random": "independent draws",
+    "sobol": "a scrambled Sobol sequence, which fills the space evenly",
+    "latin_hypercube": "a Latin hypercube, which fills each quantity's range evenly",
+}
+
+
+@final
+@dataclass(frozen=True)
+class Saved:
+    """One of the worst runs, and the file in which it lies as a graph."""
+
+    file: str
+    run: int
+    point: str
+    figure: str
+    value: float
+    diverged_at: float
+    draws: Mapping[str, float]
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class Told:
+    """All that a page is made of.
+
+    Parameters
+    ----------
+    robots
+        What is drawn is the robot, and not only its controller or its start.
+    commands
+        How to do it again, each with what it does.
+    made
+        Versions and machine, by name.
+    """
+
+    found: Findings
+    worst: tuple[Saved, ...]
+    proofs: tuple[Proof, ...]
+    robots: bool
+    commands: Sequence[tuple[str, str]]
+    made: Sequence[tuple[str, str]]
+
+    @property
+    def noun(self) -> str:
+        """What the samples are."""
+        return "robots" if self.robots else "samples"
+
+    def unit(self, name: str) -> str:
+        """Of a column."""
+        return self.found.results.units.get(name, "")
+
+
+def lead(t: Told) -> Lead:
+    """The answer in plain words."""
+    found, noun = t.found, t.noun
+    ran = [each for each in found.points if each.runs]
+    place = found.events.index(found.diverging)
+    samples = max((each.runs for each in ran), default=0)
+    unfinished = _unfinished(found)
+    if not ran:
+        return Lead("open", "No run is there yet", Marked(f"there is nothing to tell.{unfinished}"))
+    if found.sheet.samples == 1:
+        lost = sum(each.alone[place].count for each in ran)
+        text = f"{count(len(ran))} settings ran, each once; {_diverged(lost, 'of them')}."
+        says = f"Each ran once, on one robot: that is no probability.{unfinished}"
+        return Lead(_outcome(len(ran) - lost, len(ran)), text.rstrip("."), Marked(says))
+    if len(found.points) == 1:
+        share = ran[0].alone[place]
+        head = f"Of {count(share.runs)} {noun} {_diverged(share.count, '')}".rstrip()
+        if share.most is None:
+            return Lead(_outcome(share.count == 0, 1), head, Marked(no_interval(found) + unfinished))
+        says = f"the probability of divergence is at most {percent(share.most, up=True)}, at 95 % confidence."
+        if share.count:
+            says = f"{percent(share.value)} of them; {says}"
+        return Lead(_outcome(share.count == 0, 1), head, Marked(says + unfinished))
+    steady = found.steady
+    head = f"None of {count(samples)} {noun} diverged at {len(steady)} of {len(ran)} settings"
+    if not steady:
+        least = min(ran, key=lambda each: each.alone[place].value)
+        head = f"At each of {len(ran)} settings some of {count(samples)} {noun} diverged"
+        says = f"fewest at {code(least)}: {percent(least.alone[place].value)}"
+        if least.together[place].most is not None:
+            says += f", a probability of at most {percent(least.together[place].most or 1, up=True)} at 95 % confidence"
+        return Lead("refuted", head, Marked(f"{says}.{unfinished}"))
+    says = _names(steady)
+    most = max(each.together[place].most or 0.0 for each in steady)
+    if steady[0].together[place].most is not None:
+        each_of = "at each of them " if len(steady) > 1 else ""
+        says += f"; {each_of}the probability of divergence is at most {percent(most, up=True)}, at 95 % confidence"
+        says += f" for all {len(ran)} settings together."
+    else:
+        says += f". {no_interval(found)}"
+    return Lead(_outcome(len(steady), len(ran)), head, Marked(says + unfinished))
+
+
+def _outcome(good: int, of: int) -> str:
+    return "proved" if good == of else "refuted" if not good else "open"
+
+
+def _diverged(number: int, of: str) -> str:
+    return " ".join(f"{'none' if not number else count(number)} {of} diverged".split())
+
+
+def _unfinished(found: Findings) -> str:
+    missing = sum(each.missing for each in found.points)
+    return f" {count(missing)} runs are not there yet: the same command computes them." if missing else ""
+
+
+def no_interval(found: Findings) -> str:
+    """Why no interval of probability is given."""
+    if found.sheet.samples < 2:
+        return "Each setting ran once, so that nothing is said of probabilities."
+    return (
+        "No interval of probability is given, for it would be valid for independent draws alone, and the samples are "
+        f"{METHODS[found.results.study.file.sample.method]}; `method: random` gives one."
+    )
+
+
+def code(each: Found) -> str:
+    """A setting's name in a marked text."""
+    return f"`{each.name}`"
+
+
+def _names(several: Sequence[Found]) -> str:
+    first = [code(each) for each in several[:NAMED]]
+    return listed([*first, f"{len(several) - NAMED} more, in the table below"] if len(several) > NAMED else first)
+
+
+def summary(t: Told) -> Iterator[Part]:
+    """What else there is to know first."""
+    found, main = t.found, t.found.results.main
+    items, failing = list[Cell](), list[int]()
+    best = _best(found)
+    if best is not None and len(found.points) > 1:
+        each, top = best
+        middle = next((q for q in each.quantiles[main] if q.p == 0.5), None)
+        half = f", and half of them below {figure(middle.value, t.unit(main))}" if middle and top.p > 0.5 else ""
+        items.append(
+            Marked(
+                f"Of the settings where none diverged, {code(each)} has the smallest {_ordinal(top.p)} quantile of "
+                f"`{main}`: {100 * top.p:g} % of the {t.noun} stay below {figure(top.value, t.unit(main))}{half}."
+            )
+        )
+    elif best is not None:
+        each, top = best
+        told = ", ".join(f"{100 * q.p:g} % below {figure(q.value, t.unit(main))}" for q in each.quantiles[main])
+        items.append(Marked(f"`{main}`: {told}."))
+    for name in dict.fromkeys(name for each in found.points for name in each.influences):
+        each = next(each for each in found.points if name in each.influences)
+        strong = [item for item in each.influences[name] if item.share >= WORTH][:3]
+        if strong:
+            told = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
+            what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
+            at = f" at {code(each)}" if each.name else ""
+            items.append(Marked(f"What decides {what} most{at}: {told}, each as a share of the variance of ranks."))
+    if t.worst:
+        first = t.worst[0]
+        how = f"diverged after {plain(first.diverged_at, 's')}" if math.isfinite(first.diverged_at) else ""
+        how = how or f"{first.figure} = {figure(first.value, t.unit(first.figure))}"
+        at = f" at `{first.point}`" if first.point else ""
+        items.append(Marked(f"The worst run is number {first.run}{at}: {how}; it is kept as the graph `{first.file}`."))
+    if t.proofs:
+        items.append(Marked(_proof_in_short(t)))
+    lost = sum(each.failed for each in found.points)
+    if lost:
+        failing.append(len(items))
+        items.append(
+            Marked(f"{count(lost)} runs could not be made; they count nowhere, and the table tells their faults.")
+        )
+    yield Bullets(items, failing)
+
+
+def _best(found: Findings) -> tuple[Found, Quantile] | None:
+    """Of the points where none diverged the one with the smallest greatest quantile; of one point, itself."""
+    main = found.results.main
+    several = [each for each in found.steady if each.quantiles.get(main)]
+    if len(found.points) == 1:
+        several = [each for each in found.points if each.quantiles.get(main)]
+    if not several:
+        return None
+    best = min(several, key=lambda each: max(each.quantiles[main], key=lambda q: q.p).value)
+    return best, max(best.quantiles[main], key=lambda q: q.p)
+
+
+def _ordinal(p: float) -> str:
+    return f"{100 * p:g} %"
+
+
+def _proof_in_short(t: Told) -> str:
+    good, all_of = sum(each.proved for each in t.proofs), len(t.proofs)
+    where = f"over the whole box of what was drawn{_held(t.proofs)}"
+    if good == all_of:
+        return f"The proof's conditions hold {where}" + (f", at each of {all_of} settings." if all_of > 1 else ".")
+    if not good:
+        return f"The proof's conditions do not all hold {where}; that is no proof of the contrary."
+    return f"The proof's conditions hold {where} at {good} of {all_of} settings."
+
+
+def _held(proofs: Sequence[Proof]) -> str:
+    endless = any(each.box.held < 1 for each in proofs)
+    return f" ({100 * HELD:g} % of the draws: some have no ends)" if endless else ""

@@ -1,0 +1,131 @@
+"""What goes with a study: the files that it names, into its folder, and to workers that have another disk."""
+
+from __future__ import annotations
+
+import atexit
+import io
+import pickle
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, final
+
+from dmframe.config.document import Document
+from dmframe.config.experiment import Experiment
+from dmframe.files import encoded
+from dmframe.results.resolved import companions, resolved_text
+from dmframe.study.computed import Computable
+from dmframe.study.identity import graphs_of
+from dmframe.study.plan import Study
+
+GRAPH: Final = "graph.yaml"
+
+
+def files_beside(study: Computable) -> dict[str, bytes]:
+    """Files that a study's folder holds, by name: with them the study there is the same one, wherever it is taken.
+
+    The study itself; its graph with everything said; graphs and files of blocks and robots that it names by path.
+    """
+    if not isinstance(study, Study):
+        return {"study.yaml": encoded(study.text)}
+    text, found = study.text, {GRAPH: encoded(resolved_text(study.bases[""]))}
+    for key, experiment in study.bases.items():
+        name, path = Path(key or study.file.graph), Path(experiment.document.name)
+        if name.suffix not in (".yaml", ".yml") or name.is_absolute():
+            continue
+        if ".." in name.parts:  # there is no such place in the folder
+            text = text.replace(str(name), str(path.resolve()))
+            continue
+        found[str(name)] = path.read_bytes()
+    for experiment in graphs_of(study):
+        base = Path(experiment.document.name).parent
+        place = next(
+            (Path(key or study.file.graph).parent for key, each in study.bases.items() if _base(each) == base), Path()
+        )
+        if place.is_absolute():
+            continue
+        for inner, path in _own(experiment):
+            found[str(place / inner)] = path.read_bytes()
+    return {**found, "study.yaml": encoded(text)}
+
+
+def _base(experiment: Experiment) -> Path:
+    return Path(experiment.document.name).parent
+
+
+def _own(experiment: Experiment) -> Iterator[tuple[Path, Path]]:
+    """Files that a graph names in its own folder or below: where they lie there, and where they are."""
+    base = _base(experiment).resolve()
+    for path in companions(experiment).values():
+        if path.resolve().is_relative_to(base):
+            yield path.resolve().relative_to(base), path
+
+
+@final
+@dataclass(frozen=True)
+class Parcel:
+    """A study as it travels: with the contents of the files that its graphs name.
+
+    Parameters
+    ----------
+    files
+        By the number of a folder, and the path in it.
+    """
+
+    study: bytes
+    files: Mapping[tuple[int, str], bytes]
+
+
+@final
+class _Packer(pickle.Pickler):
+    """Notes in which folder each graph lies."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
+        self.folders = dict[Path, int]()
+
+    def reducer_override(self, value: Any) -> Any:
+        if isinstance(value, Experiment):
+            number = self.folders.setdefault(_base(value), len(self.folders))
+            return _placed, (number, value.document, value.name, value.overrides)
+        return NotImplemented
+
+
+def packed(study: Computable) -> bytes:
+    """A study with all that its graphs name; `unpacked` opens it, wherever that is."""
+    stream = io.BytesIO()
+    packer = _Packer(stream)
+    packer.dump(study)
+    files = dict[tuple[int, str], bytes]()
+    for experiment in graphs_of(study) if isinstance(study, Study) else ():
+        number = packer.folders.setdefault(_base(experiment), len(packer.folders))
+        files |= {(number, str(inner)): path.read_bytes() for inner, path in _own(experiment)}
+    return pickle.dumps(Parcel(stream.getvalue(), files), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def unpacked(content: bytes) -> Computable:
+    """The study of a parcel; its files lie in a folder of this process's own, until that ends."""
+    global _root
+    parcel: Parcel = pickle.loads(content)
+    _root = Path(tempfile.mkdtemp(prefix="dmframe-study-"))
+    atexit.register(shutil.rmtree, _root, ignore_errors=True)
+    for (number, name), held in parcel.files.items():
+        place = _root / str(number) / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(held)
+    found: Computable = pickle.loads(parcel.study)
+    return found
+
+
+_root = Path()
+"""Where the parcel that is opened has its files; workers open one at a time."""
+
+
+def _placed(number: int, document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+    """A graph of a parcel."""
+    from dmframe.config.experiment import experiment_of
+
+    place = _root / str(number) / Path(document.name).name
+    return replace(experiment_of(replace(document, name=str(place))), name=name, overrides=overrides)

@@ -1,0 +1,241 @@
+"""The grid of a study: axes whose cases are combined, each case values that it sets, or a factor."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.config.document import Document, Node, mapping_of
+from dmframe.config.experiment import Experiment, experiment_of
+from dmframe.config.given import node_of
+from dmframe.config.grammar import KEYS, shown
+from dmframe.config.overrides import put_at
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
+from dmframe.files import told_apart
+from dmframe.study.grammar import own_name
+from dmframe.study.varied import SETTINGS, Factor
+from dmframe.units import shorten
+
+GRAPH: Final = "graph"
+"""The axis whose values are graphs."""
+_LONGEST: Final = 40  # letters of a value that a table shows
+_TIMES: Final = {"clock": "s", "duration": "s", "jitter": "s", "solver.step": "s", "robot.friction_velocity": "rad/s"}
+
+
+@final
+@dataclass(frozen=True)
+class Given:
+    """A value that the study file sets in a graph, and where the file does."""
+
+    label: str
+    node: Node
+    said: str
+
+    @property
+    def plain(self) -> Any:
+        """The value as plain data."""
+        return mapping_of(Node(0, 0, {"value": (self.node, self.node)}))["value"]
+
+    def put(self, document: Document) -> Document:
+        """The graph's document with the value. Raises `DmframeError` at the value's place in the study."""
+        try:
+            return put_at(document, self.label, self.node, self.said, KEYS)
+        except DmframeError as error:
+            for fault in error.faults:
+                if fault.text.startswith(f"{self.said}: "):
+                    fault.location, fault.text = self.said, f"{self.label}{fault.text.removeprefix(self.said)}"
+            raise
+
+
+@final
+@dataclass(frozen=True)
+class Case:
+    """One value of an axis.
+
+    Parameters
+    ----------
+    told
+        What the table holds: a number in the axis's unit, or a text.
+    sets
+        What it sets in the graph.
+    factor
+        By what it multiplies the axis's parameters.
+    graph
+        The graph that it takes; empty for the study's own.
+    """
+
+    told: float | str
+    sets: tuple[Given, ...] = ()
+    factor: float | None = None
+    graph: str = ""
+
+
+@final
+@dataclass(frozen=True)
+class Axis:
+    """Cases of which each is run with each of the other axes'.
+
+    Parameters
+    ----------
+    scaled
+        What the factors of its cases multiply; empty where they set values.
+    """
+
+    name: str
+    cases: tuple[Case, ...]
+    unit: str = ""
+    scaled: tuple[str, ...] = ()
+
+    @property
+    def labels(self) -> set[str]:
+        """All that its cases set."""
+        return {given.label for case in self.cases for given in case.sets}
+
+
+def axis_of(name: str, document: Document) -> Axis:
+    """An axis as the study's document has it; what its values mean in a graph is not known yet.
+
+    Raises
+    ------
+    ValueFault, MissingError, UnknownNameError
+        It is no list, no factors and no named cases.
+    """
+    path = ("grid", name)
+    held = document.node(path).value
+    if isinstance(held, list):
+        return Axis(name, tuple(_case(name, item, document, (*path, k)) for k, item in enumerate(_some(name, held))))
+    if isinstance(held, dict) and "scale" in held:
+        return _scaled(name, held, path)
+    if isinstance(held, dict) and held:
+        return Axis(name, tuple(_named(name, key, node, document) for key, (_, node) in held.items()))
+    raise ValueFault(
+        f"grid.{name}: expected a list of values, {{scale: [...]}} or named cases, found {shown(held)}", path=path
+    )
+
+
+def _some(name: str, items: list[Node]) -> list[Node]:
+    if not items:
+        raise MissingError(f"grid.{name}: expected at least one value, found none", path=("grid", name))
+    return items
+
+
+def _case(label: str, node: Node, document: Document, path: tuple[str | int, ...]) -> Case:
+    if label == GRAPH:
+        if not isinstance(node.value, str):
+            raise ValueFault(f"grid.graph: expected names of graphs, found {shown(node.value)}", path=path)
+        return Case(node.value, graph=node.value)
+    return Case("", (Given(label, node, document.locate(path)),))
+
+
+def _scaled(name: str, held: Mapping[str, tuple[Node, Node]], path: tuple[str, str]) -> Axis:
+    data = {key: Given(key, node, "").plain for key, (_, node) in held.items()}
+    for key in data:
+        if key not in ("scale", "of"):
+            raise UnknownNameError(f"grid.{name}.{key}", "key", key, ("scale", "of"), path=(*path, key))
+    of = data.get("of", name)
+    labels = [of] if isinstance(of, str) else of
+    if not isinstance(labels, list) or not labels or not all(isinstance(item, str) for item in labels):
+        raise ValueFault(f"grid.{name}.of: expected names of parameters, found {shown(of)}", path=(*path, "of"))
+    if "of" not in data and own_name(name) and name not in SETTINGS:
+        raise MissingError(
+            f"grid.{name}: expected block.parameter, or a key of, the parameters that are scaled", path=path
+        )
+    found = data["scale"]
+    for k, value in enumerate(found if isinstance(found, list) else [found]):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            text = f"grid.{name}.scale: expected a list of factors, found {shown(value)}"
+            raise ValueFault(text, path=(*path, "scale", k) if isinstance(found, list) else (*path, "scale"))
+    if not found:
+        raise MissingError(f"grid.{name}: expected at least one factor, found none", path=path)
+    factors = map(float, found if isinstance(found, list) else [found])
+    return Axis(name, tuple(Case(value, factor=value) for value in factors), scaled=tuple(labels))
+
+
+def _named(name: str, key: str, node: Node, document: Document) -> Case:
+    """A case with a name of its own, which sets several values."""
+    path = ("grid", name, key)
+    if not isinstance(node.value, dict):
+        raise ValueFault(f"grid.{name}.{key}: expected keys with values, found {shown(node.value)}", path=path)
+    graph, sets = "", list[Given]()
+    for label, (_, item) in node.value.items():
+        if label == GRAPH:
+            graph = str(item.value)
+        else:
+            sets.append(Given(label, item, document.locate((*path, label))))
+    return Case(key, tuple(sets), graph=graph)
+
+
+def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
+    """A graph with values of the study file. Raises `DmframeError`, each fault at its place in the study."""
+    if not sets:
+        return base
+    document, texts, faults = base.document, list[str](), list[DmframeError]()
+    for given in sets:
+        try:
+            document = given.put(document)
+        except DmframeError as error:
+            faults += error.faults
+        texts.append(f"{given.label}={json.dumps(given.plain)}")
+    try:
+        made = experiment_of(document)
+    except DmframeError as error:
+        raise_all([*faults, *error.faults])
+        raise
+    raise_all(faults)
+    return replace(made, name=base.name, overrides=(*base.overrides, *texts))
+
+
+def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Experiment:
+    """A graph whose parameters are multiplied by the factors of some axes."""
+    if not factors:
+        return experiment
+    values = dict[str, np.ndarray]()
+    for axis, factor in factors:
+        Factor(axis.name, axis.scaled, "scale", None, None, "").put(values, np.array([[factor]]), experiment)
+    said = f"grid.{', grid.'.join(axis.name for axis, _ in factors)}"
+    return changed(
+        experiment, [Given(label, node_of(rows[0].tolist(), (label,), said), said) for label, rows in values.items()]
+    )
+
+
+def told_in(axis: Axis, graphs: Sequence[Experiment]) -> Axis:
+    """The axis with what its cases are in their graphs: numbers in their unit where all are that, else texts."""
+    own = [case.sets[0].label for case in axis.cases if len(case.sets) == 1 and case.told == ""]
+    if len(own) < len(axis.cases):  # factors, graphs and named cases say what they are
+        return axis
+    found = [_number(label, graph) for label, graph in zip(own, graphs, strict=True)]
+    numbers = [value for value, _ in found if value is not None]
+    if len(numbers) == len(axis.cases):
+        cases = [replace(case, told=value) for case, value in zip(axis.cases, numbers, strict=True)]
+        return replace(axis, cases=tuple(cases), unit=found[0][1])
+    texts = told_apart([_text(case.sets[0]) for case in axis.cases], lambda text, k: f"{text} ({k})")
+    return replace(axis, cases=tuple(replace(case, told=text) for case, text in zip(axis.cases, texts, strict=True)))
+
+
+def _number(label: str, experiment: Experiment) -> tuple[float | None, str]:
+    """A value as the graph understands it, where it is one number."""
+    from dmframe.parameter import specs
+
+    keys = label.removeprefix("blocks.").split(".")
+    if len(keys) == 2 and keys[0] in experiment.blocks:
+        block = experiment.blocks[keys[0]]
+        value, spec = getattr(block, keys[1], None), specs(type(block)).get(keys[1])
+        unit = spec.unit if spec else ""
+    else:
+        value, unit = experiment.file, _TIMES.get(label, "")
+        for key in keys:
+            value = getattr(value, key, None)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None, ""
+    return float(value), unit
+
+
+def _text(given: Given) -> str:
+    value = given.plain
+    if isinstance(value, dict) and "type" in value:
+        return str(value["type"])
+    return shorten(value if isinstance(value, str) else json.dumps(value), _LONGEST)

@@ -1,0 +1,108 @@
+"""What makes two studies the same: everything that decides the numbers of a row, and nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from dmframe.config.experiment import Experiment
+from dmframe.results.resolved import companions, resolved, robot_source
+from dmframe.study.design import Spread
+from dmframe.version import version
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
+
+FORMAT: Final = 1
+"""Of the table: another one makes another study."""
+
+
+def identity_of(study: Study) -> dict[str, Any]:
+    """As plain data that JSON can hold."""
+    file = study.file
+    sample: dict[str, Any] = {
+        factor.name: {
+            "of": list(factor.labels),
+            "how": factor.how,
+            "unit": factor.unit,
+            "elements": factor.elements,
+            "spread": _spread(factor.spread),
+        }
+        for factor in study.factors
+    }
+    if study.factors:
+        sample |= {"method": file.sample.method, "seed": file.sample.seed}
+        if not study.design.extends:
+            sample["runs"] = file.sample.runs  # with another number all samples lie elsewhere
+    grid = {
+        axis.name: [
+            [case.graph, case.factor, list(axis.scaled), [[given.label, given.plain] for given in case.sets]]
+            for case in axis.cases
+        ]
+        for axis in study.axes
+    }
+    return {
+        "format": FORMAT,
+        "dmframe": version(),
+        "graphs": {name: resolved(base) for name, base in study.bases.items()},
+        "sample": sample,
+        "grid": grid,
+        "measure": {
+            "signals": list(file.measure.signals),
+            "limits": {key: str(value) for key, value in file.measure.limits.items()},
+        },
+        "files": files_of(study),
+    }
+
+
+def _spread(spread: Spread | None) -> list[str] | None:
+    if spread is None:
+        return None
+    return [spread.kind, *map(repr, (spread.a, spread.b, spread.lower, spread.upper))]
+
+
+def key_of(identity: Mapping[str, Any]) -> str:
+    """SHA-256 in hexadecimal digits."""
+    text = json.dumps(identity, sort_keys=True, separators=(",", ":"), default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def files_of(study: Study) -> dict[str, str]:
+    """A hash of each file that decides how the graphs move: sources of blocks, models of robots."""
+    found = dict[str, str]()
+    for experiment in graphs_of(study):
+        for path in _paths(experiment):
+            found.setdefault(path.name, hashlib.sha256(path.read_bytes()).hexdigest())
+    return dict(sorted(found.items()))
+
+
+def graphs_of(study: Study) -> list[Experiment]:
+    """Its graphs, and one for each case that puts in a block or a robot of its own: together they name all files."""
+    return [*study.bases.values(), *_first_of_each(study)]
+
+
+def _first_of_each(study: Study) -> list[Experiment]:
+    """A graph for each case that puts in a block or a robot of its own."""
+    found = list[Experiment]()
+    for k, axis in enumerate(study.axes):
+        whole = [any(label.split(".")[0] in ("blocks", "robot") for label in axis.labels)]
+        for place in range(len(axis.cases)) if any(whole) else ():
+            places = [place if j == k else 0 for j in range(len(study.axes))]
+            found.append(study._point(places).graph.experiment)
+    return found
+
+
+def _paths(experiment: Experiment) -> list[Path]:
+    found = list(companions(experiment).values())
+    for block in experiment.blocks.values():
+        file = inspect.getsourcefile(type(block))
+        if file is not None and Path(file).is_file():
+            found.append(Path(file))
+    source = robot_source(experiment)
+    if source is not None:
+        found.append(source.urdf)
+    return found

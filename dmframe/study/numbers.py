@@ -1,0 +1,74 @@
+"""Numbers as a study's page says them: a limit is never rounded to the side that would make it untrue."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from dmframe.study.statistics import Quantile, Share
+from dmframe.units import plain
+
+ALMOST: Final = 0.999999
+"""Of a share above it no more digits are said."""
+
+
+def count(number: int) -> str:
+    """``10 000``."""
+    return f"{number:,}".replace(",", " ")
+
+
+def percent(share: float, up: bool | None = None) -> str:
+    """A share with two digits, rounded up or down where it is a limit; near 1, the two digits are those that lack."""
+    if not math.isfinite(share):
+        return "-"
+    if share > ALMOST:
+        return "100 %" if up or share >= 1 else "99.9999 %"
+    if share > 0.99:
+        return f"{100 - _two(100 * (1 - share), None if up is None else not up):.10g} %"
+    return f"{_two(100 * share, up):.10g} %"
+
+
+def _two(value: float, up: bool | None) -> float:
+    """Two significant digits."""
+    if value <= 0:
+        return 0.0
+    power = 10.0 ** (math.floor(math.log10(value)) - 1)
+    scaled = value / power
+    # 3.0000000000000004 is 3
+    rounded = round(scaled) if up is None else math.ceil(scaled - 1e-9) if up else math.floor(scaled + 1e-9)
+    return float(f"{rounded * power:.12g}")
+
+
+def interval(share: Share) -> str:
+    """The two-sided interval of a share; empty where there is none."""
+    if share.low is None or share.high is None:
+        return ""
+    return f"{percent(share.low, up=False)} to {percent(share.high, up=True)}"
+
+
+def figure(value: float, unit: str) -> str:
+    """A figure of a run; infinite where it diverged."""
+    if math.isinf(value):
+        return "diverged"
+    return "-" if math.isnan(value) else plain(value, unit)
+
+
+def between(found: Quantile, unit: str) -> str:
+    """The interval of a quantile; empty where there is none."""
+    if found.low is None or found.high is None or found.low == math.inf:
+        return ""
+    low = "no lower limit" if found.low == -math.inf else figure(found.low, unit)
+    high = "no upper limit" if found.high == math.inf and math.isfinite(found.value) else figure(found.high, unit)
+    return f"{low} to {high}"
+
+
+def chance(p: float | None) -> str:
+    """A test's probability."""
+    if p is None:
+        return ""
+    return "below 1e-6" if p < 1e-6 else f"{p:.2g}"
+
+
+def span(low: float, high: float, unit: str) -> str:
+    """``400 to 1600 V s/rad``."""
+    return f"{low:.5g} to {high:.5g} {unit}".rstrip()

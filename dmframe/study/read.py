@@ -1,0 +1,213 @@
+"""From a study's file to a checked `Study`; all faults at once, each with its line and column."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from dmframe.catalogue import find_graph
+from dmframe.config import load_experiment
+from dmframe.config.document import Document, Steps, read_document, read_file
+from dmframe.config.experiment import Experiment
+from dmframe.config.given import document_of
+from dmframe.config.grammar import fault_of
+from dmframe.config.places import placed
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, raise_all
+from dmframe.files import expanded
+from dmframe.study.grammar import KEYS, STUDY, StudyFile, keys_at, own_name
+from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, told_in
+from dmframe.study.plan import Study
+from dmframe.study.varied import SETTINGS, Factor, factor, told_twice
+
+TEXT = "study"
+"""What messages call a study that came from no file."""
+
+
+def load_study(
+    source: str | Path | Mapping[str, Any] | Study,
+    *,
+    runs: int | None = None,
+    seed: int | None = None,
+    overrides: Sequence[str] = (),
+) -> Study:
+    """A study from its file, its text or data.
+
+    Parameters
+    ----------
+    source
+        A path; a text of more than one line; a dictionary as the file would hold it; a `Study` is returned as it is.
+    runs, seed
+        Instead of those of the section ``sample``.
+    overrides
+        Changes of the graph beside those of the section ``set``, each as ``--set`` has it.
+
+    Raises
+    ------
+    DmframeError
+        All faults of the file at once, each with its line and column. (What needs the closed loop, wires say, is told
+        by `Study.check`.)
+    """
+    if isinstance(source, Study):
+        return source
+    document, text, path = _read(source)
+    if isinstance(document.data.get("sample", {}), dict):
+        data = dict(document.data)
+        told = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
+        if told:
+            data["sample"] = {**(data.get("sample") or {}), **told}
+            text = _written(data)
+        document = replace(document, data=data)
+    file, faults = _checked(document)
+    folder = path.parent if path is not None else Path()
+    bases, axes, more = _graphs(file, document, folder, overrides)
+    faults += more
+    if bases:
+        axes, more = _in_graphs(bases, axes)
+        faults += more
+    factors = list[Factor]()
+    if bases:
+        factors, more = _factors(file, bases[""], axes)
+        faults += more
+    if file.sample.runs > 1 and not file.sample.variations:
+        text_ = f"sample.runs: {file.sample.runs} runs of which nothing varies; name what does, or leave runs out"
+        faults.append(ValueFault(text_, path=("sample", "runs")))
+    raise_placed(faults, document)
+    name = path.stem if path is not None else TEXT
+    return Study(name, path, text, document, file, bases, tuple(axes), tuple(factors))
+
+
+def raise_placed(faults: Sequence[DmframeError], document: Document) -> None:
+    """Raise nothing, or the faults at their places in the study's file."""
+    if faults:
+        raise placed(faults[0] if len(faults) == 1 else Faults(faults), document, KEYS)
+
+
+def _read(source: Any) -> tuple[Document, str, Path | None]:
+    if isinstance(source, Mapping):
+        document = document_of(source, TEXT)
+        return document, _written(document.data), None
+    if isinstance(source, str) and "\n" in source:
+        return read_document(source, TEXT, STUDY), source, None
+    if not isinstance(source, str | Path):
+        found = type(source).__name__
+        raise ValueFault(f"load_study: expected a study's path, its text or a dictionary, found {found}")
+    path = expanded(source)
+    return read_file(path, STUDY), path.read_text(encoding="utf-8"), path
+
+
+def _written(data: Mapping[str, Any]) -> str:
+    from ruamel.yaml import YAML
+
+    writer, text = YAML(typ="safe", pure=True), StringIO()
+    writer.default_flow_style = None
+    writer.dump(dict(data), text)
+    return text.getvalue()
+
+
+def _checked(document: Document) -> tuple[StudyFile, list[DmframeError]]:
+    """The file's grammar, and unknown keys beside it; names of parameters are not looked at yet."""
+    faults, data = list[DmframeError](), dict(document.data)
+    for section in ("sample", "tune"):
+        found = document.data.get(section)
+        held = found if isinstance(found, dict) else {}
+        for key in held:
+            known = [*keys_at((section,))]
+            if own_name(key) and key not in (*known, *SETTINGS) and not _is_group(held[key]):
+                faults.append(UnknownNameError(f"{section}.{key}", "key", key, known, path=(section, key)))
+                data[section] = {other: value for other, value in data[section].items() if other != key}
+    try:
+        return StudyFile.model_validate(data), faults
+    except ValidationError as error:
+        faults += [fault_of(detail, keys_at) for detail in error.errors(include_url=False)]
+    raise_placed(faults, document)
+    raise AssertionError("a file that is not valid left a fault")
+
+
+def _is_group(value: Any) -> bool:
+    return isinstance(value, dict) and "of" in value
+
+
+def _graphs(
+    file: StudyFile, document: Document, folder: Path, overrides: Sequence[str]
+) -> tuple[dict[str, Experiment], list[Axis], list[DmframeError]]:
+    """The graphs that the study names, with what it sets, and its axes."""
+    faults, axes = list[DmframeError](), list[Axis]()
+    for name in file.grid:
+        try:
+            axes.append(axis_of(name, document))
+        except DmframeError as error:
+            faults += error.faults
+    names: dict[str, tuple[str, Steps]] = {"": (file.graph, ("graph",))}
+    for axis in axes:
+        for k, case in enumerate(axis.cases):
+            if case.graph:
+                place: Steps = ("grid", axis.name, k)
+                if axis.name != "graph":
+                    place = ("grid", axis.name, str(case.told), "graph")
+                names.setdefault(case.graph, (case.graph, place))
+    sets = [Given(label, document.node(("set", label)), document.locate(("set", label))) for label in file.set]
+    bases = dict[str, Experiment]()
+    for key, (name, place) in names.items():
+        try:
+            bases[key] = changed(_graph(name, folder, overrides), sets)
+        except DmframeError as error:
+            for fault in error.faults:
+                fault.path = fault.path if fault.location else place
+                faults.append(fault)
+    return (bases if "" in bases and len(bases) == len(names) else {}), axes, faults
+
+
+def _graph(name: str, folder: Path, overrides: Sequence[str]) -> Experiment:
+    beside = folder / name
+    found = beside if name.endswith((".yaml", ".yml")) and not Path(name).is_absolute() else find_graph(name)
+    return load_experiment(found, overrides)
+
+
+def _in_graphs(bases: Mapping[str, Experiment], axes: Sequence[Axis]) -> tuple[list[Axis], list[DmframeError]]:
+    """The axes with what their cases mean: each case is put into the graph, the others at their first."""
+    faults, found = list[DmframeError](), list[Axis]()
+    for k, axis in enumerate(axes):
+        graphs = list[Experiment]()
+        for case in axis.cases:
+            cases = [case if j == k else other.cases[0] for j, other in enumerate(axes)]
+            base = bases[next((each.graph for each in reversed(cases) if each.graph), "")]
+            try:
+                made = changed(base, [given for each in cases for given in each.sets])
+                if case.factor is not None:
+                    made = scaled(made, [(axis, case.factor)])
+                graphs.append(made)
+            except DmframeError as error:
+                for fault in error.faults:
+                    fault.path = fault.path if fault.location else ("grid", axis.name)
+                    if fault.text not in [other.text for other in faults]:  # a name is wrong in each of its cases
+                        faults.append(fault)
+        found.append(told_in(axis, graphs) if len(graphs) == len(axis.cases) else axis)
+    return found, faults
+
+
+def _factors(file: StudyFile, base: Experiment, axes: Sequence[Axis]) -> tuple[list[Factor], list[DmframeError]]:
+    faults, found = list[DmframeError](), list[Factor]()
+    diagram: Callable[[], Diagram] = cache(base.diagram)
+    for name, variation in file.sample.variations.items():
+        try:
+            found.append(factor(name, variation, base, diagram))
+        except DmframeError as error:
+            for fault in error.faults:
+                fault.path = fault.path if fault.location else ("sample", name, *fault.path)
+                fault.text = f"sample.{name}: {fault.text.removeprefix(f'{name}: ')}"
+                faults.append(fault)
+    faults += told_twice(found, {label for axis in axes for label in axis.labels})
+    columns = [axis.name for axis in axes] + [name for each in found for name in each.columns]
+    for name in {name for name in columns if columns.count(name) > 1}:
+        faults.append(ValueFault(f"sample.{name}: the grid has an axis of that name; keep one", path=("sample", name)))
+    return found, faults
+
+
+__all__ = ["load_study", "raise_all", "raise_placed"]

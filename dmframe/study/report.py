@@ -1,0 +1,179 @@
+"""A study's report: one page, its figures as files, and its worst runs as graphs."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from dmframe.copies import shared
+from dmframe.files import write_bytes, write_text, writing
+from dmframe.plotting import files_of
+from dmframe.port import Side
+from dmframe.report import html
+from dmframe.report.html import Html, plain, tag
+from dmframe.report.page import document
+from dmframe.study.answer import Saved, Told, lead
+from dmframe.study.figures import figures_of
+from dmframe.study.findings import Findings, findings_of
+from dmframe.study.proof import proofs_of
+from dmframe.study.sections import sections
+
+if TYPE_CHECKING:
+    from dmframe.graph import Graph
+    from dmframe.study.results import Results
+
+PAGE: Final = "report.html"
+FIGURES: Final = "figures"
+WORST: Final = "worst_{}.yaml"
+
+
+def write_report(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Path:
+    """Write ``report.html``, ``figures/`` and the worst runs, ``worst_1.yaml`` and so on, into a study's folder.
+
+    Those of before are replaced. Nothing is run: the table is read, and the proof is decided over what was drawn.
+
+    Parameters
+    ----------
+    results
+        The folder's, where they are at hand.
+    proofs
+        Decide the proof; it takes about two seconds a grid point, of a dozen at most.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    DmframeError
+        There is no study in the folder; its report asks for what the table has not; it cannot be written.
+    """
+    from dmframe.study.results import Results
+
+    results = results or Results(folder)
+    found = findings_of(results)
+    told = Told(
+        found,
+        tuple(_saved(results)),
+        tuple(proofs_of(results.study, results.names)) if proofs else (),
+        _robots(results),
+        _commands(results),
+        _made(results.folder),
+    )
+    page, files = results.folder / PAGE, _figures(found)
+    _write_figures(results.folder / FIGURES, files)
+    pictures = {Path(name).stem: content.decode() for name, content in files.items() if name.endswith(".svg")}
+    write_text(page, as_html(told, pictures))
+    return page
+
+
+def as_html(told: Told, pictures: Mapping[str, str]) -> str:
+    """The page, in one file that fetches nothing; `pictures` are SVG by name."""
+    name, title = told.found.results.name, told.found.results.study.title
+    titled = [tag("p", plain(title), class_="doc-title")] if title else []
+    head = tag("header", tag("p", plain("Study of a control loop"), class_="doc-kind"), tag("h1", plain(name)), *titled)
+    writer, parts, answer = html.Writer("s"), list(sections(told, pictures)), lead(told)
+    inside = [html.lead(answer), writer.contents(name, parts), *map(writer.section, parts)]
+    return document(f"{name}: {answer.headline}", [head, tag("article", html.joined(map(Html, inside)), id="s")])
+
+
+def _figures(found: Findings) -> dict[str, bytes]:
+    """All figures as files; matplotlib takes most of a report's time, on other cores where there are some."""
+    name = found.results.name
+    jobs = [partial(files_of, figure, each, name) for each, figure in figures_of(found).items()]
+    with shared(jobs) as finished:
+        return {file: content for files in finished() for file, content in files.items()}
+
+
+def _write_figures(place: Path, files: Mapping[str, bytes]) -> None:
+    with writing(place):
+        place.mkdir(exist_ok=True)
+        for old in (*place.glob("*.png"), *place.glob("*.svg")):
+            old.unlink()
+    for name, content in files.items():
+        write_bytes(place / name, content)
+
+
+def _saved(results: Results) -> list[Saved]:
+    """The worst runs by each figure that the study asks for, each once, written as graphs."""
+    study, there = results.study, set(results.frame.collect_schema())
+    runs = dict[int, str]()
+    for figure, number in study.file.report.worst.items():
+        if figure in there:
+            for run in results.worst_runs(figure, number):
+                runs.setdefault(run, figure)
+    with writing(results.folder):
+        for old in results.folder.glob(WORST.format("*")):
+            old.unlink()
+    if not runs:
+        return []
+    sampled = [column.name for column in study.varied if column.kind == "sampled"]
+    sheet, found = results.sheet(*dict.fromkeys([*runs.values(), *sampled])), list[Saved]()
+    for place, (run, figure) in enumerate(runs.items(), start=1):
+        sample, point = divmod(run, len(study.points))
+        file = WORST.format(place)
+        _save(study.graph_of(run), results.folder / file)
+        found.append(
+            Saved(
+                file,
+                run,
+                results.names[point],
+                figure,
+                float(sheet.figure(figure)[point, sample]),
+                float(sheet.diverged_at[point, sample]),
+                {name: float(sheet.columns[name][point, sample]) for name in sampled if name in sheet.columns},
+            )
+        )
+    return found
+
+
+def _save(graph: Graph, path: Path) -> None:
+    """Write a graph, and beside it the files that it names."""
+    from dmframe.results.resolved import companions
+
+    write_text(path, graph.text)
+    for name, source in companions(graph.experiment).items():
+        target = path.with_name(name)
+        if source.resolve() != target.resolve():
+            with writing(target):
+                shutil.copyfile(source, target)
+
+
+def _robots(results: Results) -> bool:
+    """Something of the plant is drawn."""
+    blocks = results.study.points[0].graph.experiment.blocks
+    drawn = {label.partition(".")[0] for factor in results.study.factors for label in factor.labels}
+    return any(blocks[name].side is Side.PLANT for name in drawn & blocks.keys())
+
+
+def _commands(results: Results) -> Sequence[tuple[str, str]]:
+    place = results.folder.name or str(results.folder)
+    return (
+        (f"dmframe study {place}", "computes the runs that are not there yet"),
+        (f"dmframe study {place}/study.yaml --out AGAIN", "runs all of it again, in another folder"),
+        (f"dmframe study {place} --rerun RUN", "runs one run by its number, as a graph, and compares it with its row"),
+        (f"dmframe study report {place}", "writes this page anew, from the runs that are there"),
+    )
+
+
+def _made(folder: Path) -> Sequence[tuple[str, str]]:
+    """Versions and machine, as the folder's provenance has them."""
+    try:
+        told = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return ()
+    return [(key, _flat(value)) for key, value in told.items() if value not in (None, "", [], {})][:14]
+
+
+def _flat(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_flat(each)}" for key, each in value.items())
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+__all__ = ["as_html", "write_report"]

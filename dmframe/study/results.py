@@ -1,0 +1,254 @@
+"""A study's folder, as a person holds it: the table, what it says, and its worst runs as graphs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from dmframe.errors import MissingError, UnknownNameError, ValueFault
+from dmframe.files import expanded
+from dmframe.study.sheet import LEAST, Sheet, names_of, sheet_of
+from dmframe.study.statistics import quantile, share
+
+if TYPE_CHECKING:
+    import polars as pl
+    import xarray as xr
+
+    from dmframe.graph import Graph
+    from dmframe.study.plan import Study
+
+RUNS: Final = "runs"
+LOCK: Final = "study.lock.json"
+STUDY: Final = "study"
+"""The name of the study's file in its folder, without the ending."""
+FINAL: Final = "rms_final"
+"""The figure by which runs are judged where a study asks for no other."""
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Results:
+    """What a study's folder holds.
+
+    Parameters
+    ----------
+    folder
+        As `dmframe study` writes it.
+    study
+        The study; without it, that of the folder.
+
+    Raises
+    ------
+    MissingError
+        There is no such folder, or none with runs; or polars is not installed.
+    """
+
+    folder: Path
+    study: Study
+
+    def __init__(self, folder: str | Path, study: Study | None = None) -> None:
+        place = expanded(folder)
+        if not place.is_dir():
+            raise MissingError(
+                f"{folder}: expected the folder of a study; run it first: dmframe study FILE --out {folder}"
+            )
+        object.__setattr__(self, "folder", place)
+        object.__setattr__(self, "study", _study_in(place) if study is None else study)
+
+    @cached_property
+    def name(self) -> str:
+        """The study's, as it was begun: in the folder each study's file bears one name."""
+        with suppress(OSError, ValueError, KeyError):
+            told = json.loads(self.folder.joinpath(LOCK).read_text(encoding="utf-8"))
+            return str(told["study"])
+        return self.folder.resolve().name if self.study.name == STUDY else self.study.name
+
+    @property
+    def frame(self) -> pl.LazyFrame:
+        """The table, a row a run, which is read as far as a query needs it."""
+        polars = need_polars()
+        files = sorted(self.folder.joinpath(RUNS).glob("*.parquet"))
+        if not files:
+            raise MissingError(f"{self.folder}: expected runs in {RUNS}/, found none; run the study first")
+        table: pl.LazyFrame = polars.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
+        return table
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """The unit of each column of what varies and of what is measured."""
+        return {column.name: column.unit for column in (*self.study.varied, *self.study.measures)}
+
+    @cached_property
+    def names(self) -> list[str]:
+        """What pages call the grid points, in their order; of one alone, nothing."""
+        points = self.study.points
+        scales = {column.name for column in self.study.varied if column.how == "scale"}
+        return [""] if len(points) == 1 else names_of([dict(point.values) for point in points], self.units, scales)
+
+    @property
+    def independent(self) -> bool:
+        """The samples are independent draws, so that intervals of probability are valid."""
+        return self.study.file.sample.method == "random" and self.study.samples > 1
+
+    def sheet(self, *names: str) -> Sheet:
+        """Some columns as matrices (points, samples). Raises `UnknownNameError`."""
+        known = set(self.frame.collect_schema())
+        for name in names:
+            if name not in known:
+                raise UnknownNameError(f"{self.folder}", "column", name, known)
+        return sheet_of(self.frame, len(self.study.points), self.study.samples, names)
+
+    @property
+    def main(self) -> str:
+        """The figure by which runs are judged: the error's RMS in the end where there is one, else what is measured."""
+        measured = [column.name for column in self.study.measures]
+        sampled = [name for name in measured if name.endswith((".rms_final", ".most"))]
+        return next((name for name in (FINAL, "error_most", *sampled) if name in measured), "")
+
+    @property
+    def table(self) -> pl.DataFrame:
+        """A row a grid point: its values, runs, those that diverged, and the main figure's median and 99 % quantile."""
+        polars = need_polars()
+        sheet, rows = self.sheet(*filter(None, [self.main])), list[dict[str, Any]]()
+        for point in self.study.points:
+            k, told = (
+                point.index,
+                {"point": point.index, **{key: plain_value(each) for key, each in point.values.items()}},
+            )
+            lost = share(sheet.of(k, sheet.diverged), independent=self.independent)
+            told |= {"runs": lost.runs, "failed": int(sheet.failed[k].sum()), "diverged": lost.count}
+            told |= {"low": lost.low, "high": lost.high, "at_most": lost.most}
+            if self.main:
+                values = sheet.of(k, sheet.figure(self.main))
+                for name, p in (("median", 0.5), ("q99", 0.99)):
+                    told[f"{self.main}_{name}"] = quantile(values, p, independent=False).value
+            rows.append(told)
+        table: pl.DataFrame = polars.DataFrame(rows, infer_schema_length=None)
+        return table
+
+    def worst_runs(self, figure: str = "", n: int = 1, points: Sequence[int] | None = None) -> list[int]:
+        """The numbers of the n worst runs: those that diverged, the earliest first, then by the figure.
+
+        Parameters
+        ----------
+        figure
+            A column of the table; the main one without it. The greatest is the worst, of a ``.least`` the smallest.
+        points
+            Grid points among which they are sought; all without it.
+        """
+        figure = figure or self.main
+        if isinstance(n, bool) or not isinstance(n, int) or n < 1:
+            raise ValueFault(f"worst: expected how many runs, found {n!r:.40}")
+        if not figure:
+            raise MissingError("worst: expected a figure; this study measures none but divergence")
+        sheet = self.sheet(figure)
+        values = sheet.figure(figure) * (-1 if figure.endswith(LEAST) else 1)
+        if points is not None:
+            values = np.where(np.isin(np.arange(sheet.points), points)[:, None], values, np.nan)
+        # a run that has neither the figure nor diverged is nowhere
+        flat, when = values.T.ravel(), np.where(sheet.diverged, sheet.diverged_at, np.inf).T.ravel()
+        order = np.lexsort((np.arange(flat.size), when, -np.where(np.isnan(flat), -np.inf, flat)))
+        return [int(run) for run in order[:n] if not np.isnan(flat[run])]
+
+    def worst(self, figure: str = "", n: int = 1) -> list[Graph]:
+        """The n worst runs as graphs, each of which runs again exactly as it did. See `worst_runs`."""
+        return [self.study.graph_of(run) for run in self.worst_runs(figure, n)]
+
+    def dataset(self) -> xr.Dataset:
+        """All figures as an xarray dataset over the grid's dimensions and ``sample``, with units.
+
+        A grid whose points are not all combinations of its values has the one dimension ``point``. What is sampled is
+        the same at each point, and lies over ``sample`` alone.
+        """
+        import xarray as xr
+
+        grid = [column.name for column in self.study.varied if column.kind == "grid"]
+        values = [{key: plain_value(point.values[key]) for key in grid} for point in self.study.points]
+        axes = {key: list(dict.fromkeys(each[key] for each in values)) for key in grid}
+        full = bool(grid) and np.prod([len(axis) for axis in axes.values()]) == len(values)
+        names = [column.name for column in (*self.study.varied, *self.study.measures) if column.name not in grid]
+        schema = self.frame.collect_schema()
+        there = [name for name in names if name in schema and name not in ("diverged", "diverged_at")]
+        sheet = self.sheet(*there)
+        samples = np.arange(sheet.samples)
+        dims: tuple[str, ...]
+        shape: tuple[int, ...]
+        if not full:
+            dims, shape, places = ("point",), (len(values),), np.arange(len(values))
+            coordinates = {key: ("point", [each[key] for each in values]) for key in grid}
+            coordinates["point"] = ("point", list(range(len(values))))
+        else:
+            dims, shape = tuple(grid), tuple(len(axis) for axis in axes.values())
+            indices = [[axes[key].index(each[key]) for key in grid] for each in values]
+            places = np.ravel_multi_index(tuple(np.array(indices).T), shape)
+            coordinates = {key: (key, axis) for key, axis in axes.items()}
+        order = np.argsort(places)
+
+        def shaped(matrix: np.ndarray) -> np.ndarray:
+            return np.asarray(matrix[order].reshape(*shape, sheet.samples))
+
+        data: dict[str, Any] = {
+            "diverged": ((*dims, "sample"), shaped(sheet.diverged)),
+            "diverged_at": ((*dims, "sample"), shaped(sheet.diverged_at), {"units": "s"}),
+            "failed": ((*dims, "sample"), shaped(sheet.failed)),
+        }
+        sampled = {column.name for column in self.study.varied if column.kind != "grid"}
+        for name, matrix in sheet.columns.items():
+            unit = {"units": self.units.get(name, "")}
+            alike = name in sampled and not np.any(_spread(matrix) > 0)
+            data[name] = (("sample",), _one(matrix), unit) if alike else ((*dims, "sample"), shaped(matrix), unit)
+        found = xr.Dataset(data, coords={**coordinates, "sample": ("sample", samples)})
+        for key in grid:
+            found[key].attrs["units"] = self.units.get(key, "")
+        found.attrs["title"] = self.study.title or self.name
+        return found
+
+    def report(self) -> Path:
+        """Write ``report.html`` with its figures, and the worst runs as graphs. Returns the page."""
+        from dmframe.study.report import write_report
+
+        return write_report(self.folder, self)
+
+    def __repr__(self) -> str:
+        count = len(self.study.points) * self.study.samples
+        return f"<Results of {self.name}: {len(self.study.points)} points, {count} runs, in {self.folder}>"
+
+
+def plain_value(value: Any) -> Any:
+    """A grid value as a table holds it: a number, or a text."""
+    return value if isinstance(value, int | float | str | bool) else str(value)
+
+
+def _spread(matrix: np.ndarray) -> np.ndarray:
+    """How much each column differs from row to row; rows that are not there apart."""
+    if not len(matrix):
+        return np.zeros(0)
+    low, high = np.fmin.reduce(matrix, axis=0), np.fmax.reduce(matrix, axis=0)
+    return np.where(np.isnan(low), 0.0, high - low)
+
+
+def _one(matrix: np.ndarray) -> np.ndarray:
+    """The row that all rows are; of a column without any, nan."""
+    return np.asarray(np.fmin.reduce(matrix, axis=0))
+
+
+def need_polars() -> Any:
+    """The package of tables. Raises `MissingError` where it is not installed."""
+    try:
+        import polars
+    except ImportError:
+        raise MissingError('studies keep their runs with polars; install it: pip install "dmframe[study]"') from None
+    return polars
+
+
+def _study_in(folder: Path) -> Study:
+    from dmframe.study.plan import load_study
+
+    return load_study(folder / f"{STUDY}.yaml")

@@ -1,0 +1,134 @@
+"""A study's table as matrices: a row a grid point, a column a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final, final
+
+import numpy as np
+
+from dmframe.errors import ValueFault
+from dmframe.units import plain
+
+if TYPE_CHECKING:
+    import polars as pl
+
+LEAST: Final = ".least"
+"""Ends the name of a figure of which the smallest is the worst."""
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Sheet:
+    """Some columns of a study's table.
+
+    Parameters
+    ----------
+    done : (points, samples) bool
+        The run is in the table, and could be made.
+    failed : (points, samples) bool
+        The run is in the table, with a fault.
+    diverged : (points, samples) bool
+    diverged_at : (points, samples) [s]
+    columns
+        Figures and factors as the table has them, (points, samples); nan where there is no row. Texts are left out.
+    """
+
+    done: np.ndarray
+    failed: np.ndarray
+    diverged: np.ndarray
+    diverged_at: np.ndarray
+    columns: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def points(self) -> int:
+        """Grid points."""
+        return len(self.done)
+
+    @property
+    def samples(self) -> int:
+        """Samples at each."""
+        return int(self.done.shape[1])
+
+    def figure(self, name: str) -> np.ndarray:
+        """(points, samples): a figure, where the worst number stands for a run that diverged; nan where none could be.
+
+        Infinite, minus infinite for a `LEAST`.
+        """
+        values = np.where(self.done, self.columns[name], np.nan)
+        return np.where(self.diverged, -np.inf if name.endswith(LEAST) else np.inf, values)
+
+    def draws(self, name: str, point: int) -> np.ndarray:
+        """(samples,): a factor as drawn."""
+        return np.asarray(self.columns[name][point])
+
+    def of(self, point: int, values: np.ndarray) -> np.ndarray:
+        """A row of a matrix, of the runs that could be made."""
+        return np.asarray(values[point][self.done[point]])
+
+
+def sheet_of(frame: pl.LazyFrame, points: int, samples: int, names: Collection[str]) -> Sheet:
+    """Read some columns of a table; one row a run, in any order.
+
+    Raises
+    ------
+    ValueFault
+        A run stands twice in the table, or lies outside of the study.
+    """
+    import polars as pl
+
+    schema = frame.collect_schema()
+    numeric = [name for name in dict.fromkeys(names) if name in schema and schema[name].is_numeric()]
+    wanted = [*dict.fromkeys(["point", "sample", "diverged", "diverged_at", *numeric])]
+    failed = pl.col("fault").is_not_null() if "fault" in schema else pl.lit(False)
+    table = frame.select(*wanted, failed.alias("failed")).collect()
+    point, sample = (table[name].to_numpy() for name in ("point", "sample"))
+    if len(table) and (point.max() >= points or sample.max() >= samples or point.min() < 0 or sample.min() < 0):
+        raise ValueFault(
+            f"runs: expected points below {points} and samples below {samples}, found point {point.max()} and "
+            f"sample {sample.max()}; the table belongs to another study"
+        )
+    seen = np.bincount(point * samples + sample, minlength=points * samples) if len(table) else np.zeros(1)
+    if seen.max() > 1:
+        run = int(seen.argmax())
+        raise ValueFault(f"runs: sample {run % samples} of point {run // samples} stands {seen.max()} times in it")
+
+    def matrix(values: np.ndarray, empty: object) -> np.ndarray:
+        found = np.full((points, samples), empty)
+        found[point, sample] = values
+        return found
+
+    bad = table["failed"].to_numpy()
+    lost = table["diverged"].fill_null(value=False).to_numpy() & ~bad
+    return Sheet(
+        matrix(~bad, empty=False),
+        matrix(bad, empty=False),
+        matrix(lost, empty=False),
+        matrix(_floats(table["diverged_at"]), np.nan),
+        {name: matrix(_floats(table[name]), np.nan) for name in numeric},
+    )
+
+
+def _floats(column: pl.Series) -> np.ndarray:
+    import polars as pl
+
+    return column.cast(pl.Float64).fill_null(float("nan")).to_numpy()
+
+
+def names_of(values: Sequence[dict[str, Any]], units: Mapping[str, str], scales: Collection[str] = ()) -> list[str]:
+    """What pages call grid points, ``Gamma = 10, clock = 8 ms, servo x 3``; only what differs among them is said.
+
+    `scales` are those whose values are factors.
+    """
+    differ = [key for key in (values[0] if values else {}) if len({str(each.get(key)) for each in values}) > 1]
+    keys = differ or list(values[0] if values else {})
+    last = [key.rpartition(".")[2] for key in keys]
+    short = {key: end if last.count(end) == 1 else key for key, end in zip(keys, last, strict=True)}
+
+    def said(key: str, value: Any) -> str:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            return f"{short[key]} = {value}"
+        return f"{short[key]} x {value:g}" if key in scales else f"{short[key]} = {plain(value, units.get(key, ''), 6)}"
+
+    return [", ".join(said(key, each.get(key)) for key in keys) for each in values]

@@ -1,0 +1,316 @@
+"""What varies: factors bound to the parameters of a graph, with units, and the values that they give to a run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, final
+
+import numpy as np
+
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
+from dmframe.gain import Prior
+from dmframe.parameter import PAIRS, specs
+from dmframe.study.design import Spread, columns_of
+from dmframe.study.grammar import Distribution, Variation, own_name
+from dmframe.units import plain, to_unit
+
+How = Literal["value", "scale", "shift"]
+START: Final = "start."
+SETTINGS: Final[Mapping[str, tuple[str, str]]] = {
+    "clock": ("s", "> 0"),
+    "jitter": ("s", ">= 0"),
+    "solver.step": ("s", "> 0"),
+    "robot.friction_velocity": ("rad/s", "> 0"),
+}
+"""Numbers of a graph that belong to no block: their units and signs. With each value the loop is prepared anew."""
+
+
+@final
+@dataclass(frozen=True)
+class Target:
+    """A parameter that may vary, as it stands in one graph.
+
+    Parameters
+    ----------
+    value
+        The graph's own, in its unit; None where it states none.
+    shape
+        As of a port; empty for one number.
+    spreads
+        One number may stand for all its elements.
+    apart
+        It is no column of a batch: each value needs a run of its own.
+    """
+
+    label: str
+    unit: str
+    sign: str
+    value: np.ndarray | None
+    shape: str
+    spreads: bool = True
+    apart: bool = False
+
+
+def target(label: str, experiment: Experiment, diagram: Callable[[], Diagram]) -> Target:
+    """A parameter by its label.
+
+    Raises
+    ------
+    UnknownNameError, ValueFault
+        There is none, or none that can be drawn.
+    """
+    if label in SETTINGS:
+        unit, sign = SETTINGS[label]
+        return Target(label, unit, sign, _setting(experiment, label), "", apart=True)
+    if label.startswith(START):
+        return _start(label, experiment, diagram())
+    known = {
+        f"{name}.{key}": (block, key, spec)
+        for name, block in experiment.blocks.items()
+        for key, spec in specs(type(block)).items()
+    }
+    if label not in known:
+        choices = [name for name, (_, _, spec) in known.items() if spec.form not in PAIRS]
+        raise UnknownNameError(label, "parameter", label, [*choices, *SETTINGS])
+    block, key, spec = known[label]
+    value = getattr(block, key)
+    if spec.form in PAIRS:
+        raise ValueFault(f"{label}: {PAIRS[spec.form]} is not drawn; list values of it under grid")
+    if isinstance(value, Prior):
+        raise ValueFault(
+            f"{label}: the graph has it from {value.inverse_of}; list values under grid, or set a number first"
+        )
+    held = None if value is None else np.asarray(value, dtype=float)
+    spreads = spec.form in ("diagonal", "gain")
+    return Target(label, spec.unit, spec.sign, held, spec.shape, spreads, apart=value is None)
+
+
+def _setting(experiment: Experiment, label: str) -> np.ndarray | None:
+    section, _, key = label.rpartition(".")
+    holder = getattr(experiment.file, section) if section else experiment.file
+    value = getattr(holder, key, None)
+    return None if value is None else np.asarray(value, dtype=float)
+
+
+def _start(label: str, experiment: Experiment, diagram: Diagram) -> Target:
+    key = label.removeprefix(START)
+    variables = diagram.loop.variables
+    found = next((each for each in variables if key in (each.label, each.name)), None)
+    if found is None:
+        choices = [f"{START}{each.label}" for each in variables]
+        raise UnknownNameError(label, "state", label, [*choices, *(f"{START}{each.name}" for each in variables)])
+    given = experiment.start.get(key)
+    value = None if given is None else np.asarray(given, dtype=float)
+    return Target(label, found.unit, "", value, f"{found.symbol.numel()}", apart=True)
+
+
+@final
+@dataclass(frozen=True)
+class Factor:
+    """A quantity that varies, bound to parameters of a graph.
+
+    Parameters
+    ----------
+    name
+        Of its column; that of its only parameter, or the user's own.
+    labels
+        The parameters that it changes.
+    how
+        A drawn number is the parameter's value, a factor of the graph's own, or a difference from it.
+    spread
+        How it is drawn; None where a grid lists its values.
+    elements
+        How many numbers are drawn, one for each element of the parameter; None for one that stands for all.
+    unit
+        Of the drawn numbers.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    how: How
+    spread: Spread | None
+    elements: int | None
+    unit: str
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Of the table: one, or one for each element."""
+        return columns_of(self.name, self.elements)
+
+    def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, experiment: Experiment) -> None:
+        """Change `values`, rows by label, as (N, columns) drawn numbers say; what is not there yet is the graph's."""
+        for label in self.labels:
+            rows = drawn if self.elements is not None else drawn[:, 0]
+            if self.how == "value":
+                values[label] = rows
+                if label not in SETTINGS and not label.startswith(START) and self.elements is None:
+                    values[label] = _filled(rows, label, experiment)
+                continue
+            own = values[label] if label in values else _own(label, experiment)[None]
+            if self.elements is None:
+                rows = rows.reshape(-1, *(1 for _ in own.shape[1:]))
+            elif own.ndim == 1:
+                own = own[:, None]
+            values[label] = rows * own if self.how == "scale" else rows + own
+
+
+def _own(label: str, experiment: Experiment) -> np.ndarray:
+    if label in SETTINGS:
+        found = _setting(experiment, label)
+    elif label.startswith(START):
+        given = experiment.start.get(label.removeprefix(START))
+        found = None if given is None else np.asarray(given, dtype=float)
+    else:
+        block, _, key = label.partition(".")
+        held = getattr(experiment.blocks[block], key, None) if block in experiment.blocks else None
+        found = None if held is None or isinstance(held, Prior) else np.asarray(held, dtype=float)
+    if found is None:
+        raise ValueFault(f"{label}: expected a number in the graph {experiment.name}, found none")
+    return found
+
+
+def _filled(rows: np.ndarray, label: str, experiment: Experiment) -> np.ndarray:
+    """One number a run for a parameter that has to be written out in full."""
+    block, _, key = label.partition(".")
+    spec = specs(type(experiment.blocks[block]))[key] if block in experiment.blocks else None
+    if spec is None or spec.form != "vector":
+        return rows
+    return np.repeat(rows[:, None], _own(label, experiment).size, axis=1)
+
+
+def factor(name: str, variation: Variation, experiment: Experiment, diagram: Callable[[], Diagram]) -> Factor:
+    """A variation of the study file, bound to a graph.
+
+    Raises
+    ------
+    DmframeError
+        A parameter that there is not, a unit that does not fit, a distribution that leaves the parameter's sign.
+    """
+    labels = variation.of or (name,)
+    if own_name(name) and name not in SETTINGS and not variation.of:
+        raise ValueFault(f"expected block.parameter, or {name}: {{..., of: [block.parameter, ...]}}")
+    targets = list[Target]()
+    for label in labels:
+        try:
+            targets.append(target(label, experiment, diagram))
+        except DmframeError as error:
+            for fault in error.faults:
+                fault.path = ("of",) if variation.of else ()
+            raise
+    kind = variation.kinds[0]
+    how: How = "scale" if kind == "scale" else "shift" if kind == "shift" else "value"
+    held = getattr(variation, kind) if how != "value" else variation
+    unit = "" if how == "scale" else _unit(targets)
+    spread = spread_of(held, unit, (kind,) if how != "value" else ())
+    for each in targets:
+        _check_target(each, how, spread)
+    return Factor(name, labels, how, spread, _elements(name, variation, targets, diagram), unit)
+
+
+def _unit(targets: Sequence[Target]) -> str:
+    units = {each.unit for each in targets}
+    if len(units) > 1:
+        found = ", ".join(f"{each.label} [{each.unit}]" for each in targets)
+        raise ValueFault(f"expected parameters of one unit, found {found}; scale them, or let each vary alone")
+    return units.pop()
+
+
+def spread_of(given: Distribution, unit: str, path: tuple[str, ...] = ()) -> Spread:
+    """A distribution of the file in a unit. Raises `UnitError` and `ValueFault`, at `path` below the variation."""
+    kind = next(kind for kind in ("uniform", "log", "normal") if getattr(given, kind) is not None)
+
+    def pair(key: str) -> tuple[float, float]:
+        try:
+            first, second = (to_unit(value, unit) for value in getattr(given, key))
+        except DmframeError as error:
+            error.path = (*path, key)
+            error.text = f"{key}: {error.text}"
+            raise
+        return first, second
+
+    def refuse(key: str, expected: str) -> ValueFault:
+        return ValueFault(f"{key}: {expected}", path=(*path, key))
+
+    a, b = pair(kind)
+    if kind == "normal":
+        if not b > 0:
+            raise refuse(kind, f"expected a standard deviation above zero, found {plain(b, unit)}")
+        lower, upper = pair("clip") if given.clip is not None else (-math.inf, math.inf)
+        if not lower < upper:
+            raise refuse("clip", f"expected two ends, the lower one first, found {lower:g} and {upper:g}")
+        return Spread("normal", a, b, lower, upper)
+    if not a < b:
+        raise refuse(kind, f"expected two ends, the lower one first, found {a:g} and {b:g}")
+    if kind == "log" and not a > 0:
+        raise refuse(kind, f"expected ends above zero, found {plain(a, unit)}")
+    return Spread("log" if kind == "log" else "uniform", a, b, a, b)
+
+
+def _check_target(found: Target, how: How, spread: Spread) -> None:
+    """Refuse a distribution that can leave the parameter's sign, and what the parameter cannot take."""
+    if how == "value" and (found.value is not None and found.value.ndim > 1):
+        raise ValueFault(f"{found.label}: the graph has rows of numbers there; scale them, or list values under grid")
+    if how == "value" and not found.spreads and found.value is None:
+        raise ValueFault(f"{found.label}: expected numbers in the graph, to know how many it takes; found none")
+    own = found.value
+    if how != "value" and own is None:
+        raise ValueFault(f"{found.label}: expected a number in the graph, which {how} changes; found none")
+    if not found.sign:
+        return
+    least = spread.lower
+    if how == "shift" and own is not None:
+        least = float(own.min()) + spread.lower
+    if least > 0 or (least == 0 and found.sign == ">= 0"):
+        return
+    unit = "" if how == "scale" else found.unit
+    ends = "no lower end" if math.isinf(least) else f"{plain(least, unit)} as the least"
+    what = "its factor" if how == "scale" else "it"
+    remedy = "; clip: [lower, upper] gives it ends" if spread.kind == "normal" else ""
+    raise ValueFault(f"{found.label} is {found.sign}, and {what} is drawn with {ends}{remedy}")
+
+
+def _elements(name: str, variation: Variation, targets: Sequence[Target], diagram: Callable[[], Diagram]) -> int | None:
+    if variation.per is None:
+        return None
+    counts = set[int]()
+    for each in targets:
+        if variation.per == "joint" and each.shape != "n" and not each.label.startswith(START):
+            raise ValueFault(f"per: {each.label} has no value for each joint; write per: element", path=("per",))
+        if not each.shape or (each.value is not None and each.value.ndim > 1):
+            raise ValueFault(f"per: {each.label} has no elements that vary alone; leave per out", path=("per",))
+        counts.add(_count(each, diagram))
+    if len(counts) > 1:
+        found = ", ".join(f"{each.label} {_count(each, diagram)}" for each in targets)
+        raise ValueFault(f"expected parameters of one size, found {found}", path=("of",))
+    return counts.pop()
+
+
+def _count(each: Target, diagram: Callable[[], Diagram]) -> int:
+    if each.label.startswith(START):
+        return int(each.shape)
+    if each.value is not None and each.value.ndim == 1:
+        return each.value.size
+    block, _, key = each.label.partition(".")
+    values = diagram().models[block].values
+    return int(np.shape(values[key])[0])
+
+
+def plain_numbers(value: np.ndarray) -> Any:
+    """A row of values as a graph file writes it: a number, or lists of them."""
+    return value.tolist()
+
+
+def told_twice(factors: Iterable[Factor], fixed: Iterable[str]) -> list[ValueFault]:
+    """Faults of parameters whose value is said by two, of which one would undo the other."""
+    seen, faults = dict.fromkeys(fixed, "grid"), list[ValueFault]()
+    for each in factors:
+        for label in each.labels:
+            if each.how == "value" and label in seen:
+                text = f"sample.{each.name}: {label} has its value from {seen[label]} already; keep one of them"
+                faults.append(ValueFault(text, path=("sample", each.name)))
+            seen.setdefault(label, each.name)
+    return faults

@@ -1,0 +1,50 @@
+"""A planar arm, small and fast, and studies of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dmframe.study.plan import Study, load_study
+
+ARM = """\
+dmframe: 1
+title: A planar arm
+robot: arm2
+clock: 4 ms
+duration: 1 s
+start: {q: [0.5, 0.5]}
+blocks:
+  path:     {type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
+  geometry: {type: kinematics}
+  task:     {type: task_tracking, gamma: 0.8}
+  model:    {type: regressor, friction: [viscous]}
+  dynamics: {type: dynamic_compensator, Gamma: 1}
+  inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
+  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:      {type: manipulator, viscous: [1, 0.5]}
+"""
+
+Make = Callable[..., Study]
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    path = tmp_path / "arm.yaml"
+    path.write_text(ARM, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def study(arm: Path) -> Make:
+    """Makes a study of the arm from what stands below its first two lines."""
+
+    def make(text: str, **options: Any) -> Study:
+        file = arm.with_name("study.yaml")
+        file.write_text(f"dmframe-study: 1\ngraph: arm.yaml\n{text}", encoding="utf-8")
+        return load_study(file, **options)
+
+    return make

@@ -1,0 +1,236 @@
+"""`dmframe study`: what it prints and writes, and how it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import polars
+import pytest
+from study_processes import PATIENCE, environment
+
+from dmframe.cli import main
+from dmframe.graph import load
+from dmframe.results.metrics import tracking_error
+from dmframe.study.beside import packed, unpacked
+from dmframe.study.execute import run_study
+from dmframe.study.plan import load_study
+
+STUDY = """\
+dmframe-study: 1
+graph: mine/arm.yaml
+set: {duration: 0.1 s}
+sample:
+  runs: 9
+  seed: 3
+  servo.K_P: {scale: [0.8, 1.25]}
+grid:
+  dynamics.Gamma: [1, 10]
+"""
+
+ARM = """\
+dmframe: 1
+title: A planar arm with a block of its own
+robot: arm2
+clock: 4 ms
+duration: 1 s
+start: {q: [0.5, 0.5]}
+blocks:
+  path:     {type: "own.py:Mine", center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
+  geometry: {type: kinematics}
+  task:     {type: task_tracking, gamma: 0.8}
+  model:    {type: regressor, friction: [viscous]}
+  dynamics: {type: dynamic_compensator, Gamma: 1}
+  inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
+  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:      {type: manipulator, viscous: [1, 0.5]}
+"""
+
+Dmframe = Callable[..., Any]
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """A study, its graph in a folder below, and a block of its own beside that."""
+    folder = tmp_path / "there"
+    (folder / "mine").mkdir(parents=True)
+    (folder / "study.yaml").write_text(STUDY, encoding="utf-8")
+    (folder / "mine" / "arm.yaml").write_text(ARM, encoding="utf-8")
+    source = Path(__file__).parents[3] / "blocks" / "dmframe_blocks" / "circle.py"
+    text = source.read_text(encoding="utf-8").replace("class Circle(", "class Mine(")
+    (folder / "mine" / "own.py").write_text(text, encoding="utf-8")
+    return folder / "study.yaml"
+
+
+@pytest.fixture
+def dmframe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Dmframe:
+    """``dmframe study words...`` through its entry point, in this process, so that it is fast."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def call(*words: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["dmframe", "study", *words])
+        out, err = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stopped:
+            main()
+        assert "Traceback" not in out.getvalue() + err.getvalue()
+        return int(stopped.value.code or 0), out.getvalue(), err.getvalue()
+
+    return call
+
+
+def started(folder: Path, *words: str) -> subprocess.Popen[str]:
+    start = [sys.executable, "-c", "from dmframe.cli import main; main()", "study", *words]
+    return subprocess.Popen(
+        start, cwd=folder, env=environment(), text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+
+
+def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe: Dmframe) -> None:
+    """One study through all that the command does, since each loop takes seconds to build."""
+    status, out, err = dmframe("there/study.yaml", "--dry-run", "--json", "--workers", "1")
+    assert status == 0, err
+    told = json.loads(out)
+    assert (told["points"], told["samples"], told["runs"], told["kept"]) == (2, 9, 18, 0)
+    assert told["chunks"] >= 2
+    assert told["seconds"] > 0
+    assert not (tmp_path / "studies").exists()
+
+    status, out, err = dmframe("there/study.yaml", "--workers", "1")
+    assert (status, err) == (0, "")
+    assert out.startswith("study: 18 of 18 runs; 18 computed in ")
+    assert out.endswith(
+        "diverged: 0, not run for a fault: 0\nresults: studies/study\nreport: studies/study/report.html\n"
+    )
+    assert "None of 9 robots diverged at 2 of 2 settings" in (tmp_path / "studies/study/report.html").read_text("utf-8")
+
+    folder = tmp_path / "studies" / "study"
+    moved = tmp_path / "moved"
+    shutil.move(folder, moved)
+    shutil.rmtree(mine.parent)  # the folder holds the study, its graph and its block
+    status, out, _ = dmframe("moved", "--json", "--no-report")
+    assert (status, json.loads(out)["computed"], json.loads(out)["kept"]) == (0, 0, 18)
+    assert json.loads(out)["report"] is None
+    (moved / "report.html").unlink()
+    status, out, err = dmframe("report", "moved")
+    assert (status, out, err) == (0, "wrote moved/report.html\n", "")
+    assert "dmframe study report moved" in (moved / "report.html").read_text("utf-8")
+
+    status, out, err = dmframe("moved", "--rerun", "7", "--json")
+    assert status == 0, err
+    told = json.loads(out)
+    assert (told["point"], told["sample"], told["alike"]) == (1, 3, True)
+    row = polars.read_parquet(moved / "runs" / "*.parquet").filter(polars.col("run") == 7).row(0, named=True)
+    error = tracking_error(load(tmp_path / told["graph"]).run().recording)
+    assert error is not None
+    assert row["rms_final"] == pytest.approx(error.rms_final, rel=1e-9)
+
+    kept = next(iter(moved.glob("runs/*.parquet")))
+    frame = polars.read_parquet(kept)
+    (moved / "study.yaml").write_text(STUDY.replace("[1, 10]", "[1, 20]"), encoding="utf-8")
+    status, out, err = dmframe("moved")
+    assert (status, out) == (2, "")
+    assert err.startswith("dmframe: moved: holds another study: grid.dynamics.Gamma was ")
+    assert polars.read_parquet(kept).equals(frame)
+
+
+def test_a_study_whose_row_is_another_says_so(tmp_path: Path, dmframe: Dmframe) -> None:
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    study = load_study(tmp_path / "small.yaml")
+    run_study(study, tmp_path / "studies" / "small", workers=1)
+    (file,) = (tmp_path / "studies" / "small" / "runs").iterdir()
+    polars.read_parquet(file).with_columns(polars.col("rms_3") * (1 + 1e-6)).write_parquet(file)
+    status, out, _ = dmframe("small.yaml", "--rerun", "1")
+    assert status == 1
+    assert "differs from its row, by up to 1.0e-06 of a figure" in out
+
+
+SMALL = """\
+dmframe-study: 1
+graph: pendulum
+set: {duration: 0.2 s}
+sample: {runs: 3, servo.K_P: {scale: [0.8, 1.25]}}
+"""
+
+
+def test_a_worker_elsewhere_has_the_study_and_all_its_files(mine: Path) -> None:
+    study = load_study(mine)
+    parcel, key = packed(study), study.key
+    expected = study.rows(1, 4, 6)
+    shutil.rmtree(mine.parent)
+    script = (
+        "import sys, pickle; from dmframe.study.beside import unpacked; study = unpacked(sys.stdin.buffer.read()); "
+        "sys.stdout.buffer.write(pickle.dumps((study.key, study.rows(1, 4, 6))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], input=parcel, capture_output=True, env=environment(), cwd="/", check=True
+    )
+    there, rows = pickle.loads(done.stdout)
+    assert there == key
+    assert rows["rms_final"].tolist() == expected["rms_final"].tolist()
+    assert len(parcel) < 200_000
+
+
+def test_ctrl_c_ends_with_130_and_the_same_command_continues(tmp_path: Path) -> None:
+    (tmp_path / "long.yaml").write_text(SMALL.replace("0.2 s", "20 s").replace("runs: 3", "runs: 100000"))
+    process = started(tmp_path, "long.yaml", "--workers", "1")
+    lines = tmp_path / "studies" / "long" / "chunks.jsonl"
+    while process.poll() is None and not lines.exists():  # until some runs are kept
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.05)
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 130, err
+    assert out == ""
+    assert "runs are kept in studies/long; the same command continues" in err
+    assert err.endswith("dmframe: stopped\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("nosuch.yaml",), "expected a study file, found none"),
+        ((".",), "expected a study's file, or the folder of its results, found neither"),
+        (("small.yaml", "--workers", "0"), "workers: expected at least 1, found 0"),
+        (("small.yaml", "--workers", "two"), "--workers two: expected a whole number"),
+        (("small.yaml", "--workers", "1", "--scheduler", "x"), "leave one of the two out"),
+        (("small.yaml", "--rerun", "3"), "run: expected one from 0 to 2, found 3"),
+        (("small.yaml", "--rerun", "1", "--dry-run"), "--rerun: it does nothing with --dry-run"),
+        (("small.yaml", "--scheduler", "x", "--dry-run"), "--scheduler: it does nothing with --dry-run"),
+        (("small.yaml", "other.yaml"), "study: expected one file, found 2"),
+    ],
+)
+def test_a_wrong_call_is_told_in_one_line(words: tuple[str, ...], told: str, tmp_path: Path, dmframe: Dmframe) -> None:
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    status, out, err = dmframe(*words)
+    assert (status, out) == (2, "")
+    assert told in err
+    assert len(err.splitlines()) == 1
+
+
+def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
+    study = load_study({"dmframe-study": 1, "graph": "pendulum", "set": {"duration": "0.1 s"}})
+    assert unpacked(packed(study)).key == study.key
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["report", "nowhere"], "nowhere: expected the folder of a study; run it first"),
+        (["report", "nowhere", "--out", "x"], "--out: it does nothing with report; leave one out"),
+        (["report", "one", "two"], "expected one file, found 2"),
+    ],
+)
+def test_a_report_of_nothing_says_so(words: list[str], said: str, tmp_path: Path, dmframe: Dmframe) -> None:
+    status, out, err = dmframe(*words)
+    assert (status, out) == (2, "")
+    assert said in err

@@ -1,0 +1,115 @@
+"""The proof over all that a study draws: no run lies outside of its box, and what it says is what single proofs say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmframe.study import proof as module
+from dmframe.study.design import Spread
+from dmframe.study.plan import Study, load_study
+from dmframe.study.proof import HELD, box_of, held_at, proofs_of
+from dmframe.study.varied import Factor
+
+
+def study(sample: str, graph: str = "pendulum", runs: int = 50, grid: str = "") -> Study:
+    drawn = "".join(f"  {line}\n" for line in sample.split("\n"))
+    return load_study(f"dmframe-study: 1\ngraph: {graph}\n{grid}sample:\n  runs: {runs}\n{drawn}")
+
+
+def of(found: Study, point: int = 0) -> Any:
+    return found.points[point].graph.diagram
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [
+        "servo.K_D: {scale: [0.8, 1.3]}",
+        "servo.K_D: {scale: {log: [0.1, 0.7]}}\nboth: {scale: [0.3, 3], of: [servo.K_D, servo.K_I]}",
+        "servo.K_D: {shift: [-3, 5]}\narm.viscous: {normal: [1 N m s/rad, 0.5 N m s/rad], clip: [0, 3]}",
+        "arm.viscous: {uniform: [0.1, 0.7]}\ndynamics.Gamma: {scale: [0.9, 1.1]}",
+    ],
+)
+def test_no_run_lies_outside_of_the_box_not_by_a_rounding(sample: str) -> None:
+    found = study(sample, runs=3000)
+    box = box_of(of(found), found.factors)
+    assert box.held == 1
+    for label, values in found.values(0, 0, 3000).items():
+        low, high = box.ends[label]
+        assert (low <= values.reshape(3000, -1)).all()
+        assert (values.reshape(3000, -1) <= high).all()
+        assert (high - low < 1.1 * np.ptp(values)).all()  # and it is no wider than need be
+
+
+def test_a_factor_at_its_ends_is_in_the_box_exactly() -> None:
+    found = study("servo.K_D: {scale: [0.7, 1.1]}\nservo.K_I: {shift: [0.1, 0.3]}")
+    ends = box_of(of(found), found.factors).ends
+    assert [float(end[0]) for end in ends["servo.K_D"]] == [20 * 0.7, 20 * 1.1]
+    assert [float(end[0]) for end in ends["servo.K_I"]] == [20 + 0.1, 20 + 0.3]
+
+
+def test_of_what_has_no_ends_the_box_holds_what_it_says() -> None:
+    found = study("servo.K_D: {scale: [0.9, 1.1]}", runs=1)
+    endless = Factor("P", ("servo.K_P",), "shift", Spread("normal", 0, 1, -math.inf, math.inf), None, "")
+    half = Factor("I", ("servo.K_I",), "shift", Spread("normal", 0, 1, 0, math.inf), None, "")
+    box = box_of(of(found), [*found.factors, endless, half])
+    assert box.held == HELD
+    inside = np.ones(20000, dtype=bool)
+    for seed, (label, own, factor) in enumerate((("servo.K_P", 60, endless), ("servo.K_I", 20, half))):
+        assert factor.spread is not None
+        drawn = own + factor.spread.at(np.random.default_rng(seed).uniform(size=20000))
+        inside &= (box.ends[label][0] <= drawn) & (drawn <= box.ends[label][1])
+    assert np.mean(inside) == pytest.approx(HELD, abs=0.003)
+    assert [float(end[0]) for end in box.ends["servo.K_D"]] == [18, 22]
+
+
+def test_what_is_no_parameter_is_named() -> None:
+    found = study("start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}")
+    box = box_of(of(found), found.factors)
+    assert box.outside == ("start.q",)
+    assert set(box.ends) == {"servo.K_D"}
+
+
+def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
+    narrow, wide = (
+        proofs_of(study(f"servo.K_I: {{scale: [0.9, {most}]}}"), [""])[0] for most in (1.1, 8)
+    )  # K_c K_D + K_P - K_I / K_c > 0 ends at K_I = 80, four times the graph's
+    assert narrow.proved
+    assert not narrow.failing
+    assert narrow.drawn is None
+    assert not wide.proved
+    assert any("M_bar" in item.name for item in wide.failing)
+
+
+def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
+    found = study("servo.K_I: {scale: [0.9, 8]}\nservo.K_D: {scale: [0.5, 1]}", runs=40)
+    (told,) = proofs_of(found, [""])
+    assert told.drawn is not None
+    values = found.values(0, 0, 40)
+    by_hand = 1.0 * values["servo.K_D"] + 60 - values["servo.K_I"] / 1.0 >= 0  # with K_c = 1 1/s, without friction
+    assert 0 < told.drawn.sum() < 40
+    assert np.array_equal(told.drawn, by_hand.ravel())
+    for sample in (int(np.argmin(told.drawn)), int(np.argmax(told.drawn))):
+        assert found.graph_of(sample).verify().proved == told.drawn[sample]
+
+
+def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
+    grid = "grid: {servo.K_P: [60, 5]}\n"
+    soft = proofs_of(study("servo.K_D: {scale: [0.5, 0.6]}", grid=grid), ["stiff", "soft"])
+    assert [each.proved for each in soft] == [True, False]
+    assert soft[1].drawn is not None
+    assert not soft[1].drawn.any()
+
+
+def test_a_loop_without_a_claim_says_nothing_of_draws() -> None:
+    found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
+    assert held_at(of(found), {}, found.values(0, 0, 5), 5) is None
+
+
+def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST", 1)
+    found = study("servo.K_D: {scale: [0.9, 1.1]}", grid="grid: {dynamics.Gamma: [1, 2, 3]}\n")
+    assert [each.index for each in proofs_of(found, ["a", "b", "c"])] == [0]

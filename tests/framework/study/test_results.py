@@ -1,0 +1,373 @@
+"""What a study's folder says: its table, its worst runs, its page; of tables written by hand, and of one that ran."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+import dmframe as dm
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.study import results as results_module
+from dmframe.study.findings import event_of, findings_of
+from dmframe.study.numbers import between, percent
+from dmframe.study.plan import Study, load_study
+from dmframe.study.report import write_report
+from dmframe.study.results import Results
+from dmframe.study.sheet import names_of
+from dmframe.study.statistics import Quantile
+
+TEXT = """\
+dmframe-study: 1
+title: Which gain is safe
+graph: pendulum
+set: {duration: 2 s}
+sample:
+  runs: RUNS
+  method: METHOD
+  seed: 3
+  servo.K_D: {scale: [0.5, 2]}
+  servo.K_I: {scale: {log: [0.5, 2]}}
+grid: {dynamics.Gamma: [1, 10]}
+REPORT
+"""
+Figures = Callable[[Study, int, Mapping[str, np.ndarray]], dict[str, Any]]
+
+
+def text_of(runs: int = 200, method: str = "random", report: str = "", grid: str = "") -> str:
+    text = TEXT.replace("RUNS", str(runs)).replace("METHOD", method).replace("REPORT", report)
+    return re.sub("grid:.*\n", grid, text) if grid else text
+
+
+def steady(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The error is K_D's factor, a tenth of it at the second point; nothing diverges."""
+    return {"rms_final": drawn["servo.K_D"] * (1.0, 0.1)[point % 2] * 1e-3}
+
+
+def breaking(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The same, but at the second point all with a soft servo diverge, the softest first."""
+    soft = (drawn["servo.K_D"] < 0.7) & (point == 1)
+    figures = steady(study, point, drawn)["rms_final"]
+    when = np.where(soft, drawn["servo.K_D"], np.nan)
+    return {"rms_final": np.where(soft, np.nan, figures), "diverged": soft, "diverged_at": when}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Callable[..., Path]:
+    """Writes a folder with a table by hand."""
+    return partial(write, tmp_path)
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Path, str]]:
+    """The same with its report, which is drawn once for all tests that only read it: the folder, and what it says."""
+
+    @cache
+    def made(figures: Figures = steady, text: str = "") -> tuple[Path, str]:
+        place = write(tmp_path_factory.mktemp("study"), figures, text)
+        return place, words(write_report(place, proofs=False))
+
+    return made
+
+
+def write(parent: Path, figures: Figures = steady, text: str = "", chunk: int = 64, drop: int = 0) -> Path:
+    """A table by hand, in chunks of several files and in no order."""
+    place = parent / "which_gain"
+    (place / "runs").mkdir(parents=True)
+    (place / "study.yaml").write_text(text or text_of(), encoding="utf-8")
+    study = load_study(place / "study.yaml")
+    for point in study.points:
+        for first in range(0, study.samples - drop, chunk):
+            stop = min(first + chunk, study.samples - drop)
+            samples, drawn = np.arange(first, stop), study.drawn(first, stop)
+            rows: dict[str, Any] = {
+                "run": samples * len(study.points) + point.index,
+                "point": np.full(len(samples), point.index, dtype=np.int32),
+                "sample": samples,
+                **{key: [value] * len(samples) for key, value in point.values.items()},
+                **drawn,
+                "diverged": np.zeros(len(samples), dtype=bool),
+                "diverged_at": np.full(len(samples), np.nan),
+                **{f"rms_{k}": np.linspace(1, 2, len(samples)) / k for k in range(1, 9)},
+                "error_most": np.full(len(samples), 0.1),
+                "fault": [None] * len(samples),
+            }
+            rows |= figures(study, point.index, drawn)
+            frame = pl.DataFrame(rows, schema_overrides={"fault": pl.String}).sample(fraction=1, shuffle=True, seed=1)
+            frame.write_parquet(place / "runs" / f"p{point.index}-{first}.parquet")
+    return place
+
+
+def words(page: Path) -> str:
+    text = re.sub(r"<(style|svg)\b.*?</\1>", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return " ".join(re.sub(r"<[^>]+>", " ", text).replace("&#x27;", "'").replace("&gt;", ">").split())
+
+
+def test_a_table_of_chunks_in_no_order_is_summed_up_point_by_point(folder: Callable[..., Path]) -> None:
+    found = Results(folder(breaking))
+    draws = found.study.drawn(0, 200)["servo.K_D"]
+    lost = int((draws < 0.7).sum())
+    rows = found.table.to_dicts()
+    assert [row["dynamics.Gamma"] for row in rows] == [1, 10]
+    assert [row["diverged"] for row in rows] == [0, lost]
+    known = stats.binomtest(lost, 200).proportion_ci(0.95, method="exact")
+    assert (rows[1]["low"], rows[1]["high"]) == pytest.approx((known.low, known.high))
+    assert rows[0]["rms_final_median"] == pytest.approx(np.quantile(draws, 0.5, method="inverted_cdf") * 1e-3)
+    assert rows[1]["rms_final_q99"] == math.inf  # of the runs that diverged, no quantile forgets one
+
+
+def test_the_dataset_has_the_grids_dimensions_and_units(folder: Callable[..., Path]) -> None:
+    data = Results(folder(breaking)).dataset()
+    assert dict(data.sizes) == {"dynamics.Gamma": 2, "sample": 200}
+    assert data["rms_final"].dims == ("dynamics.Gamma", "sample")
+    assert data["servo.K_D"].dims == ("sample",)
+    assert data["rms_final"].attrs["units"] == "rad"
+    one = data.sel({"dynamics.Gamma": 10, "sample": 17})
+    assert bool(one["diverged"]) == (float(one["servo.K_D"]) < 0.7)
+    ratio = data["rms_final"].sel({"dynamics.Gamma": 1}) / data["servo.K_D"]
+    assert ratio.values == pytest.approx(1e-3)
+
+
+def test_a_grid_that_is_no_product_has_points(folder: Callable[..., Path]) -> None:
+    grid = "grid: {case: {slow: {dynamics.Gamma: 1, duration: 1 s}, fast: {dynamics.Gamma: 9}}}\n"
+    data = Results(folder(text=text_of(grid=grid))).dataset()
+    assert dict(data.sizes) == {"case": 2, "sample": 200}
+    assert data["case"].values.tolist() == ["slow", "fast"]
+
+
+def test_the_worst_runs_are_those_that_diverged_first(folder: Callable[..., Path]) -> None:
+    found = Results(folder(breaking))
+    draws = found.study.drawn(0, 200)["servo.K_D"]
+    soft = sorted(np.flatnonzero(draws < 0.7), key=lambda k: draws[k])
+    assert found.worst_runs("rms_final", 3) == [2 * k + 1 for k in soft[:3]]
+    assert found.worst_runs("rms_final", 2, points=[0]) == [2 * k for k in np.argsort(-draws)[:2]]
+    (graph,) = found.worst("rms_final")
+    assert 20 * draws[soft[0]] == graph.experiment.blocks["servo"].K_D  # type: ignore[attr-defined]
+
+
+def test_of_a_least_the_smallest_is_the_worst(folder: Callable[..., Path]) -> None:
+    def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return steady(study, point, drawn) | {"arm.q.least": -drawn["servo.K_D"]}
+
+    found = Results(folder(figures))
+    assert found.worst_runs("arm.q.least")[0] // 2 == int(np.argmax(found.study.drawn(0, 200)["servo.K_D"]))
+
+
+def test_a_worst_run_runs_again_exactly_as_it_did(tmp_path: Path) -> None:
+    text = text_of(runs=8, report="measure: {signals: [arm.q]}\nreport: {worst: {rms_final: 2}}")
+    (tmp_path / "study.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "runs").mkdir()
+    study = load_study(tmp_path / "study.yaml")
+    for point in study.points:
+        rows = pl.DataFrame(study.rows(point.index, 0, 8), strict=False)
+        rows.write_parquet(tmp_path / f"runs/{point.index}.parquet")
+    found = Results(tmp_path)
+    write_report(tmp_path, found, proofs=False)
+    runs = found.worst_runs("rms_final", 2)
+    table = found.frame.collect()
+    assert table["rms_final"].max() == table.filter(pl.col("run") == runs[0])["rms_final"][0]
+    for place, run in enumerate(runs, start=1):
+        row = table.filter(pl.col("run") == run).row(0, named=True)
+        again = dm.load(tmp_path / f"worst_{place}.yaml").run(engine="compiled")
+        path = again.recording["arm.q"][:, 0]
+        assert (path.min(), path.max(), path[-1]) == (row["arm.q.least"], row["arm.q.most"], row["arm.q.last"])
+        assert again.error is not None
+        # a batch sums in another order
+        assert again.error.rms_final == pytest.approx(row["rms_final"], rel=1e-12)
+
+
+def test_the_page_begins_with_the_answer(page: Callable[..., tuple[Path, str]]) -> None:
+    _, said = page()
+    assert "None of 200 robots diverged at 2 of 2 settings" in said
+    most = 100 * (1 - 0.025 ** (1 / 200))  # Bonferroni: half of 5 % for each of two
+    assert 1.8 < most < 1.9
+    assert (
+        "at each of them the probability of divergence is at most 1.9 %, at 95 % confidence for all 2 settings" in said
+    )
+    assert "Gamma = 10 has the smallest 99 % quantile of rms_final" in said
+    assert "Clopper" in said
+
+
+def test_of_one_point_the_answer_is_the_one_sided_limit(folder: Callable[..., Path]) -> None:
+    said = words(write_report(folder(text=text_of(runs=299, grid="grid: {dynamics.Gamma: [1]}\n")), proofs=False))
+    assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in said
+
+
+def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tuple[Path, str]]) -> None:
+    place, said = page(breaking)
+    assert "None of 200 robots diverged at 1 of 2 settings" in said
+    assert "What decides whether a run diverges most at Gamma = 10 : servo.K_D" in said
+    worst = Results(place).worst_runs()[0]
+    assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in said
+    assert (place / "worst_1.yaml").is_file()
+    names = {path.name for path in (place / "figures").iterdir()}
+    assert names == {
+        f"{name}.{kind}"
+        for name in ("divergence", "distribution", "eighths", "influence", "map_1")
+        for kind in ("png", "svg")
+    }
+
+
+@pytest.mark.parametrize("method", ["sobol", "latin_hypercube"])
+def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path], method: str) -> None:
+    place = folder(breaking, text_of(runs=64, method=method))
+    said = words(write_report(place, proofs=False))
+    assert "No interval of probability is given" in said
+    for never in ("95 % interval", "at most", "confidence", "by chance", "sign test", "Clopper"):
+        assert never not in said.replace("over at most 16 bins", "").replace(
+            "Share of the runs with at most", ""
+        ).replace("what so many bins explain by chance", "")
+    assert Results(place).table["low"].null_count() == 2
+
+
+def test_a_page_of_single_runs_speaks_of_no_probability(folder: Callable[..., Path]) -> None:
+    text = re.sub(r"sample:\n(?:  .*\n)+", "", text_of())
+    place = folder(lambda *_: {"rms_final": [1e-3]}, text)
+    said = words(write_report(place, proofs=False))
+    assert "2 settings ran, each once; none of them diverged" in said
+    assert "that is no probability" in said
+    assert "confidence" not in said
+
+
+def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..., Path]) -> None:
+    def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        told = steady(study, point, drawn)["rms_final"]
+        bad = np.arange(len(told)) == 0
+        return {"rms_final": np.where(bad, np.nan, told), "fault": ["no pose" if each else None for each in bad]}
+
+    place = folder(figures, drop=40, chunk=200)
+    found = findings_of(Results(place))
+    assert [(each.runs, each.failed, each.missing) for each in found.points] == [(159, 1, 40)] * 2
+    said = words(write_report(place, proofs=False))
+    assert "80 runs are not there yet" in said
+    assert "2 runs could not be made" in said
+
+
+def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path]) -> None:
+    place = folder(breaking, text_of(report="report: {probability: [diverged, rms_final > 1 mrad]}"))
+    found = findings_of(Results(place))
+    draws = found.results.study.drawn(0, 200)["servo.K_D"]
+    first, second = (each.alone[1].count for each in found.points)
+    assert (first, second) == (int((draws > 1).sum()), int((draws < 0.7).sum()))
+    assert found.events[1].name == "rms_final > 1 mrad"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("rms_finl > 1 mm", "unknown figure; did you mean rms_final?"),
+        ("rms_final > 1 s", "expected a quantity in rad, found '1 s'"),
+        ("often", "expected diverged, or a figure and a limit such as 'error_most > 5 mm'"),
+    ],
+)
+def test_an_event_that_means_nothing_is_refused(text: str, said: str) -> None:
+    with pytest.raises(DmframeError, match=re.escape(said)):
+        event_of(text, {"rms_final": "rad"})
+
+
+def test_all_that_a_report_asks_and_the_table_has_not_is_told_at_once(folder: Callable[..., Path]) -> None:
+    report = "report: {probability: [rms_finl > 1], map: [servo.K_D, servo.K_P]}"
+    with pytest.raises(DmframeError) as told:
+        write_report(folder(text=text_of(report=report)), proofs=False)
+    assert len(told.value.faults) == 2
+    assert "servo.K_P" in str(told.value)
+
+
+def test_comparisons_are_on_the_same_samples(folder: Callable[..., Path]) -> None:
+    (found,) = findings_of(Results(folder(breaking))).comparisons
+    assert found.figure.runs == 200
+    assert found.figure.better + found.figure.worse == 200
+    assert found.figure.worse == found.only_here > 0
+    assert found.only_there == 0
+    assert found.figure.ratio == pytest.approx(0.1)
+
+
+def test_a_run_that_stands_twice_is_noticed(folder: Callable[..., Path]) -> None:
+    place = folder()
+    first = sorted((place / "runs").iterdir())[0]
+    (place / "runs" / "again.parquet").write_bytes(first.read_bytes())
+    with pytest.raises(ValueFault, match="stands 2 times"):
+        Results(place).table  # noqa: B018
+
+
+def test_a_table_of_another_study_is_noticed(folder: Callable[..., Path]) -> None:
+    place = folder()
+    place.joinpath("study.yaml").write_text(text_of(runs=100), encoding="utf-8")
+    with pytest.raises(ValueFault, match="belongs to another study"):
+        Results(place).table  # noqa: B018
+
+
+def test_what_is_not_there_is_told_with_the_remedy(
+    folder: Callable[..., Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(MissingError, match="run it first: dmframe study"):
+        Results(tmp_path / "nothing")
+    place = folder()
+    with pytest.raises(UnknownNameError, match="did you mean rms_final"):
+        Results(place).worst("rms_finl")
+    with pytest.raises(ValueFault, match="how many runs"):
+        Results(place).worst("rms_final", 0)
+    monkeypatch.setitem(__import__("sys").modules, "polars", None)
+    with pytest.raises(MissingError, match=re.escape('pip install "dmframe[study]"')):
+        results_module.need_polars()
+
+
+def test_an_older_reports_worst_runs_and_figures_go(folder: Callable[..., Path]) -> None:
+    place = folder(breaking)
+    write_report(place, proofs=False)
+    place.joinpath("figures", "old.png").write_bytes(b"")
+    place.joinpath("worst_9.yaml").write_text("", encoding="utf-8")
+    first = place.joinpath("report.html").read_bytes()
+    write_report(place, proofs=False)
+    assert not place.joinpath("figures", "old.png").exists()
+    assert not place.joinpath("worst_9.yaml").exists()
+    assert place.joinpath("report.html").read_bytes() == first  # the same runs give the same page
+
+
+def test_a_page_fetches_nothing_and_is_well_formed(page: Callable[..., tuple[Path, str]]) -> None:
+    import xml.etree.ElementTree as ET
+
+    text = page(breaking)[0].joinpath("report.html").read_text(encoding="utf-8")
+    ET.fromstring(text.removeprefix("<!DOCTYPE html>\n"))
+    assert not re.search(r"(src|href)=\"(?!#|data:image/png)", text)
+    assert "url(" not in text.replace("url(#", "")
+
+
+def test_limits_are_never_rounded_to_the_side_that_makes_them_untrue() -> None:
+    assert percent(0.0002995, up=True) == "0.03 %"
+    assert percent(0.0003005, up=True) == "0.031 %"
+    assert percent(0.0003095, up=False) == "0.03 %"
+    assert percent(0.999543, up=False) == "99.954 %"
+    assert percent(0.999543, up=True) == "99.955 %"
+    assert (percent(0), percent(1), percent(math.nan)) == ("0 %", "100 %", "-")
+    rng = np.random.default_rng(0)
+    for share in [*rng.uniform(size=200), *(1 - rng.uniform(size=100) ** 8)]:
+        low, high = (float(percent(share, up=up)[:-2]) / 100 for up in (False, True))
+        assert low <= share + 1e-12
+        assert share <= high + 1e-12
+        assert high - low < 0.011
+
+
+def test_an_interval_says_where_it_has_no_end() -> None:
+    assert between(Quantile(0.99, 1e-3, 5e-4, math.inf), "m") == "500 µm to no upper limit"
+    assert between(Quantile(0.5, math.inf, 1e-3, math.inf), "m") == "1 mm to diverged"
+    assert between(Quantile(0.5, math.inf, math.inf, math.inf), "m") == ""
+
+
+def test_settings_are_called_by_what_differs_among_them() -> None:
+    values = [{"a.K": 1.0, "b.K": 2.0, "clock": t, "same": 1, "servo": s} for t in (0.008, 0.09) for s in (0.1, 3.0)]
+    assert names_of(values, {"clock": "s"}, ["servo"]) == [
+        f"clock = {t}, servo x {s}" for t in ("8 ms", "90 ms") for s in ("0.1", "3")
+    ]
+    assert names_of([{"a.K": 1.0, "b.K": 2.0}, {"a.K": 2.0, "b.K": 1.0}], {}) == [
+        "a.K = 1, b.K = 2",
+        "a.K = 2, b.K = 1",
+    ]
