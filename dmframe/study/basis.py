@@ -42,7 +42,7 @@ def worst(t: Told) -> Iterator[Part]:
     first = t.worst[0].file
     yield Paragraph(
         Marked(
-            "Each file is a whole graph with the numbers of its run, and runs again as it did, to rounding: `dmframe run "
+            "Each file is a whole graph with the numbers of its run, and runs as it did, to rounding: `dmframe run "
             f"{first} --out worst` draws it. `dmframe verify {first}` proves it, or says why not."
         )
     )
