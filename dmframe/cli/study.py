@@ -16,10 +16,11 @@ from dmframe.graph.progress import counting, telling
 from dmframe.study.again import Again, again
 from dmframe.study.execute import State, run_study
 from dmframe.study.foreseen import Foreseen, foreseen
+from dmframe.study.lock import LOCK
 from dmframe.study.plan import Study, load_study
 from dmframe.study.results import Results
 from dmframe.study.run import default_folder
-from dmframe.study.store import LOCK, polars
+from dmframe.study.store import polars
 from dmframe.trust import remember
 
 INCOMPLETE: Final = 1

@@ -243,26 +243,12 @@ class Study:
         force: bool = False,
         progress: bool | None = None,
     ) -> Results:
-        """Compute those rows that its folder does not hold yet, as ``dmframe study`` does.
-
-        Parameters
-        ----------
-        out
-            The folder; ``studies/NAME`` without it.
-        workers
-            Processes on this machine; as many as there are cores without it.
-        scheduler
-            Address of a dask scheduler, whose workers compute instead.
-        force
-            Where the folder holds another study, throw its runs away.
-        progress
-            Show a bar; by default where a terminal shows it.
+        """Compute the rows that its folder does not hold yet, as ``dmframe study`` does; ``studies/NAME`` without `out`.
 
         Raises
         ------
         DmframeError
-            The folder holds something else or cannot be written; not all rows could be computed. (A run that cannot be
-            made, or diverges, is a row.)
+            The folder holds something else, or not all rows could be computed; see `dmframe.study.execute.run_study`.
         """
         from dmframe.study.run import run_whole
 
