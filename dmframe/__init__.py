@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.graph.sweep import sweep
     from dmframe.results.run import Run
+    from dmframe.study.plan import load_study
 
     __version__: str
 
@@ -41,6 +42,7 @@ _HOMES: Final = {
     "draw": "graph.shortcuts",
     "graphs": "graph.shelf",
     "load": "graph.graph",
+    "load_study": "study.plan",
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
     "sweep": "graph.sweep",
@@ -60,6 +62,7 @@ __all__ = [
     "draw",
     "graphs",
     "load",
+    "load_study",
     "robots",
     "run",
     "sweep",

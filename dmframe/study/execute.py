@@ -20,8 +20,9 @@ from dmframe.study.beside import files_beside
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.computed import Computable, Computed, Failed, versions
+from dmframe.study.disk import append, put
 from dmframe.study.pool import Pool, Workers
-from dmframe.study.store import PROCESSES, PROVENANCE, Store, append, opened, put
+from dmframe.study.store import PROCESSES, PROVENANCE, Store, opened
 
 ATTEMPTS: Final = 3
 """How often a chunk is tried."""

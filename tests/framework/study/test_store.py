@@ -14,7 +14,7 @@ from stand_in_study import StandIn
 from study_processes import environment, frame, written
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.study import computed, store
+from dmframe.study import computed, lock
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computed, compute
 from dmframe.study.execute import run_study
@@ -84,6 +84,13 @@ def test_a_file_that_nobody_knows_is_set_aside_and_what_was_half_written_goes(ou
     assert len(frame(out)) == 120
 
 
+def test_a_folder_whose_first_process_was_ended_as_it_began_can_be_used(tmp_path: Path) -> None:
+    for name in ("study.yaml", "study.lock.json.tmp", "study.yaml.tmp"):
+        (tmp_path / name).write_text("half")
+    fill(tmp_path, StandIn())
+    assert len(frame(tmp_path)) == 120
+
+
 def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
     lines = (out / "chunks.jsonl").read_text()
     (out / "chunks.jsonl").write_text(lines[:-30])
@@ -109,7 +116,7 @@ def test_with_force_a_changed_study_begins_anew(out: Path) -> None:
 
 
 def test_another_version_is_named(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "versions", lambda: {**computed.versions(), "numpy": "1.0"})
+    monkeypatch.setattr(lock, "versions", lambda: {**computed.versions(), "numpy": "1.0"})
     changed = StandIn()
     with pytest.raises(ValueFault, match=r'versions.numpy was "[\d.]+", now "1.0"'), opened(out, changed, {}):
         pass
