@@ -59,14 +59,20 @@ def block_modules() -> dict[str, str]:
     """Block types with the modules that hold them, ``{"circle": "dmframe_blocks.circle"}``."""
     modules = dict[str, str]()
     for package in packages():
-        for module in pkgutil.iter_modules(package.__path__):
-            if module.name.startswith("_") or module.ispkg:
-                continue
-            name = f"{package.__name__}.{module.name}"
-            if module.name in modules:
-                raise BlockError(f"two packages hold a block {module.name}: {modules[module.name]} and {name}")
-            modules[module.name] = name
+        folders = tuple(package.__path__)
+        for module in _listed(folders, tuple(Path(folder).stat().st_mtime_ns for folder in folders)):
+            name = f"{package.__name__}.{module}"
+            if module in modules:
+                raise BlockError(f"two packages hold a block {module}: {modules[module]} and {name}")
+            modules[module] = name
     return dict(sorted(modules.items()))
+
+
+@functools.lru_cache(maxsize=8)
+def _listed(folders: tuple[str, ...], changed: tuple[int, ...]) -> tuple[str, ...]:
+    """The modules in a package's folders, read again where one of them has changed."""
+    found = pkgutil.iter_modules(folders)
+    return tuple(module.name for module in found if not (module.name.startswith("_") or module.ispkg))
 
 
 def block_types() -> dict[str, type[AbstractBlock]]:

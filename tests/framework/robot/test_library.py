@@ -100,7 +100,7 @@ class Entry:
 
 
 def test_a_registered_package_that_is_not_there_is_reported(monkeypatch):
-    monkeypatch.setattr(library.metadata, "entry_points", lambda group: [Entry("no_such_package")])
+    monkeypatch.setattr(library, "_points", lambda path: [Entry("no_such_package")])
     with pytest.raises(RobotError, match="robots of no_such_package: expected an installed package, found none"):
         robots()
 
@@ -110,7 +110,7 @@ def test_two_robots_of_one_name_are_refused(tmp_path, monkeypatch):
         write_robot(tmp_path / package, "mine", GOOD)
         (tmp_path / package / "__init__.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(library.metadata, "entry_points", lambda group: [Entry("first_robots"), Entry("second_robots")])
+    monkeypatch.setattr(library, "_points", lambda path: [Entry("first_robots"), Entry("second_robots")])
     with pytest.raises(RobotError, match=r"mine: defined twice, in .*first_robots.mine and .*second_robots.mine"):
         robots()
 
