@@ -42,11 +42,12 @@ class Driven(Plant):
 
 
 class Chasing(Plant):
-    """Prothero and Robinson's: y chases sin t at any speed, and is sin t from there on."""
+    """y chases sin t, as Prothero and Robinson's does, by a pull that is not linear; from y = 0 on it is sin t."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        rate = p.speed * (ca.sin(u.t) - x.y) + ca.cos(u.t)
-        return Equations(outputs={"y": x.y}, rates={"y": rate})
+        behind = ca.sin(u.t) - x.y
+        pull = behind + 5 * behind**3 + 0.3 * ca.sin(3 * x.y) * behind
+        return Equations(outputs={"y": x.y}, rates={"y": p.speed * pull + ca.cos(u.t)})
 
 
 class VanDerPol(Plant):
@@ -65,7 +66,7 @@ class Late(Plant):
 
 
 class Singular(Plant):
-    """I - h gamma A has no inverse at steps of `speed`, and no first pivot at all."""
+    """At steps of `speed` the first pivot of I - h gamma A is zero, though the matrix is regular."""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         gamma = 4.3586652150845900e-01
@@ -126,14 +127,14 @@ def test_it_converges_with_the_third_order_on_a_smooth_plant(clock: float | None
     assert np.all(np.abs(found - 3) < 0.3)
 
 
-@pytest.mark.parametrize("speed", [1e2, 1e4, 1e6])
-def test_on_a_plant_that_chases_a_path_the_error_falls_with_the_step_at_every_stiffness(speed: float) -> None:
+@pytest.mark.parametrize("speed", [1e2, 1e3, 1e5])
+def test_on_a_plant_that_chases_a_path_it_keeps_the_third_order_at_every_stiffness(speed: float) -> None:
     errors = []
-    for k in (1, 2, 4, 8):
+    for k in (2, 4, 8, 16):
         run = ran(Chasing(speed=speed), 2.0, [0, 0], 0.1 / k, 0.1)
         errors.append(float(np.max(np.abs(run["plant.y"][:, 0] - np.sin(run.time)))))
-    assert np.all(orders(errors) > 1.8)
-    assert errors[-1] < 1e-6 * max(1.0, 1e4 / speed)
+    assert np.all(orders(errors) > 2.4)
+    assert errors[-1] < 2e-8  # a thousand times as much without the derivative by time
 
 
 def test_van_der_pols_oscillator_is_that_of_scipys_radau_at_thousands_of_times_rk4s_step() -> None:
@@ -229,12 +230,11 @@ def test_one_of_its_steps_costs_at_most_twice_and_a_quarter_of_rk4s() -> None:
         assert of_a_step("ros34pw2") < 2.25 * of_a_step("rk4")
 
 
-def test_a_step_whose_system_has_no_solution_ends_the_run_instead_of_passing_garbage_on() -> None:
-    run = simulate(
-        alone(Singular(speed=0.01)), 0.1, clock=0.01, solver=Solver("ros34pw2", 0.01), start={"y": [1.0, 1.0]}
-    )
+@pytest.mark.parametrize("pivot", [0.0, 1e-14])
+def test_a_step_whose_system_has_lost_its_digits_ends_the_run_instead_of_passing_garbage_on(pivot: float) -> None:
+    run = ran(Singular(speed=0.01 * (1 + pivot)), 0.1, [1, 1], 0.01, 0.01)
     assert run.divergence is not None
-    assert "plant.y[0] is no longer finite" in str(run.divergence)
+    assert "plant.y[0] is no longer finite at t = 0.01 s" in str(run.divergence)
     sound = ran(Singular(speed=0.01), 0.1, [1, 1], 0.009, 0.01)
     assert sound.divergence is None
 
