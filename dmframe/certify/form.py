@@ -50,11 +50,11 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         if any(isinstance(piece, ca.MX) for piece in pieces):
             yield f"{what}: expected expressions of its u, x, p and truth, found an MX; write constants as ca.DM"
     for term in (*certificate.storage, *terms, *certificate.excess):
-        pieces = [ca.SX(piece) for piece in term.pieces]
+        pieces, where = [ca.SX(piece) for piece in term.pieces], term.of or f"a {type(term).__name__}"
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
-            yield f"{term.of}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
+            yield f"{where}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
         if not _fits(term, pieces):
-            yield f"{term.of}: expected columns of one length, or a square matrix of weights, found other shapes"
+            yield f"{where}: expected columns of one length, or a square matrix of weights, found other shapes"
     consumed = certificate.consumes
     if consumed is not None and type(consumed) is not Consumed:
         yield f"expected consumes to be Consumed(vector, c), found {type(consumed).__name__}"

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
-from dmframe.config.document import Document, read_file
+from dmframe.config.document import Document, mapping_of, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
 from dmframe.config.overrides import changed, overridden, put
 from dmframe.config.places import placed
@@ -45,6 +45,10 @@ class Experiment:
         The file's name without its ending.
     data
         The file as plain data, after overrides: what `run` writes beside its results.
+    overrides
+        What was set, as ``--set`` has it.
+    swapped
+        In a file's baseline the blocks that are there for others of the file; None for the graph itself.
     """
 
     name: str
@@ -55,6 +59,7 @@ class Experiment:
     robot: Any
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
+    swapped: tuple[str, ...] | None = None
 
     @property
     def solver(self) -> Solver:
@@ -155,17 +160,26 @@ class Experiment:
         """
         if not self.file.baseline:
             raise MissingError(f"{self.name}: expected a key baseline, which says what to compare with; found none")
-        changed = {**self.data["blocks"], **self.data["baseline"]}
-        blocks = {name: spec for name, spec in changed.items() if spec is not None}
+        root: Any = self.document.root.value
+        sections = {key: node.value for key, (_, node) in root.items()}
+        changed = {**sections["blocks"], **sections["baseline"]}
+        blocks = {name: pair for name, pair in changed.items() if pair[1].value is not None}
         gone = changed.keys() - blocks.keys()
         wires = {
-            end: source
-            for end, source in self.file.wires.items()
-            if not {end.partition(".")[0], source.partition(".")[0]} & gone
+            end: pair
+            for end, pair in (sections.get("wires") or {}).items()
+            if not {end.partition(".")[0], pair[1].value.partition(".")[0]} & gone
         }
-        data = {**self.data, "blocks": blocks, "wires": wires, "baseline": {}}
-        path = Path(self.document.name)
-        return _made(replace(self.document, data=data), path.with_stem(f"{path.stem}_baseline"))
+        others = {"blocks": blocks, "wires": wires}
+        entries = {
+            key: (word, replace(node, value=others[key]) if key in others else node)
+            for key, (word, node) in root.items()
+            if key != "baseline"
+        }
+        path, node = Path(self.document.name), replace(self.document.root, value=entries)
+        made = _made(Document(self.document.name, mapping_of(node), node), path.with_stem(f"{path.stem}_baseline"))
+        swapped = tuple(name for name in sections["baseline"] if name in blocks)
+        return replace(made, overrides=self.overrides, swapped=swapped)
 
     def changed(self, values: Mapping[str, Any]) -> Experiment:
         """The same with other values, ``{"task.gamma": 2, "clock": "2 ms"}``, as ``--set`` has them.
@@ -176,7 +190,9 @@ class Experiment:
             All faults of the values at once.
         """
         document, overrides = changed(self.document, values, KEYS)
-        return replace(experiment_of(document), name=self.name, overrides=(*self.overrides, *overrides))
+        mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
+        made = experiment_of(document)
+        return replace(made, name=self.name, overrides=(*self.overrides, *mine), swapped=self.swapped)
 
     def with_duration(self, duration: float) -> Experiment:
         """The same graph, run for another time [s]."""
@@ -186,7 +202,7 @@ class Experiment:
 
     def __reduce__(self) -> Any:
         """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.document, self.name, self.overrides)
+        return _again, (self.document, self.name, self.overrides, self.swapped)
 
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
@@ -228,9 +244,11 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
     return _made(read.document, path, find)
 
 
-def _again(document: Document, name: str, overrides: tuple[str, ...]) -> Experiment:
+def _again(
+    document: Document, name: str, overrides: tuple[str, ...], swapped: tuple[str, ...] | None = None
+) -> Experiment:
     """One that was pickled."""
-    return replace(experiment_of(document), name=name, overrides=overrides)
+    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped)
 
 
 def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:

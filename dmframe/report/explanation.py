@@ -127,8 +127,13 @@ class Explanation:
         plant = [block for block in self.blocks if block.side is Side.PLANT]
         if not plant:
             return
-        told = [f"{listed(names)} of {block.name}" for block in plant if (names := _outputs(block, measured=True))]
+        told, unread = (
+            [f"{listed(names)} of {block.name}" for block in plant if (names := self._measured(block, read=read))]
+            for read in (True, False)
+        )
         yield f"Measured, and told to it: {'; '.join(told)}." if told else "It is told nothing."
+        if unread:
+            yield f"Measured, but no block of the controller reads it: {'; '.join(unread)}."
         own = [f"{listed(names)} of {block.name}" for block in plant if (names := self._hidden(block))]
         if own:
             yield (
@@ -142,12 +147,25 @@ class Explanation:
     def _hidden(self, block: BlockFacts) -> list[str]:
         """Outputs and parameters of a block of the plant that no block of the controller can read."""
         kind = type(self.diagram.blocks[block.name])
-        return list(dict.fromkeys([*_outputs(block, measured=False), *map(unicode_name, specs(kind))]))
+        hidden = [unicode_name(item.name) for item in block.given if item.access is not Access.MEASURED]
+        return list(dict.fromkeys([*hidden, *map(unicode_name, specs(kind))]))
+
+    def _measured(self, block: BlockFacts, *, read: bool) -> list[str]:
+        """Outputs of a block of the plant that the controller may read, and does or does not."""
+        sides = {other.name: other.side for other in self.blocks}
+        return [
+            signal(item.name, item.unit)
+            for item in block.given
+            if item.access is Access.MEASURED
+            and any(sides[reader] is Side.CONTROLLER for reader, _ in item.readers) is read
+        ]
 
     def _certificate(self) -> Iterator[Said]:
         verdict = self.verdict
         yield from map(Said, self._energy())
-        yield Said(f"`{self.command}` says: {verdict.headline}.".replace("`", ""))
+        said = command(self.experiment, "verify")
+        given = f", with {said.before}," if said.before else ""
+        yield Said(f"{said.text}{given} says: {verdict.headline}.".replace("`", ""))
         clock = self.experiment.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
         yield Said(meaning[:1].upper() + meaning[1:])
@@ -205,15 +223,6 @@ class Explanation:
             parts += [f"<p><code>{escape(s.text)}</code></p>" if s.formula else f"<p>{escape(s.text)}</p>"
                       for s in section.said]  # fmt: skip
         return "".join(parts)
-
-
-def _outputs(block: BlockFacts, *, measured: bool) -> list[str]:
-    """Its outputs that the controller may read, or may not."""
-    return [
-        signal(item.name, item.unit) if measured else unicode_name(item.name)
-        for item in block.given
-        if (item.access is Access.MEASURED) is measured
-    ]
 
 
 def _lines(section: Section, wide: int) -> Iterator[str]:

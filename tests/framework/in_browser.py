@@ -10,9 +10,10 @@ from typing import Any, Final
 
 TURNS: Final = 200
 """How often a page is asked before it is given up, 30 ms apart."""
-SPOT: Final = (
-    "(() => {{ const e = document.getElementById({element!r}); e.scrollIntoView({{block: 'center'}});"
-    " const b = e.getBoundingClientRect(); return [b.x, b.width, b.y + b.height / 2]; }})()"
+SHOW: Final = "document.getElementById({element!r}).scrollIntoView({{block: 'nearest'}})"
+BOX: Final = (
+    "(() => {{ const b = document.getElementById({element!r}).getBoundingClientRect();"
+    " return [b.x, b.width, b.y + b.height / 2]; }})()"
 )
 
 
@@ -58,12 +59,18 @@ class Browser(ABC):
 
     def held(self, element: str, *parts: float, steps: int = 6) -> None:
         """The same without letting it go."""
-        left, width, y = self.value(SPOT.format(element=element))
-        self._at = (left + parts[0] * width, y)
+        self.value(SHOW.format(element=element))
+        places = [self.spot(element, part) for part in parts]
+        self._at = places[0]
         self.mouse("pressed", *self._at)
-        for x in between([left + part * width for part in parts], steps):
-            self._at = (x, y)
+        for x in between([x for x, _ in places], steps):
+            self._at = (x, self._at[1])
             self.mouse("moves", *self._at)
+
+    def spot(self, element: str, part: float) -> tuple[float, float]:
+        """A place in an element, at a part of its width."""
+        left, width, y = self.value(BOX.format(element=element))
+        return left + part * width, y
 
     def let_go(self) -> None:
         """Release what was held, where it is."""

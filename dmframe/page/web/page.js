@@ -57,7 +57,8 @@ function tell(p) {
   }
   set("notice", notices.join(" "));
   find("notice").hidden = !notices.length;
-  find("notice").classList.toggle("wild", Boolean(wild));
+  if (find("notice").classList.toggle("wild", Boolean(wild)) === (find("says").nextElementSibling === find("notice")))
+    find("says")[wild ? "before" : "after"](find("notice")); // what a telephone has no room for is scrolled to
   sliders.show(p, run.start);
   find("reset").disabled = !sliders.moved.size;
   set("command", sliders.command(p, run.start));

@@ -154,7 +154,7 @@ class Sliders {
     for (const base of new Set(moved.map(({ label }) => label.replace(/\[\d\]$/, "")))) {
       const whole = sliders.filter(({ label }) => label === base || label.startsWith(`${base}[`));
       if (base.startsWith("robot.") && base !== "robot.friction_velocity") lacking.push(`${base}, which the robot's file says`);
-      else say(base, listed(whole[0].written, (place) => p[whole[0].first + place]));
+      else say(command.swapped.includes(base.split(".")[0]) ? `baseline.${base}` : base, listed(whole[0].written, (place) => p[whole[0].first + place]));
     }
     // another path has other poses that begin it, of which a command would take its own
     const sought = pose?.sought && moved.some(({ group }) => group === "path");

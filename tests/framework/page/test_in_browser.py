@@ -69,6 +69,44 @@ def test_a_page_whose_margins_were_wrong_would_be_noticed(tab: Browser, tmp_path
         judges_truly(tab, saved(tmp_path, wrong))
 
 
+WIDE = (1250, 640)  # Firefox without a window cannot be made wider than the screen that it thinks of
+WATCH = """(() => {
+  const tops = (globalThis.tops = new Set()), slider = document.getElementById("move-inverse.K_c");
+  addEventListener("pointerdown", () => tops.clear(), true);
+  const look = () => { tops.add(Math.round(slider.getBoundingClientRect().top)); requestAnimationFrame(look); };
+  look();
+})()"""
+
+
+def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) -> list[float]:
+    """Where a slider stands while it is dragged to where the verdict is shorter, and to where it is longer."""
+    tab.sized(*size)
+    tab.opened(page)
+    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.value(WATCH)
+    tab.held(K_C, 0.5, 0.02)
+    tab.until(f"{HEADLINE}.includes('does not apply')")
+    tab.mouse("moves", *tab.spot(K_C, 0.6))
+    tab.until(f"{HEADLINE} === 'Proved at these values'")
+    tab.let_go()
+    tops: list[float] = tab.value("new Promise((done) => requestAnimationFrame(() => done([...tops])))")
+    tab.sized(None)
+    return tops
+
+
+@pytest.mark.parametrize("size", [WIDE, (390, 844)])
+def test_a_slider_stays_under_the_pointer_whatever_the_verdict_says(
+    tab: Browser, tmp_path: Path, size: tuple[int, int]
+) -> None:
+    assert len(places_under_the_pointer(tab, saved(tmp_path, assembled(content("ur10_fast"))), size)) == 1
+
+
+def test_a_verdict_that_pushes_the_sliders_down_would_be_noticed(tab: Browser, tmp_path: Path) -> None:
+    html = assembled(content("ur10_fast"))
+    page = saved(tmp_path, html.replace("height: var(--tall);", "", 1))
+    assert len(places_under_the_pointer(tab, page, WIDE)) > 1
+
+
 COMMAND = "document.getElementById('command').textContent"
 
 
@@ -155,6 +193,43 @@ def test_a_page_that_shows_another_run_would_be_noticed(tab: Browser, tmp_path: 
     assert html.count(right) == 1
     with pytest.raises(AssertionError):
         shows_its_run(tab, saved(tmp_path, html.replace(right, wrong)), "task.alpha_bar=1.5")
+
+
+BASELINE = """\
+dmframe: 1
+robot: pendulum
+clock: 4 ms
+duration: 1 s
+blocks:
+  path:     {type: sinusoid, center: [45 deg], amplitude: [30 deg], rate: [0.9 rad/s]}
+  task:     {type: joint_tracking, alpha_bar: 2}
+  model:    {type: regressor}
+  dynamics: {type: dynamic_compensator, Gamma: 1}
+  inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
+  servo:    {type: pi_servo, K_P: 20, K_I: 60}
+  arm:      {type: manipulator}
+baseline:
+  dynamics: {type: dynamic_compensator, Gamma: 5}
+"""
+
+
+def test_the_command_on_a_baselines_page_runs_the_baseline(tab: Browser, tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(BASELINE)
+    page = saved(tmp_path, dm.load(tmp_path / "own.yaml").set({"task.alpha_bar": 3}).baseline().page().html)
+    tab.opened(page, "#dynamics.Gamma=2&servo.K_P=1.5")
+    words = shlex.split(tab.until(f"{COMMAND}.includes('Gamma') && {COMMAND}"))
+    assert words[:4] == ["dmframe", "run", str(tmp_path / "own.yaml"), "--baseline"]
+    assert words[4::2] == ["--set"] * 4
+    (graph,) = graphs_of([words[2]], words[5::2], trust=False)
+    found = graph.baseline()
+    values = {parameter.label: parameter.value for parameter in found.diagram.loop.parameters}
+    assert [set(values[label].ravel()) for label in ("dynamics.Gamma", "task.alpha_bar", "servo.K_P")] == [
+        {10},
+        {3},
+        {30},
+    ]
+    assert graph.blocks["dynamics"].Gamma == 1  # type: ignore[attr-defined] # a block's own parameter
+    assert tab.said == []
 
 
 def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
