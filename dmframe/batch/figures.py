@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.results.metrics import EIGHTHS
+from dmframe.units import plain
 
 ERROR: Final = "error"
 """The name of the tracking error's Euclidean norm among the figures."""
@@ -123,13 +125,23 @@ class Measured:
 @final
 @dataclass(frozen=True)
 class Board:
-    """Where figures of many runs are written as they come."""
+    """Where figures of many runs are written as they come.
+
+    Parameters
+    ----------
+    steps
+        By method, steps that were chosen for stiff plants [s], with the number of runs that took them.
+    again
+        How many runs were done again at shorter steps.
+    """
 
     signals: Mapping[str, Figures]
     diverged: np.ndarray
     faults: dict[int, DmframeError] = field(default_factory=dict)
     notices: dict[str, None] = field(default_factory=dict)
     engines: dict[str, None] = field(default_factory=dict)
+    steps: defaultdict[str, list[tuple[float, int]]] = field(default_factory=lambda: defaultdict(list))
+    again: list[int] = field(default_factory=lambda: [0])
 
     @classmethod
     def empty(cls, signals: Mapping[str, tuple[str, int]], runs: int) -> Board:
@@ -165,6 +177,15 @@ class Board:
 
     def measured(self) -> Measured:
         """All of it."""
-        return Measured(
-            self.signals, self.diverged, self.faults, tuple(self.notices), " and ".join(self.engines) or "none"
-        )
+        engine = " and ".join(self.engines) or "none"
+        return Measured(self.signals, self.diverged, self.faults, (*self.notices, *self._chosen()), engine)
+
+    def _chosen(self) -> Iterator[str]:
+        """What integrated the runs that needed more than the usual steps."""
+        runs = len(self.diverged)
+        for method, steps in self.steps.items():
+            least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
+            span = least if least == most else f"{least} to {most}"
+            yield f"the plant is stiff in {sum(count for _, count in steps)} of {runs} runs: {method} takes steps of {span}"
+        if self.again[0]:
+            yield f"at longer steps the integrator itself diverged in {self.again[0]} of {runs} runs"

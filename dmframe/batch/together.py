@@ -20,7 +20,6 @@ from dmframe.simulate.instants import TIME
 from dmframe.simulate.run import LATER, Prepared
 from dmframe.simulate.step import FIXED, Step
 from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, RK4_TAKES, stiffness
-from dmframe.units import plain
 
 TICKS: Final = 16384
 """Ticks that a thread computes in one call: Ctrl-C is heard between calls."""
@@ -103,14 +102,12 @@ class Together:
             fastest = members[np.argmax(speeds[members])]
             stiff = stiffness(own.step, own.solver, float(speeds[fastest]), states[:, fastest], p[:, fastest])
             board.notices.update(dict.fromkeys(stiff))
-        self._tell(board, fit, len(speeds))
+        self._tell(board, fit)
         with _threads(self.threads) as pool:
             ran = self._march(fit, p, states, pool)
             tried, better = self._again(fit, ran, p, states, pool)
         ran.put(better, tried)
-        if better.size:
-            told = f"at longer steps the integrator itself diverged in {better.size} of {len(speeds)} runs"
-            board.notices[told] = None
+        board.again[0] += better.size
         fits = np.concatenate([np.zeros(0, np.int64), *(members for _, members in fit)])
         self._write(board, runs[fits], ran.of(fits))
         return np.setdiff1d(np.arange(len(speeds)), fits)
@@ -134,20 +131,15 @@ class Together:
             made.setdefault(kind, own)
         return [(made[kind], np.array(members)) for kind, members in kinds.items()]
 
-    def _tell(self, board: Board, fit: Sequence[tuple[Prepared, np.ndarray]], runs: int) -> None:
+    def _tell(self, board: Board, fit: Sequence[tuple[Prepared, np.ndarray]]) -> None:
         """What ran, and in which steps where these were chosen."""
         board.notices.update(dict.fromkeys((*self.prepared.notices, *self.prepared.keeping.notices)))
-        stiff = defaultdict[str, list[tuple[float, int]]](list)
         for own, members in fit:
             lanes = self._lanes_of(own)
             assert lanes is not None  # it fits
             board.engines[lanes.name] = None
             if own.notices != self.prepared.notices:
-                stiff[own.solver.method].append((own.step.length, members.size))
-        for method, steps in stiff.items():
-            least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
-            told, span = sum(count for _, count in steps), least if least == most else f"{least} to {most}"
-            board.notices[f"the plant is stiff in {told} of {runs} runs: {method} takes steps of {span}"] = None
+                board.steps[own.solver.method].append((own.step.length, members.size))
 
     def _march(
         self, kinds: Sequence[tuple[Prepared, np.ndarray]], p: np.ndarray, states: np.ndarray, pool: ThreadPoolExecutor
