@@ -186,6 +186,7 @@ class Board:
         for method, steps in self.steps.items():
             least, most = (plain(end(step for step, _ in steps), "s") for end in (min, max))
             span = least if least == most else f"{least} to {most}"
-            yield f"the plant is stiff in {sum(count for _, count in steps)} of {runs} runs: {method} takes steps of {span}"
+            many = sum(count for _, count in steps)
+            yield f"the plant is stiff in {many} of {runs} runs: {method} takes steps of {span}"
         if self.again[0]:
             yield f"at longer steps the integrator itself diverged in {self.again[0]} of {runs} runs"
