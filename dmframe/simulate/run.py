@@ -192,7 +192,7 @@ class Prepared:
         if not (possible and h / short <= RK4_STEPS):
             own = self.solved_by(replace(self.solver, method="ros34pw2"))
             h = own.step.length
-            if h * left_out(own.step, state, p) <= EXPLICIT_TAKES:
+            if left_out(own.step, state, p) <= EXPLICIT_TAKES:
                 told = f"{stiff} would take steps of {plain(short, 's')}; ros34pw2 runs it, in steps of {plain(h, 's')}"
                 return replace(own, solver=replace(own.solver, step=h), notices=(*self.notices, told))
         if possible:

@@ -86,6 +86,18 @@ class Square(AbstractBlock):
         return Equations(outputs={"x": x.x}, rates={"x": -p.k * ca.sum1(x.x) ** 2 * x.x - ca.tanh(x.x)})
 
 
+class Spring(AbstractBlock):
+    """x'' = -k |x|^2 x: steep in the positions alone, by a product, with a Jacobian that is dear."""
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("y", "40", "", Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("x", "40"), State("y", "40"))
+    k: Scalar = Real(default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"y": x.y}, rates={"x": x.y, "y": -p.k * ca.sum1(x.x) ** 2 * x.x - x.y})
+
+
 def alone(block: AbstractBlock) -> Diagram:
     return Diagram.build({"plant": block})
 
@@ -251,6 +263,13 @@ def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:
     assert "the plant is stiff in products of what moves, which ros34pw2 integrates explicitly" in asked.notices[0]
     easy = simulate(alone(Square(k=1e-3)), 0.05, solver=Solver("ros34pw2", 1e-3), **given)
     assert easy.notices == ()
+
+
+@pytest.mark.parametrize(("k", "told"), [(1e-2, False), (1e5, True)])
+def test_what_is_left_out_is_seen_where_it_acts_through_another_state(k: float, told: bool) -> None:
+    start = {"x": [1.0] * 40, "y": [0.0] * 40}
+    run = simulate(alone(Spring(k=k)), 0.002, clock=0.001, solver=Solver("ros34pw2", 1e-3), start=start)
+    assert any("products of what moves" in notice for notice in run.notices) is told
 
 
 def test_a_run_of_rk4_that_becomes_stiff_later_is_done_again_at_shorter_steps() -> None:
