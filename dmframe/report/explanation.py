@@ -133,7 +133,7 @@ class Explanation:
         )
         yield f"Measured, and told to it: {'; '.join(told)}." if told else "It is told nothing."
         if unread:
-            yield f"Measured, but no block of the controller reads it: {'; '.join(unread)}."
+            yield f"Measured, but read by no block of the controller: {'; '.join(unread)}."
         own = [f"{listed(names)} of {block.name}" for block in plant if (names := self._hidden(block))]
         if own:
             yield (

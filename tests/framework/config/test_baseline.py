@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,28 @@ def test_the_baseline_has_its_own_blocks_and_none_that_is_left_out(tmp_path: Pat
 def test_an_override_changes_both(tmp_path: Path) -> None:
     graph = load_experiment(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha_bar=3"])
     assert graph.file.blocks["task"]["alpha_bar"] == graph.baseline().file.blocks["task"]["alpha_bar"] == 3
+
+
+def test_a_baseline_stays_one_when_it_is_changed_cut_or_pickled(tmp_path: Path) -> None:
+    graph = load_experiment(written(tmp_path, GRAPH + KINEMATIC), ["task.alpha_bar=3"]).baseline()
+    blocks = ["path", "task", "inverse", "servo", "arm"]
+    changed = graph.changed({"servo.K_P": 50})
+    for other in (changed, graph.with_duration(2.0), pickle.loads(pickle.dumps(graph))):
+        assert list(other.blocks) == blocks
+        assert (other.name, other.swapped) == ("mine_baseline", ("inverse",))
+        assert other.overrides[0] == "task.alpha_bar=3"
+    assert changed.file.blocks["servo"]["K_P"] == 50
+    again = load_experiment(written(tmp_path, resolved_text(changed)))
+    assert list(again.blocks) == blocks
+
+
+def test_a_block_of_the_baseline_is_set_where_it_stands_in_the_file(tmp_path: Path) -> None:
+    own = "baseline: {dynamics: {type: dynamic_compensator, Gamma: 5}}\n"
+    path = written(tmp_path, GRAPH + own)
+    changed = load_experiment(path).baseline().changed({"dynamics.Gamma": 7, "task.alpha_bar": 2})
+    assert changed.overrides == ("baseline.dynamics.Gamma=7", "task.alpha_bar=2")
+    again = load_experiment(path, changed.overrides)
+    assert (again.file.blocks["dynamics"]["Gamma"], again.baseline().file.blocks["dynamics"]["Gamma"]) == (10, 7)
 
 
 def test_the_resolved_graph_keeps_its_baseline(tmp_path: Path) -> None:

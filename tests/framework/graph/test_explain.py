@@ -141,6 +141,21 @@ def test_what_is_hidden_from_the_controller_is_what_no_wire_may_carry() -> None:
     assert "q̈_m [rad/s^2] of sensor" in explained("torque_direct_pi").sections[-2].said[0].text
 
 
+def test_what_is_measured_and_nobody_reads_is_not_said_to_be_told() -> None:
+    told, unread = (item.text for item in explained("pendulum").sections[-2].said[:2])
+    assert told == "Measured, and told to it: q_c [rad] of servo; q [rad] and q̇ [rad/s] of arm."
+    assert unread == "Measured, but read by no block of the controller: x [m] of arm."
+
+
+def test_of_a_graph_that_is_no_file_it_is_said_where_its_text_goes(tmp_path: Path) -> None:
+    text = dm.load("ur10_slow_kinematic").text
+    said = " ".join(str(dm.load(text, name="mine").explain()).split())
+    assert "dmframe verify mine.yaml, with the graph's text in mine.yaml, says: not applicable." in said
+    (tmp_path / "mine").write_text(text)
+    found = str(dm.load(tmp_path / "mine").explain())
+    assert f"dmframe verify {tmp_path / 'mine'} says: not applicable." in " ".join(found.split())
+
+
 def test_supplies_cancel_in_the_groups_in_which_they_do() -> None:
     text = said("theorem_3")
     assert "The supplies of dynamics, inverse and arm add up to zero" in text

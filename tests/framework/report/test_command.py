@@ -25,4 +25,18 @@ def test_a_file_of_any_name_is_one_word_of_a_shell(tmp_path):
 
 def test_of_a_graph_that_is_no_file_it_is_told_where_its_text_goes():
     graph = dm.load(dm.load("arm2_joint").text, name="mine").set({"task.alpha_bar": 3})
-    assert command(graph.experiment, "run") == ("dmframe run mine.yaml", "the graph's text in mine.yaml")
+    assert command(graph.experiment, "run")[:2] == ("dmframe run mine.yaml", "the graph's text in mine.yaml")
+
+
+def test_a_file_without_an_ending_is_called_by_its_own_name(tmp_path):
+    file = tmp_path / "mine"
+    shutil.copy(graphs()["arm2_joint"], file)
+    assert command(dm.load(file).experiment, "verify")[:2] == (f"dmframe verify {file}", "")
+
+
+def test_a_baseline_is_run_beside_its_graph_and_verified_as_a_file_of_its_own():
+    graph = dm.load("theorem_3").set({"servo.K_P": 50}).baseline().experiment
+    found = command(graph, "run")
+    assert found == ("dmframe run theorem_3 --baseline --set servo.K_P=50", "", ("inverse",))
+    verified = ("dmframe verify theorem_3_baseline.yaml", "the graph's text in theorem_3_baseline.yaml", ())
+    assert command(graph, "verify") == verified
