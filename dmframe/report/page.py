@@ -1,4 +1,4 @@
-"""A report as one self-contained web page, and as Markdown."""
+"""A report as one self-contained web page, and as Markdown; and the frame of any such page."""
 
 from __future__ import annotations
 
@@ -26,6 +26,14 @@ def as_html(contents: Sequence[Content]) -> str:
     one = contents[0] if len(contents) == 1 else None
     names = ", ".join(content.name for content in contents)
     title = f"{one.name}: {one.meaning.headline.lower()}" if one else f"Certificates of {names}"
+    kind = tag("p", plain("Certificate of a control loop"), class_="doc-kind")
+    named = _named(one) if one else [tag("h1", plain(f"{len(contents)} graphs")), html.table(_overview(contents))]
+    articles = [_article(content, f"g{place}", one is None) for place, content in enumerate(contents, start=1)]
+    return document(title, [tag("header", html.joined([kind, *named])), *articles, *_sources(contents)])
+
+
+def document(title: str, body: Sequence[Html]) -> str:
+    """A whole page of ours, in one file that fetches nothing; `title` is the browser's."""
     head = [
         Html('<meta charset="utf-8"/>'),
         Html(f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}"/>'),
@@ -33,10 +41,6 @@ def as_html(contents: Sequence[Content]) -> str:
         tag("title", plain(title)),
         tag("style", Html(files("dmframe.report").joinpath("report.css").read_text(encoding="utf-8"))),
     ]
-    kind = tag("p", plain("Certificate of a control loop"), class_="doc-kind")
-    named = _named(one) if one else [tag("h1", plain(f"{len(contents)} graphs")), html.table(_overview(contents))]
-    articles = [_article(content, f"g{place}", one is None) for place, content in enumerate(contents, start=1)]
-    body = [tag("header", html.joined([kind, *named])), *articles, *_sources(contents)]
     page = tag("html", tag("head", html.joined(head)), Html("\n"), tag("body", html.joined(body)), lang="en")
     return f"<!DOCTYPE html>\n{page}\n"
 
