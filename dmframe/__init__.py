@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.results.run import Run
+    from dmframe.study.tune import tune
 
     __version__: str
 
@@ -43,6 +44,7 @@ _HOMES: Final = {
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
     "sweep": "graph.runs",
+    "tune": "study.tune",
     "verify": "graph.shortcuts",
 }
 """Where each name lives: it is imported when someone asks for it, for some take a second."""
@@ -62,6 +64,7 @@ __all__ = [
     "robots",
     "run",
     "sweep",
+    "tune",
     "verify",
 ]
 

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.analysis.period import sampled_radius
+from dmframe.analysis.period import TOLERANCE, sampled_radius
 from dmframe.block.model import SYMBOLIC
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
@@ -23,13 +23,12 @@ from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault
 from dmframe.exact.rational import Interval
 from dmframe.robot.rational import decimal
 from dmframe.study.grid import Given, changed
-from dmframe.study.objective import CONDITIONS, EVERYWHERE, PERIOD
+from dmframe.study.objective import CONDITIONS, EVERYWHERE
 from dmframe.study.plan import Study
 from dmframe.study.varied import Factor
 
 DIGITS: Final = 5
 """Significant digits of a value that is tried: more would only be noise in the graph that comes out."""
-_STABLE: Final = 1e-9
 
 
 def rounded(value: float, lower: float, upper: float) -> float:
@@ -127,11 +126,10 @@ def excess(failing: Sequence[Checked]) -> float:
     return len(failing) + lack / (1 + lack) if failing else 0.0
 
 
-def unstable(study: Study, point: int, period: float) -> float:
-    """How far the spectral radius of the linearised loop is above 1, on a clock and on shorter ones by halves.
+def unstable(study: Study, point: int, period: float) -> float | None:
+    """How far the spectral radius of the linearised loop is above 1, on a clock [s] and on shorter ones by halves.
 
-    Down to the graph's own clock. At most zero where it is stable on all of them; a loop without a set-point has none,
-    and is refused.
+    Down to the graph's own clock. At most zero where it is stable on all of them; None where no set-point was found.
     """
     experiment = study.points[point].graph.experiment
     diagram, numbers = study.loop_of(experiment)
@@ -140,14 +138,10 @@ def unstable(study: Study, point: int, period: float) -> float:
     while True:
         radius = sampled_radius(varied, period, experiment.start)
         if radius is None:
-            raise ValueFault(
-                f"tune.subject_to: {experiment.name} has no set-point about which it could be linearised; leave "
-                f"{PERIOD} out",
-                path=("tune", "subject_to"),
-            )
+            return None
         worst = max(worst, radius - 1)
         if period <= own:
-            return worst - _STABLE
+            return worst - TOLERANCE
         period = max(period / 2, own)
 
 

@@ -10,7 +10,7 @@ import hashlib
 import math
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -22,12 +22,14 @@ import numpy as np
 from dmframe.errors import DmframeError, MissingError, OutputError, ValueFault
 from dmframe.files import expanded, writing
 from dmframe.study.candidate import Family, Proofs, excess, rounded, unstable, with_tuned
+from dmframe.study.front import Trial, dominates
 from dmframe.study.grammar import TuneSection
 from dmframe.study.identity import key_of
 from dmframe.study.objective import (
     CONDITIONS,
     EFFORT,
     EVERYWHERE,
+    PERIOD,
     Bound,
     Statistic,
     bound,
@@ -40,6 +42,7 @@ from dmframe.study.objective import (
 from dmframe.study.plan import Study, load_study
 from dmframe.study.read import raise_placed
 from dmframe.study.varied import Factor, factor
+from dmframe.units import plain
 
 if TYPE_CHECKING:
     import optuna
@@ -51,30 +54,6 @@ NAME: Final = "tune"
 """Of the search in the journal."""
 ORDER, STOPPED, FIGURES, WHY = "hardest", "stopped", "figures", "why"
 """What a trial keeps beside its values: its hardest plants, whether it was stopped early, what it came to, and why."""
-
-
-@final
-@dataclass(frozen=True)
-class Trial:
-    """A trial that has ended.
-
-    Parameters
-    ----------
-    values
-        What was tried, by column.
-    figures
-        The objectives, in their order; of one that was stopped early, what they are at the least.
-    state
-        ``ran``, ``stopped``, ``broken`` (a limit, or a run that diverged) or ``refused``, before any run.
-    why
-        What speaks against it, in words.
-    """
-
-    number: int
-    values: Mapping[str, float]
-    figures: tuple[float, ...]
-    state: str
-    why: str
 
 
 @final
@@ -211,22 +190,24 @@ class Tuning:
                 failing = self.proofs.failing(candidate, point, everywhere=asked == EVERYWHERE)
                 if failing:
                     return None, f"refused: {failing[0].name} does not hold", asked, excess(failing)
-            if self.period is not None and (beyond := unstable(candidate, point, self.period)) > 0:
-                return None, "refused: unstable on that clock, linearised", "stable period", min(beyond, 1e6)
+            if self.period is not None:
+                beyond = unstable(candidate, point, self.period)
+                if beyond is None:
+                    return None, "refused: found no set-point about which it could be linearised", PERIOD, 1.0
+                if beyond > 0:
+                    return None, f"refused: unstable on a clock of {plain(self.period, 's')}", PERIOD, min(beyond, 1e6)
         return self._run(candidate, held, trial)
 
     def _run(
         self, candidate: Study, held: optuna.Study, trial: optuna.Trial
     ) -> tuple[list[float] | None, str, str, float]:
-        """Run the hardest plants first, and the rest where those leave the candidate a chance."""
+        """Run the hardest plants first, and others as long as those leave the candidate a chance."""
         size, ran = self.family.size, list[int]()
         order, best = _hardest(held, size), _feasible(held)
         share = self.section.screen
         first = size if share is None or size < 8 else max(1, math.ceil(share * size))
         parts = [dict[str, Any]()]
-        for chunk in (order[:first], order[first:]):
-            if not chunk:
-                continue
+        for chunk in (order[place : place + first] for place in range(0, size, first)):
             parts.append(self.family.rows(candidate, chunk, self.threads))
             ran += chunk
             rows = {name: [item for part in parts[1:] for item in part[name]] for name in parts[-1]}
@@ -241,7 +222,7 @@ class Tuning:
                 beyond = each.excess(each.statistic.at_least(each.statistic.figures(rows), size))
                 if (len(ran) == size and beyond > 0) or each.broken(each.statistic.figures(rows), size):
                     return None, f"{each.text} does not hold", each.text, beyond
-            if len(ran) < size and any(_dominates(other, least) for other in best):
+            if len(ran) < size and any(dominates(other, least) for other in best):
                 return least, "stopped: what it showed is worse than one that was found", "graph", 0.0
         hardest = np.argsort(-figures[0], kind="stable")
         trial.set_user_attr(ORDER, [ran[place] for place in hardest.tolist()[:first]])
@@ -343,6 +324,9 @@ def _bound(study: Study, section: TuneSection, factors: tuple[Factor, ...], thre
                 bounds.append(bound(text, columns, diagram))
         except DmframeError as error:
             faults.append(told(error, ("tune", "subject_to")))
+    if period is not None and unstable(study, 0, period) is None:
+        text = "tune.subject_to: found no set-point about which the graph could be linearised; leave stable period out"
+        faults.append(ValueFault(text, path=("tune", "subject_to")))
     raise_placed(faults, study.document)
     return Tuning(study, section, factors, tuple(objectives), tuple(bounds), period, tuple(conditions), threads)
 
@@ -484,11 +468,6 @@ def _hardest(held: optuna.Study, size: int) -> list[int]:
     best = min(found, key=lambda each: (each.values[0], each.number), default=None)
     first = [] if best is None else list(best.user_attrs[ORDER])
     return [*first, *sorted(set(range(size)) - set(first))]
-
-
-def _dominates(one: Sequence[float], other: Sequence[float]) -> bool:
-    """True where one is nowhere worse than the other, and somewhere better."""
-    return all(a <= b for a, b in zip(one, other, strict=True)) and any(a < b for a, b in zip(one, other, strict=True))
 
 
 def _trial(each: Any, tuning: Tuning) -> Trial:

@@ -11,10 +11,11 @@ import numpy as np
 from dmframe.plotting import COLUMN, GREY, PAGE, look, names_above, page, unit_text, verbatim
 from dmframe.results.drawn_runs import shown_unit
 from dmframe.results.error_figure import log_ticks
+from dmframe.study.front import front_of
 from dmframe.study.objective import Statistic
 
 if TYPE_CHECKING:
-    from dmframe.study.tune import Trial
+    from dmframe.study.front import Trial
     from dmframe.study.tuned import Tuned
 
 ACROSS: Final = 3
@@ -82,7 +83,7 @@ def front_figure(found: Tuned) -> Any:
         if found.own is not None and found.own.searched:
             own = [x * found.own.searched[0], y * found.own.searched[1]]
             axes.plot(*([value] for value in own), "s", color=look(4)["color"], markersize=4, label="the graph's own")
-        best = np.array([each.searched[:2] for each in found.front]) * [x, y]
+        best = np.array([each.figures[:2] for each in front_of(ran)]) * [x, y]
         axes.plot(*best.T, "o-", color=look(2)["color"], markersize=4, label="the front")
         _scaled(axes, points[:, 0].tolist(), "x")
         _scaled(axes, points[:, 1].tolist(), "y")
@@ -131,7 +132,13 @@ def _labelled(axes: Any, of: Statistic, side: str) -> float:
 
 
 def _scaled(axes: Any, values: Sequence[float], side: str) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
     if min(values) > 0 and max(values) > _DECADE * min(values):
         (axes.set_xscale if side == "x" else axes.set_yscale)("log")
         if side == "y":
             log_ticks(axes)
+        else:
+            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axes.xaxis.set_minor_formatter(NullFormatter())

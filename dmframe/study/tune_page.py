@@ -15,7 +15,9 @@ from dmframe.report.parts import Badge, Bullets, Cell, Lead, Marked, Paragraph, 
 from dmframe.units import plain
 
 if TYPE_CHECKING:
+    from dmframe.study.plan import Study
     from dmframe.study.tuned import Tuned
+    from dmframe.study.varied import Factor
 
 _CAPTIONS = {
     "search": "The first objective, trial by trial.",
@@ -50,12 +52,18 @@ def _lead(found: Tuned) -> Lead:
         before = f", {of.shown(own)} with the graph's own values"
     proved = best.proof is not None and best.proof.proved
     sentence = f"with {values} {of.text} is {of.shown(at[0])} {where}{before}. {found.counts.capitalize()}."
+    if found.misled:
+        return Lead(
+            "refuted", "not to be used as it is", Marked(f"{sentence} Over longer runs it is worse: see below.")
+        )
     return Lead("proved" if proved else "not_applicable", "tuned" if proved else "tuned, not proved", Marked(sentence))
 
 
 def _sections(found: Tuned, figures: Mapping[str, Any]) -> Iterator[Section]:
     if found.notices:
-        yield Section("trust", "Before you use it", [Bullets(found.notices, failing=range(len(found.notices)))])
+        yield Section(
+            "trust", "Before you use it", [Bullets(found.notices, failing=range(len(found.notices) - found.quiet))]
+        )
     yield Section("found", "What was found", [_table(found), *_about(found)])
     pictures = [
         Picture(figure_svg(figures[name]), name, caption, wide=name == "values")
@@ -112,7 +120,7 @@ def _asked(found: Tuned) -> Table:
     rows: list[list[Cell]] = [["minimise", "; ".join(each.text for each in tuning.objectives)]]
     rows.append(["subject to", "; ".join(section.subject_to) or "nothing"])
     rows += [[Word(name, "code"), _ends(factor)] for name, factor in tuning.columns.items()]
-    rows.append(["plants", f"{study.samples} samples at {len(study.points)} points, {study.file.sample.method}"])
+    rows.append(["plants", _plants(study)])
     for factor in study.factors:
         of = f", of {', '.join(factor.labels)}" if factor.labels != (factor.name,) else ""
         rows.append([Word(factor.name, "code"), _ends(factor) + of])
@@ -125,6 +133,14 @@ def _asked(found: Tuned) -> Table:
         )
     rows.append(["early stop", early])
     return Table(rows, keys=True)
+
+
+def _plants(study: Study) -> str:
+    each = f"at each of {len(study.points)} points" if len(study.points) > 1 else ""
+    drawn = (
+        f"{study.samples} samples, {study.file.sample.method.replace('_', ' ')}" if study.factors else "the graph's own"
+    )
+    return f"{drawn} {each}".rstrip()
 
 
 def _ends(factor: Factor) -> str:

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
+from dmframe.config.experiment import Experiment
 from dmframe.errors import DmframeError, MissingError, listed
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.graph import Graph
 from dmframe.study.candidate import Family
+from dmframe.study.front import Trial, front_of
 from dmframe.study.plan import Study
-from dmframe.study.tune import Trial, Tuning
+from dmframe.study.tune import Tuning
 from dmframe.units import plain
 
 if TYPE_CHECKING:
@@ -29,6 +31,7 @@ MOST: Final = 3
 """Points of the front that are checked and proved."""
 _FRESH: Final = 2**63
 """Between the seed of the search's plants and that of the fresh ones."""
+_NO_NOISE: Final = "the study's loops have no noise: high gains that it would punish are not punished here"
 PAGE, PROOF, SUMMARY, FIGURES = "report.html", "certificate.html", "tuned.json", "figures"
 
 
@@ -119,6 +122,19 @@ class Tuned:
         parts = [f"{counts[state]} {text}" for state, text in told.items() if counts[state]]
         return f"of {sum(counts.values())} trials " + (", ".join(parts) or "none ended")
 
+    @property
+    def misled(self) -> bool:
+        """Over longer runs the best values are worse than the graph's own, or diverge."""
+        if not self.front or not self.front[0].longer:
+            return False
+        own, first = self.own, self.front[0].longer[0]
+        return not math.isfinite(first) or (own is not None and bool(own.longer) and own.longer[0] < first)
+
+    @property
+    def quiet(self) -> bool:
+        """The study's loops draw no random numbers."""
+        return not any(map(_noisy, self.tuning.study.bases.values()))
+
     @cached_property
     def notices(self) -> tuple[str, ...]:
         """What a user should know before using the values."""
@@ -193,7 +209,7 @@ def tuned_of(tuning: Tuning, folder: Path, tell: Callable[[str], None] = lambda 
         There is no search in the folder.
     """
     trials = tuple(tuning.trials(folder))
-    front = _front(trials)
+    front = front_of(trials)
     shown = _spread(front)
     fresh, longer = _families(tuning)
     labels = ["tuned"] if len(shown) == 1 else [f"tuned_{k}" for k in range(1, len(shown) + 1)]
@@ -207,16 +223,6 @@ def tuned_of(tuning: Tuning, folder: Path, tell: Callable[[str], None] = lambda 
         tried = next((each for each in trials if each.state == "ran" and dict(each.values) == own), None)
         chosen = _checked(tuning, "own", own, tried, fresh, longer, prove=False)
     return Tuned(tuning, folder, trials, chosen, tuple(found), len(front))
-
-
-def _front(trials: Sequence[Trial]) -> list[Trial]:
-    """Of trials that ran, those than which no other is better; of equal ones the first."""
-    ran = sorted((each for each in trials if each.state == "ran"), key=lambda each: (each.figures, each.number))
-    found = list[Trial]()
-    for each in ran:
-        if not any(all(a <= b for a, b in zip(other.figures, each.figures, strict=True)) for other in found):
-            found.append(each)
-    return found
 
 
 def _spread(front: Sequence[Trial]) -> list[Trial]:
@@ -277,7 +283,8 @@ def _notices(found: Tuned) -> list[str]:
     study = tuning.study
     duration = study.points[0].graph.duration
     if not found.front:
-        return ["no trial keeps to all limits: widen what is searched, or loosen a limit"]
+        said = ["no trial keeps to all limits: widen what is searched, or loosen a limit"]
+        return [*said, *([_NO_NOISE] if found.quiet else [])]
     best = found.front[0]
     if best.fresh and best.searched and best.fresh[0] > 1.1 * best.searched[0]:
         now, then = first.shown(best.fresh[0]), first.shown(best.searched[0])
@@ -285,9 +292,10 @@ def _notices(found: Tuned) -> list[str]:
     if best.longer:
         long, then = plain(LONGER * duration, "s"), first.shown(best.longer[0])
         if own is not None and own.longer and own.longer[0] < best.longer[0]:
+            now = f"{first.text} is {then}" if math.isfinite(best.longer[0]) else "runs diverge"
             told.append(
-                f"the horizon misleads: over {long} {first.text} is {then}, and {first.shown(own.longer[0])} with the "
-                f"graph's own values; tune over longer runs, set: {{duration: {long}}}"
+                f"the horizon misleads: over {long} {now}, and with the graph's own values {first.text} is "
+                f"{first.shown(own.longer[0])}; tune over longer runs, set: {{duration: {long}}}"
             )
     lost = [each.label for each in found.front if each.longer and not all(map(math.isfinite, each.longer))]
     if lost:
@@ -308,16 +316,16 @@ def _notices(found: Tuned) -> list[str]:
             told.append(f"{name} = {value:g} lies at an end of what was searched; look beyond it")
     if best.proof is not None and not best.proof.proved:
         told.append(f"the best values are not proved: {best.proof.reason}")
-    if not any(noise for base in study.bases.values() for noise in _noisy(base)):
-        told.append("the study's loops have no noise: high gains that it would punish are not punished here")
+    if found.quiet:
+        told.append(_NO_NOISE)
     return told
 
 
-def _noisy(base: Any) -> list[Any]:
+def _noisy(base: Experiment) -> bool:
     try:
-        return list(base.diagram().loop.noises)
-    except DmframeError:
-        return []
+        return bool(base.diagram().loop.noises)
+    except DmframeError:  # a graph that only the cases of the grid make whole
+        return False
 
 
 def _figures(tuning: Tuning, each: Chosen) -> list[str]:
