@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from dmframe.graph.sweep import sweep
     from dmframe.results.run import Run
     from dmframe.study.plan import load_study
+    from dmframe.study.tune import tune
 
     __version__: str
 
@@ -46,6 +47,7 @@ _HOMES: Final = {
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
     "sweep": "graph.sweep",
+    "tune": "study.tune",
     "verify": "graph.shortcuts",
 }
 """Where each name lives: it is imported when someone asks for it, for some take a second."""
@@ -66,6 +68,7 @@ __all__ = [
     "robots",
     "run",
     "sweep",
+    "tune",
     "verify",
 ]
 

@@ -30,7 +30,7 @@ from dmframe.cli.arguments import (
     type_names,
 )
 from dmframe.cli.streams import tell
-from dmframe.cli.studies import study
+from dmframe.cli.studies import study, tune
 from dmframe.errors import UnknownNameError, raise_all, visible
 from dmframe.files import check_place, write_text
 
@@ -61,6 +61,7 @@ def _version(wanted: bool) -> None:
 
 
 app.command()(study)
+app.command()(tune)
 
 
 @app.callback()

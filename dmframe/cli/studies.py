@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from dmframe.cli.arguments import Trust, home
+from dmframe.cli.arguments import Overrides, Trust, home
+from dmframe.errors import ValueFault
 
 
 def study(
@@ -70,4 +71,42 @@ def study(
         force=force,
         as_json=as_json,
         trust=trust,
+    )
+
+
+def tune(
+    study: Annotated[str, typer.Argument(metavar="STUDY", help="A study file with a section tune.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", callback=home, help="Folder of the search; one that is there goes on."),
+    ] = None,
+    trials: Annotated[str | None, typer.Option(metavar="N", help="Trials in all, instead of the file's.")] = None,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    jobs: Annotated[str | None, typer.Option(metavar="N", help="Threads; by default all cores.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    trust: Trust = False,
+) -> int:
+    """Search for the values that are best over a study's plants, check them on fresh ones, and prove them.
+
+    It may be stopped and goes on; several processes may work on one folder.
+    """
+    from dmframe.cli.options import whole
+    from dmframe.cli.tune import tune_study
+    from dmframe.trust import remember
+
+    if trust:
+        remember(Path(study).parent)
+    counts = {
+        name: None if text is None else whole(name, text) for name, text in (("--trials", trials), ("--jobs", jobs))
+    }
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise ValueFault(f"{name} {count}: expected at least 1")
+    return tune_study(
+        study,
+        out=out,
+        trials=counts["--trials"],
+        overrides=overrides,
+        jobs=counts["--jobs"] or 0,
+        as_json=as_json,
     )

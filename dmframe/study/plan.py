@@ -186,7 +186,11 @@ class Study:
 
     def drawn(self, first: int, stop: int) -> dict[str, np.ndarray]:
         """What is drawn for the samples [first, stop), by column."""
-        points, design = self.design.points(first, stop), self.design
+        return self._drawn(np.arange(first, stop, dtype=np.int64))
+
+    def _drawn(self, samples: np.ndarray) -> dict[str, np.ndarray]:
+        design, first = self.design, int(samples.min(initial=self.samples))
+        points = design.points(first, int(samples.max(initial=first - 1)) + 1)[samples - first]
         found = dict[str, np.ndarray]()
         for factor in self.factors:
             for name in factor.columns:
@@ -196,7 +200,10 @@ class Study:
 
     def values(self, point: int, first: int, stop: int) -> dict[str, np.ndarray]:
         """What the samples [first, stop) set at a point: rows by ``block.parameter``, in its own unit."""
-        drawn, experiment = self.drawn(first, stop), self.points[point].graph.experiment
+        return self._values(self.points[point], np.arange(first, stop, dtype=np.int64))
+
+    def _values(self, here: Point, samples: np.ndarray) -> dict[str, np.ndarray]:
+        drawn, experiment = self._drawn(samples), here.graph.experiment
         found = dict[str, np.ndarray]()
         for factor in self.factors:
             factor.put(found, np.stack([drawn[name] for name in factor.columns], axis=1), experiment)
@@ -210,13 +217,16 @@ class Study:
         DmframeError
             A point whose graph cannot be built. (A run that cannot be made, or diverges, is a row.)
         """
-        here, count = self.points[point], stop - first
-        samples = np.arange(first, stop, dtype=np.int64)
+        return self.rows_of(point, np.arange(first, stop, dtype=np.int64), threads=threads)
+
+    def rows_of(self, point: int, samples: np.ndarray, *, threads: int = 1) -> Columns:
+        """`rows` of any samples of a point, in their order."""
+        here, count = self.points[point], len(samples)
         told: Columns = {"run": samples * len(self.points) + point, "point": np.full(count, point, dtype=np.int32)}
-        told["sample"] = samples
+        told["sample"] = np.asarray(samples, dtype=np.int64)
         for name, value in here.values.items():
             told[name] = [value] * count if isinstance(value, str) else np.full(count, value)
-        return told | self.drawn(first, stop) | self._measured(here, first, stop, threads)
+        return told | self._drawn(samples) | self._measured(here, samples, threads)
 
     def graph_of(self, run: int) -> Graph:
         """One run as a graph of its own, with the very numbers of its row.
@@ -259,6 +269,33 @@ class Study:
         """What ran the last `rows` of this process: ``lanes of 8``, ``compiled``, ``interpreted``."""
         return self._loops.engine
 
+    def box(self, point: int) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """The least and the most that samples can set at a point, by ``block.parameter``; infinite without ends."""
+        found = dict[str, tuple[np.ndarray, np.ndarray]]()
+        for factor in self.factors:
+            assert factor.spread is not None  # only a grid's factors have none
+            ends = np.array([[factor.spread.lower], [factor.spread.upper]])
+            ends = np.repeat(ends, len(factor.columns), axis=1)
+            tried = list[dict[str, np.ndarray]]()
+            for side in (0, 1):
+                held = {label: ends_[side][None] for label, ends_ in found.items() if label in factor.labels}
+                factor.put(held, ends, self.points[point].graph.experiment)
+                tried.append(held)
+            for label in factor.labels:
+                corners = np.concatenate([held[label] for held in tried])
+                found[label] = (corners.min(axis=0), corners.max(axis=0))
+        return found
+
+    def loop_of(self, experiment: Experiment) -> tuple[Diagram, dict[str, Any]]:
+        """A closed loop that this process has ready, and the parameters in which a graph differs from it."""
+        return self._loops.of(experiment)
+
+    def on(self, bases: Mapping[str, Experiment]) -> Study:
+        """The same study of other graphs, on the closed loops that are ready."""
+        other = replace(self, bases=bases)
+        other.__dict__["_loops"] = self._loops
+        return other
+
     def check(self) -> None:
         """Build each closed loop, and prepare a run's values at each point.
 
@@ -276,17 +313,17 @@ class Study:
                 faults += error.faults
         raise_all(faults)
 
-    def _measured(self, here: Point, first: int, stop: int, threads: int) -> Columns:
-        experiment, count = here.graph.experiment, stop - first
+    def _measured(self, here: Point, samples: np.ndarray, threads: int) -> Columns:
+        experiment, count = here.graph.experiment, len(samples)
         diagram, _ = self._loops.of(experiment)
         wanted = self._wanted(diagram)
         if count and not any(self._apart(label) for factor in self.factors for label in factor.labels):
-            values = self.values(here.index, first, stop)
+            values = self._values(here, samples)
             found = together(self._loops, experiment, values, count, wanted, threads)
             if found is not None:
                 return rows_of(found, self.measures, count)
         alone = list[Experiment | DmframeError]()
-        for sample in range(first, stop):
+        for sample in samples.tolist():
             try:
                 alone.append(self.graph_of(sample * len(self.points) + here.index).experiment)
             except DmframeError as error:

@@ -144,6 +144,12 @@ class Factor:
     def put(self, values: dict[str, np.ndarray], drawn: np.ndarray, experiment: Experiment) -> None:
         """Change `values`, rows by label, as (N, columns) drawn numbers say; what is not there yet is the graph's."""
         for label in self.labels:
+            if (
+                label not in SETTINGS
+                and not label.startswith(START)
+                and label.partition(".")[0] not in experiment.blocks
+            ):
+                raise ValueFault(f"{label}: expected that block in the graph {experiment.name}, found none")
             rows = drawn if self.elements is not None else drawn[:, 0]
             if self.how == "value":
                 values[label] = rows

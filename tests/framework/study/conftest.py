@@ -16,7 +16,7 @@ title: A planar arm
 robot: arm2
 clock: 4 ms
 duration: 1 s
-start: {q: [0.5, 0.5]}
+start: {near: [0.5, 0.5]}
 blocks:
   path:     {type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
   geometry: {type: kinematics}

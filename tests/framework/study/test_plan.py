@@ -140,7 +140,7 @@ grid:
 
 def test_what_shapes_the_loop_is_run_graph_by_graph(study: Make) -> None:
     text = """\
-set: {duration: 0.1 s}
+set: {duration: 0.1 s, start: {q: [0.5, 0.5]}}
 sample:
   runs: 2
   clock: {uniform: [2 ms, 6 ms]}

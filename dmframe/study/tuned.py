@@ -1,0 +1,369 @@
+"""What tuning has found: the values, checked on fresh plants and over longer runs, as graphs with their proofs."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, final
+
+from dmframe.analysis.period import TOLERANCE, sampled_radius
+from dmframe.config.experiment import Experiment
+from dmframe.errors import DmframeError, MissingError, listed
+from dmframe.files import write_bytes, write_text, writing
+from dmframe.graph import Graph
+from dmframe.study.candidate import Family
+from dmframe.study.front import Trial, front_of
+from dmframe.study.plan import Study
+from dmframe.study.tune import Tuning
+from dmframe.units import plain
+
+if TYPE_CHECKING:
+    from dmframe.report import Verification
+
+LONGER: Final = 5.0
+"""By this factor the runs are longer that show whether the search's horizon misled it."""
+MOST: Final = 3
+"""Points of the front that are checked and proved."""
+_FRESH: Final = 2**63
+"""Between the seed of the search's plants and that of the fresh ones."""
+_NO_NOISE: Final = "the study's loops have no noise: high gains that it would punish are not punished here"
+PAGE, PROOF, SUMMARY, FIGURES = "report.html", "certificate.html", "tuned.json", "figures"
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Chosen:
+    """A set of values that was checked.
+
+    Parameters
+    ----------
+    label
+        ``own``, the graph's, or ``tuned``, ``tuned_1``, ...
+    trial
+        In which it was tried; None for the graph's own values that the search did not try.
+    values
+        By column of what was searched.
+    searched
+        The objectives over the plants of the search; of values that were not tried there, nothing.
+    fresh
+        The same over plants that the search has not seen; empty where nothing is sampled.
+    longer
+        The same over those plants and `LONGER` times as long.
+    graph
+        The study's graph with these values.
+    radius
+        The larger spectral radius of the loop linearised on the graph's clock; None without a clock or a set-point.
+    proof
+        Its certificate; None for the graph's own values.
+    """
+
+    label: str
+    trial: int | None
+    values: Mapping[str, float]
+    searched: tuple[float, ...]
+    fresh: tuple[float, ...]
+    longer: tuple[float, ...]
+    graph: Graph
+    radius: float | None
+    proof: Verification | None = None
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class Tuned:
+    """A search and what it found.
+
+    Parameters
+    ----------
+    trials
+        All that have ended.
+    own
+        The graph's own values; None where they lie outside of what was searched.
+    front
+        The best, of which none is better in all objectives than another; in the order of the first objective.
+    size
+        How many of the front there are; `front` holds at most `MOST` of them, spread over it.
+    """
+
+    tuning: Tuning
+    folder: Path
+    trials: tuple[Trial, ...]
+    own: Chosen | None
+    front: tuple[Chosen, ...]
+    size: int
+
+    @property
+    def best(self) -> Chosen:
+        """The best by the first objective. Raises `MissingError` where no trial keeps to all limits."""
+        if not self.front:
+            raise MissingError(f"{self.folder}: {self.counts}; none keeps to all limits")
+        return self.front[0]
+
+    @property
+    def graph(self) -> Graph:
+        """The study's graph with the best values by the first objective."""
+        return self.best.graph
+
+    @property
+    def counts(self) -> str:
+        """How the trials ended, in words."""
+        told = {
+            "ran": "ran over all plants",
+            "stopped": "were stopped early",
+            "broken": "broke a limit or diverged",
+            "refused": "were refused before any run",
+        }
+        counts = {state: sum(trial.state == state for trial in self.trials) for state in told}
+        parts = [f"{counts[state]} {text}" for state, text in told.items() if counts[state]]
+        return f"of {sum(counts.values())} trials " + (", ".join(parts) or "none ended")
+
+    @property
+    def misled(self) -> bool:
+        """Over longer runs the best values are worse than the graph's own, or diverge."""
+        if not self.front or not self.front[0].longer:
+            return False
+        own, first = self.own, self.front[0].longer[0]
+        return not math.isfinite(first) or (own is not None and bool(own.longer) and own.longer[0] < first)
+
+    @property
+    def quiet(self) -> bool:
+        """The study's loops draw no random numbers."""
+        return not any(map(_noisy, self.tuning.study.bases.values()))
+
+    @cached_property
+    def notices(self) -> tuple[str, ...]:
+        """What a user should know before using the values."""
+        return tuple(_notices(self))
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """All of it as plain data."""
+        names = [each.text for each in self.tuning.objectives]
+        return {
+            "study": self.tuning.study.name,
+            "objectives": {each.text: each.unit for each in self.tuning.objectives},
+            "subject_to": list(self.tuning.section.subject_to),
+            "trials": len(self.trials),
+            "counts": self.counts,
+            "front": self.size,
+            "found": [_plain(each, names) for each in self._rows],
+            "notices": list(self.notices),
+        }
+
+    @property
+    def _rows(self) -> list[Chosen]:
+        return [*([self.own] if self.own is not None else []), *self.front]
+
+    def save(self) -> Path:
+        """Write graphs, figures, the proofs' page and the report into the folder, and return the report's path.
+
+        Raises
+        ------
+        OutputError
+            The folder cannot be written.
+        """
+        from dmframe.plotting import files_of
+        from dmframe.report.write import write_report
+        from dmframe.study.tune_figures import figures_of
+        from dmframe.study.tune_page import as_html
+
+        with writing(self.folder, "folder"):
+            for old in self.folder.glob("tuned*.yaml"):
+                old.unlink()
+            (self.folder / FIGURES).mkdir(exist_ok=True)
+        for each in self.front:
+            _save(each.graph, self.folder / f"{each.label}.yaml")
+        figures = figures_of(self)
+        for name, figure in figures.items():
+            for file, content in files_of(figure, name, self.tuning.study.name).items():
+                write_bytes(self.folder / FIGURES / file, content)
+        proofs = [each.proof for each in self.front if each.proof is not None]
+        if proofs:
+            write_report(self.folder / PROOF, proofs)
+        write_text(self.folder / SUMMARY, json.dumps(self.summary, indent=2) + "\n")
+        write_text(self.folder / PAGE, as_html(self, figures))
+        return self.folder / PAGE
+
+    def __repr__(self) -> str:
+        return f"<Tuned {self.tuning.study.name}: {self.counts}; {self.size} on the front>"
+
+    def __str__(self) -> str:
+        lines = [f"{self.tuning.study.name}: {self.counts}"]
+        for each in self._rows:
+            lines.append(f"  {each.label}: {', '.join(f'{name} = {value:g}' for name, value in each.values.items())}")
+            lines += [f"    {line}" for line in _figures(self.tuning, each)]
+        return "\n".join([*lines, *(f"  {notice}" for notice in self.notices)])
+
+
+def tuned_of(tuning: Tuning, folder: Path, tell: Callable[[str], None] = lambda _: None) -> Tuned:
+    """What the search of a folder has found, checked and proved; see `Tuned`.
+
+    Raises
+    ------
+    MissingError
+        There is no search in the folder.
+    """
+    trials = tuple(tuning.trials(folder))
+    front = front_of(trials)
+    shown = _spread(front)
+    fresh, longer = _families(tuning)
+    labels = ["tuned"] if len(shown) == 1 else [f"tuned_{k}" for k in range(1, len(shown) + 1)]
+    found = list[Chosen]()
+    for label, trial in zip(labels, shown, strict=True):
+        tell(f"checking {label}")
+        found.append(_checked(tuning, label, trial.values, trial, fresh, longer, prove=True))
+    own, chosen = tuning.own, None
+    if own is not None:
+        tell("checking the graph's own values")
+        tried = next((each for each in trials if each.state == "ran" and dict(each.values) == own), None)
+        chosen = _checked(tuning, "own", own, tried, fresh, longer, prove=False)
+    return Tuned(tuning, folder, trials, chosen, tuple(found), len(front))
+
+
+def _spread(front: Sequence[Trial]) -> list[Trial]:
+    """At most `MOST` of them, with both ends."""
+    if len(front) <= MOST:
+        return list(front)
+    places = {round(k * (len(front) - 1) / (MOST - 1)) for k in range(MOST)}
+    return [front[place] for place in sorted(places)]
+
+
+def _families(tuning: Tuning) -> tuple[Family | None, Family | None]:
+    """Fresh plants, and those to be run for longer; none where nothing is sampled, or where the grid says how long."""
+    study = tuning.study
+    section, fresh = study.file.sample, study
+    if study.factors:
+        seed = (section.seed + _FRESH) % 2**64
+        sample = section.model_copy(update={"seed": seed, "runs": tuning.section.fresh or section.runs})
+        fresh = replace(study, file=study.file.model_copy(update={"sample": sample}))
+        fresh.__dict__["_loops"] = study._loops
+    times = any(label == "duration" for axis in study.axes for label in axis.labels)
+    return (Family(fresh) if study.factors else None), (None if times else Family(fresh))
+
+
+def _checked(
+    tuning: Tuning,
+    label: str,
+    values: Mapping[str, float],
+    trial: Trial | None,
+    fresh: Family | None,
+    longer: Family | None,
+    *,
+    prove: bool,
+) -> Chosen:
+    candidate = tuning.candidate(values)
+    experiment = candidate.points[0].graph.experiment
+    graph = Graph(replace(experiment, name=label if prove else experiment.name))
+    told, long = tuple[float, ...](), tuple[float, ...]()
+    if fresh is not None:
+        told = tuple(tuning.figures_of(_of(candidate, fresh.study), fresh)[0])
+    if longer is not None:
+        bases = {name: base.with_duration(LONGER * base.file.duration) for name, base in candidate.bases.items()}
+        long = tuple(tuning.figures_of(_of(candidate.on(bases), longer.study), longer)[0])
+    radius = None if graph.clock is None else sampled_radius(graph.diagram, graph.clock, experiment.start)
+    proof = graph.verify() if prove else None
+    searched = trial.figures if trial is not None else ()
+    number = None if trial is None else trial.number
+    return Chosen(label, number, dict(values), searched, told, long, graph, radius, proof)
+
+
+def _of(candidate: Study, family: Study) -> Study:
+    """The candidate's graphs with the plants of a family."""
+    return family.on(candidate.bases)
+
+
+def _notices(found: Tuned) -> list[str]:
+    tuning, own, told = found.tuning, found.own, list[str]()
+    first = tuning.objectives[0]
+    study = tuning.study
+    duration = study.points[0].graph.duration
+    if not found.front:
+        said = ["no trial keeps to all limits: widen what is searched, or loosen a limit"]
+        return [*said, *([_NO_NOISE] if found.quiet else [])]
+    best = found.front[0]
+    if best.fresh and best.searched and best.fresh[0] > 1.1 * best.searched[0]:
+        now, then = first.shown(best.fresh[0]), first.shown(best.searched[0])
+        told.append(f"on fresh plants {first.text} is {now}, in the search {then}: more runs a trial would tell more")
+    if best.longer:
+        long, then = plain(LONGER * duration, "s"), first.shown(best.longer[0])
+        if own is not None and own.longer and own.longer[0] < best.longer[0]:
+            now = f"{first.text} is {then}" if math.isfinite(best.longer[0]) else "runs diverge"
+            told.append(
+                f"the horizon misleads: over {long} {now}, and with the graph's own values {first.text} is "
+                f"{first.shown(own.longer[0])}; tune over longer runs, set: {{duration: {long}}}"
+            )
+    lost = [each.label for each in found.front if each.longer and not all(map(math.isfinite, each.longer))]
+    if lost:
+        told.append(
+            f"{listed(lost)}: over {plain(LONGER * duration, 's')} runs diverge that did not over "
+            f"{plain(duration, 's')}; tune over longer runs"
+        )
+    shaky = [each for each in found.front if each.radius is not None and each.radius > 1 + TOLERANCE]
+    if shaky:
+        clock = plain(shaky[0].graph.clock or 0.0, "s")
+        told.append(
+            f"{listed([each.label for each in shaky])}: with the estimates at their true values the loop is unstable "
+            f"near its set-point on its clock, linearised; add subject_to: stable period >= {clock}"
+        )
+    for name, value in best.values.items():
+        spread = tuning.columns[name].spread
+        if spread is not None and value in (spread.lower, spread.upper):
+            told.append(f"{name} = {value:g} lies at an end of what was searched; look beyond it")
+    if best.proof is not None and not best.proof.proved:
+        told.append(f"the best values are not proved: {best.proof.reason}")
+    if found.quiet:
+        told.append(_NO_NOISE)
+    return told
+
+
+def _noisy(base: Experiment) -> bool:
+    try:
+        return bool(base.diagram().loop.noises)
+    except DmframeError:  # a graph that only the cases of the grid make whole
+        return False
+
+
+def _figures(tuning: Tuning, each: Chosen) -> list[str]:
+    parts = {"in the search": each.searched, "on fresh plants": each.fresh, f"{LONGER:g} times as long": each.longer}
+    lines = list[str]()
+    for what, values in parts.items():
+        pairs = zip(tuning.objectives, values, strict=True) if values else ()
+        lines += [f"{what}: {', '.join(f'{of.text} {of.shown(value)}' for of, value in pairs)}"] if values else []
+    return lines
+
+
+def _plain(each: Chosen, names: Sequence[str]) -> dict[str, Any]:
+    def told(values: Sequence[float]) -> dict[str, float | None]:
+        pairs = zip(names, values, strict=True) if values else ()
+        return {name: value if math.isfinite(value) else None for name, value in pairs}
+
+    return {
+        "label": each.label,
+        "trial": each.trial,
+        "values": dict(each.values),
+        "searched": told(each.searched),
+        "fresh": told(each.fresh),
+        "longer": told(each.longer),
+        "radius": each.radius,
+        "proof": None if each.proof is None else each.proof.headline,
+    }
+
+
+def _save(graph: Graph, path: Path) -> None:
+    """Write a graph, and beside it the files that it names."""
+    from dmframe.results.resolved import companions
+
+    write_text(path, graph.text)
+    for name, source in companions(graph.experiment).items():
+        target = path.with_name(name)
+        if source.resolve() != target.resolve():
+            with writing(target):
+                shutil.copyfile(source, target)
+
+
+__all__ = ["Chosen", "Tuned", "tuned_of"]

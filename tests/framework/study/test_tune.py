@@ -1,0 +1,312 @@
+"""Tuning: what is tried, refused, stopped and found, and that a search goes on as if it had never stopped."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dmframe.analysis.linear import linearise
+from dmframe.analysis.period import linearised_period
+from dmframe.errors import DmframeError, OutputError
+from dmframe.graph import load
+from dmframe.study import candidate as candidates
+from dmframe.study.front import Trial, dominates, front_of
+from dmframe.study.objective import Statistic
+from dmframe.study.plan import Study, load_study
+from dmframe.study.tune import JOURNAL, Tuning, load_tuning
+from dmframe.study.tuned import tuned_of
+
+pytest.importorskip("optuna")
+
+Make = Callable[..., Study]
+
+PLANTS = """\
+set: {duration: 0.4 s}
+sample:
+  runs: 8
+  seed: 2
+  servo: {scale: [0.5, 2], of: [servo.K_P, servo.K_I]}
+"""
+GAINS = """\
+tune:
+  dynamics.Gamma: {log: [0.1, 100]}
+  task.gamma: {uniform: [0.2, 2]}
+  minimise: worst rms_final
+"""
+
+
+def tuning(study: Make, text: str, **options: Any) -> Tuning:
+    return load_tuning(study(text, **options), threads=1)
+
+
+def told(found: Tuning, folder: Path) -> list[tuple[Any, ...]]:
+    return [(each.number, dict(each.values), each.figures, each.state) for each in found.trials(folder)]
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.95, 0.1, None])
+def test_a_statistic_of_some_runs_is_never_more_than_that_of_all(share: float | None) -> None:
+    rng = np.random.default_rng(0)
+    statistic = Statistic("", share, "rms_final", ("rms_final",), "m")
+    for size in (1, 2, 7, 40):
+        for _ in range(30):
+            values = rng.exponential(size=size)
+            whole = statistic.of(values)
+            expected = values.mean() if share is None else np.quantile(values, share, method="inverted_cdf")
+            assert whole == pytest.approx(expected)
+            for count in range(1, size + 1):
+                assert statistic.at_least(rng.permutation(values)[:count], size) <= whole * (1 + 1e-12)
+
+
+def test_a_figure_of_a_signal_with_several_rows_is_their_norm_or_their_largest() -> None:
+    rows = {
+        "u[0].rms_final": [3.0, 0.0],
+        "u[1].rms_final": [4.0, 1.0],
+        "u[0].least": [-9.0, 0.0],
+        "u[0].most": [2.0, 5.0],
+    }
+    rows |= {"diverged": [False, True], "fault": [None, None]}
+    norm = Statistic("", 1.0, "u.rms_final", ("u[0].rms_final", "u[1].rms_final"), "V")
+    assert norm.figures(rows).tolist() == [5.0, math.inf]
+    assert Statistic("", 1.0, "u.peak", ("u[0].least", "u[0].most"), "V").figures(rows).tolist() == [9.0, math.inf]
+    assert Statistic("", None, "diverged", ("diverged",), "").of(np.array([0.0, 1.0])) == 0.5
+
+
+def test_the_figures_of_a_trial_are_those_of_its_graphs_run_one_by_one(study: Make, tmp_path: Path) -> None:
+    found = tuning(study, PLANTS + GAINS)
+    assert found.search(tmp_path / "out", 3) == 3
+    trials = found.trials(tmp_path / "out")
+    assert dict(trials[0].values) == {"dynamics.Gamma": 1.0, "task.gamma": 0.8}, "the graph's own values come first"
+    for trial in trials:
+        assert trial.state in ("ran", "stopped")
+        if trial.state == "ran":
+            graphs = [found.candidate(trial.values).graph_of(run) for run in range(8)]
+            errors = [graph.run(engine="compiled").error for graph in graphs]
+            assert trial.figures[0] == pytest.approx(max(error.rms_final for error in errors if error), rel=1e-9)
+
+
+def test_a_search_that_goes_on_is_the_one_that_never_stopped(study: Make, tmp_path: Path) -> None:
+    found = tuning(study, PLANTS + GAINS)
+    found.search(tmp_path / "whole", 11)
+    found.search(tmp_path / "parts", 4)
+    again = tuning(study, PLANTS + GAINS)
+    assert again.search(tmp_path / "parts", 11) == 11
+    assert told(found, tmp_path / "whole") == told(again, tmp_path / "parts")
+    other = tuning(study, PLANTS + GAINS + "  seed: 1\n")
+    other.search(tmp_path / "other", 4)
+    assert told(other, tmp_path / "other") != told(found, tmp_path / "whole")[:4]
+
+
+def test_what_is_stopped_early_could_not_have_been_on_the_front(study: Make, tmp_path: Path) -> None:
+    gains = GAINS.replace("minimise: worst rms_final", "minimise: [worst rms_final, worst error_most]")
+    early, whole = tuning(study, PLANTS + gains), tuning(study, PLANTS + gains + "  screen: null\n")
+    for found, name in ((early, "early"), (whole, "whole")):
+        found.search(tmp_path / name, 10)  # the first ten are drawn at random, whatever the others were
+    stopped = [each for each in early.trials(tmp_path / "early") if each.state == "stopped"]
+    ran = {each.number: each for each in whole.trials(tmp_path / "whole")}
+    assert stopped, "no trial was stopped, so that this test says nothing"
+    for each in stopped:
+        assert all(a <= b * (1 + 1e-12) for a, b in zip(each.figures, ran[each.number].figures, strict=True))
+    assert [each.number for each in front_of(early.trials(tmp_path / "early"))] == [
+        each.number for each in front_of(list(ran.values()))
+    ]
+
+
+def test_values_whose_conditions_fail_are_refused_before_any_run(
+    study: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "tune: {arm.maker_viscous: {uniform: [0, 60]}, minimise: worst rms_final, subject_to: conditions}\n"
+    found, ran = tuning(study, PLANTS + text), list[float]()
+    rows = candidates.Family.rows
+
+    def counted(family: Any, candidate: Study, *rest: Any) -> Any:
+        ran.append(candidate.bases[""].blocks["arm"].maker_viscous)  # type: ignore[attr-defined]
+        return rows(family, candidate, *rest)
+
+    monkeypatch.setattr(candidates.Family, "rows", counted)
+    found.search(tmp_path, 6)
+    trials = found.trials(tmp_path)
+    most = 30.5  # K_P + B of the second joint: the friction that the maker may compensate, or dV/dt may be positive
+    assert {each.state == "refused" for each in trials} == {True, False}
+    for each in trials:
+        assert (each.state == "refused") == (each.values["arm.maker_viscous"] >= most), each
+        assert each.state != "refused" or "does not hold" in each.why
+    assert max(ran) < most
+
+
+@pytest.mark.parametrize(("value", "here", "everywhere"), [(15.4, 1, 1), (15.6, 1, 0), (30.4, 1, 0), (30.6, 0, 0)])
+def test_conditions_everywhere_are_those_over_all_that_is_sampled(
+    study: Make, value: float, here: int, everywhere: int
+) -> None:
+    found = tuning(study, PLANTS + "tune: {arm.maker_viscous: {uniform: [0, 60]}, minimise: worst rms_final}\n")
+    candidate = found.candidate({"arm.maker_viscous": value})
+    assert (not found.proofs.failing(candidate, 0, everywhere=False)) == bool(here)
+    assert (not found.proofs.failing(candidate, 0, everywhere=True)) == bool(everywhere)  # half of K_P, and B
+
+
+def test_a_limit_parts_the_trials_by_what_their_graphs_do(study: Make, tmp_path: Path) -> None:
+    few = PLANTS.replace("runs: 8", "runs: 2")
+    limited = tuning(study, few + GAINS + "  subject_to: worst rms_final <= 0.93 mm\n")
+    limited.search(tmp_path, 4)
+    trials = limited.trials(tmp_path)
+    for trial in trials:
+        graphs = [limited.candidate(trial.values).graph_of(run) for run in range(2)]
+        errors = [graph.run(engine="compiled").error for graph in graphs]
+        worst = max(error.rms_final or math.inf for error in errors if error)
+        assert (trial.state == "broken") == (worst > 0.93e-3), (trial, worst)
+    assert len({each.state == "broken" for each in trials}) == 2
+
+
+def test_a_clock_is_refused_from_the_largest_stable_period_on() -> None:
+    graph = load("pendulum")
+    largest = linearised_period(linearise(graph.diagram, start=graph.experiment.start)).stable
+    plants = load_study({"dmframe-study": 1, "graph": "pendulum", "set": {"duration": "1 s"}})
+    below, above = (candidates.unstable(plants, 0, share * largest) for share in (0.97, 1.03))
+    assert below is not None
+    assert above is not None
+    assert below <= 0 < above
+
+
+def test_after_ctrl_c_the_same_call_goes_on(study: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, calls = tuning(study, PLANTS + GAINS), itertools.count()
+    rows = candidates.Family.rows
+
+    def stopped(*given: Any) -> Any:
+        if next(calls) == 3:
+            raise KeyboardInterrupt
+        return rows(*given)
+
+    monkeypatch.setattr(candidates.Family, "rows", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        found.search(tmp_path, 5)
+    assert found.search(tmp_path, 5) == 5
+    states = [each.state for each in found.trials(tmp_path)]
+    assert states.count("interrupted") == 1
+    assert len(states) == 6
+
+
+def test_another_search_in_the_folder_is_refused_with_the_difference(study: Make, tmp_path: Path) -> None:
+    tuning(study, PLANTS + GAINS).search(tmp_path, 1)
+    for text, word in (
+        (PLANTS + GAINS.replace("100]", "200]"), "tune"),
+        (PLANTS.replace("runs: 8", "runs: 9") + GAINS, "runs"),
+        (PLANTS.replace("0.4 s", "0.5 s") + GAINS, "graphs"),
+    ):
+        with pytest.raises(OutputError, match=f"another {word}"):
+            tuning(study, text).search(tmp_path, 1)
+    assert tuning(study, PLANTS + GAINS + "  trials: 7\n").search(tmp_path, 2) == 2
+
+
+def test_what_is_found_is_checked_on_fresh_plants_proved_and_written(study: Make, tmp_path: Path) -> None:
+    found = tuning(study, PLANTS + GAINS)
+    found.search(tmp_path, 4)
+    result = tuned_of(found, tmp_path)
+    best = result.best
+    assert best.searched[0] == min(each.figures[0] for each in found.trials(tmp_path) if each.state == "ran")
+    assert best.fresh[0] != best.searched[0]
+    assert result.own is not None
+    assert result.own.searched[0] >= best.searched[0]
+    assert result.save().is_file()
+    assert {path.name for path in tmp_path.iterdir()} >= {
+        "report.html",
+        "certificate.html",
+        "tuned.yaml",
+        "tuned.json",
+        JOURNAL,
+    }
+    graph = load(tmp_path / "tuned.yaml")
+    assert graph.blocks["dynamics"].Gamma == best.values["dynamics.Gamma"]  # type: ignore[attr-defined]
+    assert graph.verify().proved
+    summary = json.loads((tmp_path / "tuned.json").read_text(encoding="utf-8"))
+    assert [each["label"] for each in summary["found"]] == ["own", "tuned"]
+    assert summary["found"][1]["proof"].startswith("proved")
+
+
+def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
+    found = tuning(study, PLANTS + GAINS)
+    found.search(tmp_path, 2)
+    result = tuned_of(found, tmp_path)
+    assert result.own is not None
+    worse = replace(result, front=(replace(result.best, longer=(result.own.longer[0] * 2,)),))
+    assert worse.misled
+    assert any("over 2 s" in notice and "misleads" in notice for notice in worse.notices)
+    lost = replace(result, front=(replace(result.best, longer=(math.inf,)),))
+    assert lost.misled
+    assert any("runs diverge that did not over 400 ms" in notice for notice in lost.notices)
+    better = replace(result, front=(replace(result.best, longer=(result.own.longer[0] / 2,)),))
+    assert not better.misled
+
+
+def test_the_front_is_what_nothing_dominates() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform(size=(60, 2)).round(1).tolist()
+    trials = [Trial(k, {}, tuple(point), "ran", "") for k, point in enumerate(points)]
+    front = front_of(trials)
+    expected = {tuple(a) for a in points if not any(dominates(b, a) for b in points)}
+    assert {each.figures for each in front} == expected
+    assert len(front) == len(expected)
+
+
+GAMMA = "dynamics.Gamma: {log: [1, 10]}"
+RMS = "minimise: worst rms_final"
+
+
+@pytest.mark.parametrize(
+    ("section", "expected"),
+    [
+        (RMS, "tune: expected parameters to search"),
+        (GAMMA, "tune.minimise: this key is missing"),
+        (
+            f"dynamics.Gama: {{log: [1, 10]}}, {RMS}",
+            "tune.dynamics.Gama: unknown parameter; did you mean dynamics.Gamma?",
+        ),
+        (f"dynamics.Gamma: {{normal: [1, 10], clip: [1, 2]}}, {RMS}", "expected two ends, uniform or log"),
+        (f"{GAMMA}, minimise: best rms_final", "tune.minimise: expected worst, median, mean or quantile 0.95"),
+        (f"{GAMMA}, minimise: worst rms_fnal", "unknown figure; did you mean rms_final?"),
+        (f"{GAMMA}, minimise: quantile 2 rms_final", "expected a quantile between 0 and 1, found 2"),
+        (f"{GAMMA}, {RMS}, subject_to: condition", "tune.subject_to: expected conditions"),
+        (f"{GAMMA}, {RMS}, subject_to: worst rms_final <= 3 V", "tune.subject_to: expected a quantity in m"),
+        (f"servo.K_P: {{scale: [1, 2]}}, {RMS}", "servo.K_P varies over the plants, too"),
+    ],
+)
+def test_a_wrong_section_is_refused_with_its_place(study: Make, section: str, expected: str) -> None:
+    with pytest.raises(DmframeError) as caught:
+        tuning(study, PLANTS + f"tune: {{{section}}}\n")
+    assert expected in str(caught.value)
+    assert "study.yaml:" in str(caught.value)
+
+
+def test_two_processes_share_one_search_by_the_command_line(study: Make, arm: Path) -> None:
+    study(PLANTS + GAINS)
+    command = [
+        sys.executable,
+        "-m",
+        "dmframe",
+        "tune",
+        "study.yaml",
+        "--out",
+        "out",
+        "--trials",
+        "6",
+        "--jobs",
+        "1",
+        "--json",
+    ]
+    both = [
+        subprocess.Popen(command, cwd=arm.parent, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    ended = [each.communicate(timeout=120) for each in both]
+    assert all(each.returncode in (0, 1) for each in both), ended
+    trials = tuning(study, PLANTS + GAINS).trials(arm.parent / "out")
+    assert sorted(each.number for each in trials) == list(range(len(trials)))
+    assert 6 <= len(trials) <= 7, "each looks before it tries"
