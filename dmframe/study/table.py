@@ -81,6 +81,61 @@ class Loops:
         return diagram
 
 
+@final
+@dataclass
+class Group:
+    """Grid points of one closed loop, clock, duration and solver, that differ in numbers alone.
+
+    Attributes
+    ----------
+    points, numbers
+        Their indices, and of each the parameters in which it differs from the diagram.
+    """
+
+    experiment: Experiment
+    diagram: Diagram
+    points: list[int] = field(default_factory=list)
+    numbers: list[dict[str, Any]] = field(default_factory=list)
+
+    def takes(self, experiment: Experiment, diagram: Diagram) -> bool:
+        """A graph of that loop may join."""
+        own = self.experiment
+        alike = (experiment.file.duration, experiment.settings) == (own.file.duration, own.settings)
+        return diagram is self.diagram and alike
+
+    def measured(
+        self, values: Sequence[Mapping[str, np.ndarray]], count: int, wanted: Wanted, threads: int
+    ) -> Measured | None:
+        """`count` runs of each point in one batch, `values` being what is drawn at each; None where that cannot be."""
+        labels = dict.fromkeys(label for part in (*self.numbers, *values) for label in part)
+        rows = dict[str, np.ndarray]()
+        for label in labels:
+            own = self._own(label)
+            parts = [_filled(part.get(label, numbers.get(label, own)), label in part, own, count)
+                     for numbers, part in zip(self.numbers, values, strict=True)]  # fmt: skip
+            if any(part is None for part in parts):
+                return None
+            rows[label] = np.concatenate([part for part in parts if part is not None])
+        return _measured(self.diagram, self.experiment, rows, wanted, threads)
+
+    def _own(self, label: str) -> np.ndarray:
+        """The diagram's value, in full."""
+        block, _, key = label.partition(".")
+        return np.asarray(self.diagram.models[block].values[key], dtype=float)
+
+
+def _filled(value: Any, drawn: bool, own: np.ndarray, count: int) -> np.ndarray | None:
+    """(count, *shape): what was drawn, a row a run, or one value for all; None where it does not fill the parameter."""
+    rows = np.asarray(value, dtype=float)
+    rows = rows if drawn else rows[None]
+    if rows.ndim == 1:
+        rows = rows.reshape(-1, *(1 for _ in own.shape))
+    try:
+        return np.broadcast_to(rows, (count, *own.shape))
+    except ValueError:
+        return None
+
+
 def wanted_of(signals: Sequence[str], limits: Mapping[str, float]) -> Wanted:
     """What `measure` is asked for: signals with a limit are measured, too."""
     return Wanted(tuple(dict.fromkeys([*signals, *(key for key in limits if key != ERROR)])), dict(limits))
