@@ -43,8 +43,9 @@ def worst(t: Told) -> Iterator[Part]:
     yield Paragraph(
         Marked(
             "Each file is a whole graph with the numbers of its run, and runs again as it did, state by state, where "
-            f"it is compiled too: `dmframe run {first} --engine compiled --out worst` draws it. Of an RMS the last digits "
-            f"may differ, for many runs sum in another order. `dmframe verify {first}` proves it, or says why not."
+            f"it is compiled too: `dmframe run {first} --engine compiled --out worst` draws it. Of an RMS the last "
+            "digits may differ, for many runs sum in another order. "
+            f"`dmframe verify {first}` proves it, or says why not."
         )
     )
 

@@ -186,13 +186,13 @@ def test_the_schema_takes_what_the_grammar_takes_and_refuses_a_wrong_key() -> No
 
 
 def test_points_that_differ_in_numbers_run_together_and_give_the_same_rows(study: Make) -> None:
-    found = study("""\
-set: {duration: 0.2 s}
-sample: {runs: 2, servo.K_P: {scale: [0.8, 1.25]}, servo.K_I: {scale: {log: [0.5, 2]}, per: joint}}
+    found = study(f"""\
+set: {{duration: 0.2 s}}
+sample: {{runs: 2, servo.K_P: {{scale: [0.8, 1.25]}}, servo.K_I: {{scale: {{log: [0.5, 2]}}, per: joint}}}}
 grid:
-  dynamics.Gamma: [1, [1, 2, 3, 4, 5, 6, 7, 8, 9, 10], 3]
-  servo: {scale: [0.5, 1], of: [servo.K_P, servo.K_I]}
-  case: {slow: {clock: 4 ms}, fast: {clock: 2 ms, arm.viscous: [2, 0]}}
+  dynamics.Gamma: [1, {[*range(1, 23)]}, 3]
+  servo: {{scale: [0.5, 1], of: [servo.K_P, servo.K_I]}}
+  case: {{slow: {{clock: 4 ms}}, fast: {{clock: 2 ms, arm.viscous: [2, 0]}}}}
 """)
     assert len(found.points) == 12
     together = found.band(1, 12, 0, 2)
