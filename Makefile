@@ -1,4 +1,4 @@
-# make run | make test | make docs | make benchmark | make peers | make mutants | make soak | make setup | make lint | make lock | make clean
+# make run | make test | make docs | make benchmark | make peers | make mutants | make soak | make study | make setup | make lint | make lock | make clean
 # Needs Python 3.11 or later with venv and pip, git, make and gcc; choose the Python with PYTHON=python3.12.
 
 SHELL := /bin/bash
@@ -17,7 +17,7 @@ FAST := ur10_fast ur10_fast_kinematic ur10_fast_tuned
 SLOW := ur10_slow ur10_slow_kinematic ur10_slow_tuned
 SOURCES := dmframe blocks plants tests
 
-.PHONY: run test docs mutants soak setup lint lock clean benchmark peers
+.PHONY: run test docs mutants soak study setup lint lock clean benchmark peers
 
 # The paper's two experiments: a table and a folder of figures each.
 run: setup
@@ -35,6 +35,11 @@ mutants: setup
 # How long the packaged graphs stay sound beyond their own durations, over a simulated day: half an hour.
 soak: setup
 	$(BIN)/python tests/soak.py
+
+# A study of 100 000 runs on two dask workers, one of which is killed, as is the client: complete, nothing twice, equal to
+# the undisturbed one. STUDY="--runs 4000" makes it shorter.
+study: setup
+	$(BIN)/python tests/study_killed.py $(STUDY)
 
 lint: setup
 	$(BIN)/ruff check $(SOURCES)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
     from dmframe.results.run import Run
+    from dmframe.study.plan import load_study
 
     __version__: str
 
@@ -40,6 +41,7 @@ _HOMES: Final = {
     "draw": "graph.shortcuts",
     "graphs": "graph.shelf",
     "load": "graph.graph",
+    "load_study": "study.plan",
     "robots": "graph.shelf",
     "run": "graph.shortcuts",
     "sweep": "graph.runs",
@@ -59,6 +61,7 @@ __all__ = [
     "draw",
     "graphs",
     "load",
+    "load_study",
     "robots",
     "run",
     "sweep",

@@ -13,13 +13,14 @@ from dmframe.cli.streams import tell
 from dmframe.columns import columns
 from dmframe.errors import MissingError, ValueFault, visible
 from dmframe.graph.progress import counting, telling
-from dmframe.results.folder import safe_name
 from dmframe.study.again import Again, again
 from dmframe.study.execute import State, run_study
 from dmframe.study.foreseen import Foreseen, foreseen
+from dmframe.study.lock import LOCK
 from dmframe.study.plan import Study, load_study
 from dmframe.study.results import Results
-from dmframe.study.store import LOCK, polars
+from dmframe.study.run import default_folder
+from dmframe.study.store import polars
 from dmframe.trust import remember
 
 INCOMPLETE: Final = 1
@@ -48,7 +49,7 @@ def study_of(file: str, *, trust: bool = False) -> tuple[Study, Path]:
     study = load_study(path)
     if path.name == FILE and (path.parent / LOCK).is_file():
         return study, path.parent
-    return study, Path("studies", safe_name(study.name))
+    return study, default_folder(study)
 
 
 def run(

@@ -112,8 +112,8 @@ class Cluster:
             if future.status in ("cancelled", "lost") or self._client.status != "running":
                 raise self._lost() from None
             kind = type(error).__name__
-            if kind == "KilledWorker":  # dask has tried several
-                return Failed("each worker that computed it was ended", final=True)
+            if kind == "KilledWorker":  # of several workers, and of each all chunks that waited there
+                return Failed("each worker that computed it was ended", alone=True)
             if isinstance(error, ModuleNotFoundError) or "No module named 'dmframe" in str(error):
                 raise WorkersLost("a worker has no dmframe; install the same version there") from None
             return Failed(f"{kind}: {visible(str(error))}")
@@ -125,9 +125,11 @@ class Cluster:
         return answer
 
     def __enter__(self) -> Cluster:
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is lost is told in one sentence
+        for name in ("distributed", *logging.root.manager.loggerDict):
+            if name.partition(".")[0] == "distributed":  # what is lost is told in one sentence
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
-            self._client = self._library.Client(  # type: ignore[no-untyped-call]
+            self._client = _client(self._library)(
                 self._address, timeout=_CONNECT, set_as_default=False, name="dmframe-study"
             )
         except Exception as error:
@@ -143,6 +145,16 @@ class Cluster:
 
     def _lost(self) -> WorkersLost:
         return WorkersLost(f"--scheduler {self._address}: the scheduler has gone")
+
+
+def _client(library: Any) -> Any:
+    """Dask's client, but for its end where it could not connect: there it waits, and then complains."""
+
+    class Client(library.Client):  # type: ignore[misc]
+        def __del__(self) -> None:
+            pass
+
+    return Client
 
 
 @final

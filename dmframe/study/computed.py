@@ -106,10 +106,13 @@ class Failed:
     ----------
     final
         Another attempt would fail, too.
+    alone
+        It may have failed for another chunk's sake: it is to be tried when no other is on its way.
     """
 
     text: str
     final: bool = False
+    alone: bool = False
 
 
 def compute(study: Computable, chunk: Chunk) -> Computed | Failed:

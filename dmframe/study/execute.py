@@ -20,8 +20,9 @@ from dmframe.study.beside import files_beside
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.computed import Computable, Computed, Failed, versions
+from dmframe.study.disk import append, put
 from dmframe.study.pool import Pool, Workers
-from dmframe.study.store import PROCESSES, PROVENANCE, Store, append, opened, put
+from dmframe.study.store import PROCESSES, PROVENANCE, Store, opened
 
 ATTEMPTS: Final = 3
 """How often a chunk is tried."""
@@ -157,6 +158,8 @@ class _Marching:
         self._store, self._workers, self._state, self._tell = store, workers, state, tell
         self._out = set[Chunk]()
         self._again = list[Chunk]()
+        self._alone = list[Chunk]()
+        self._suspected = set[Chunk]()
         self._tried = Counter[Chunk]()
 
     def all(self, sizes: Sizes) -> None:
@@ -188,8 +191,11 @@ class _Marching:
                     break
                 self._out.add(chunk)
                 self._workers.submit(chunk)
-            if not self._out:
-                return
+            if not self._out:  # what may have been ended for another's sake comes last, and one by one
+                if not self._alone:
+                    return
+                self._out.add(chunk := self._alone.pop())
+                self._workers.submit(chunk)
             if (answer := self._workers.ended(_LOOK)) is not None:
                 self._take(*answer)
             self._tell()
@@ -205,8 +211,12 @@ class _Marching:
                 self._state.kept += chunk.runs
                 self._state.computed += chunk.runs
                 return
+        if answer.alone and chunk not in self._suspected:
+            self._suspected.add(chunk)
+            self._alone.append(chunk)
+            return
         self._tried[chunk] += 1
-        if answer.final or self._tried[chunk] >= ATTEMPTS:
+        if answer.final or answer.alone or self._tried[chunk] >= ATTEMPTS:
             self._state.failed[chunk] = answer.text
         else:
             self._again.append(chunk)
@@ -226,6 +236,7 @@ def _record(store: Store, state: State, moment: datetime, scheduler: str | None,
         "platform": platform.platform(),
         "versions": dict(versions()),
         "key": store.key,
+        "seed": store.seed,
         "scheduler": scheduler,
         "workers": state.workers,
         "runs": state.computed,

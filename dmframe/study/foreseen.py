@@ -9,7 +9,8 @@ from typing import Any, final
 from dmframe.errors import DmframeError
 from dmframe.study.chunks import Extent, Sizes
 from dmframe.study.computed import Computable, Failed, compute, cores
-from dmframe.study.store import difference, kept_in, read_lock
+from dmframe.study.disk import kept_in
+from dmframe.study.lock import difference, read_lock
 
 
 @final

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, final
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
@@ -37,6 +37,9 @@ from dmframe.study.table import (
 )
 from dmframe.study.varied import START, Factor
 from dmframe.units import to_unit
+
+if TYPE_CHECKING:
+    from dmframe.study.results import Results
 
 _READY: Final = 4
 """Studies whose closed loops a worker keeps."""
@@ -270,6 +273,26 @@ class Study:
         numbers = {label: rows[0].tolist() for label, rows in self.values(point, sample, sample + 1).items()}
         experiment = graph.experiment.changed(numbers) if numbers else graph.experiment
         return Graph(replace(experiment, name=f"{self.name}_{run}"))
+
+    def run(
+        self,
+        out: str | Path | None = None,
+        *,
+        workers: int | None = None,
+        scheduler: str | None = None,
+        force: bool = False,
+        progress: bool | None = None,
+    ) -> Results:
+        """Compute the rows that its folder does not hold yet, as ``dmframe study`` does; ``studies/NAME`` without `out`.
+
+        Raises
+        ------
+        DmframeError
+            The folder holds something else, or not all rows could be computed; see `dmframe.study.execute.run_study`.
+        """
+        from dmframe.study.run import run_whole
+
+        return run_whole(self, out, workers=workers, scheduler=scheduler, force=force, progress=progress)
 
     @property
     def engine(self) -> str:

@@ -11,8 +11,8 @@ import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -22,16 +22,13 @@ from dmframe.errors import MissingError, OutputError, ValueFault, visible
 from dmframe.files import encoded, expanded, writing
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.computed import Computable, Computed, Table, versions
-from dmframe.units import shorten
+from dmframe.study.disk import CHUNKS, Kept, append, end_line, kept_in, put, put_below
+from dmframe.study.lock import LOCK, difference, plain, read_lock
 
-LOCK: Final = "study.lock.json"
-CHUNKS: Final = "chunks.jsonl"
 RUNS: Final = "runs"
 PROVENANCE: Final = "provenance.json"
 PROCESSES: Final = "processes.jsonl"
 _HELD: Final = ".dmframe-study.lock"
-_TOLD: Final = 4
-"""Differences that a message lists."""
 _FIXED: Final = ("run", "point", "sample")
 
 
@@ -42,18 +39,6 @@ def polars() -> Any:
     except ImportError:
         raise MissingError('study: polars is not installed; pip install "dmframe[study]"') from None
     return polars
-
-
-@final
-@dataclass(frozen=True)
-class Kept:
-    """What is known of a chunk that was written: one line of ``chunks.jsonl``."""
-
-    file: str
-    sha256: str
-    rows: int
-    seconds: float
-    made: Mapping[str, str]
 
 
 @final
@@ -80,6 +65,12 @@ class Store:
         self._columns = {column.name: column.unit for column in (*study.varied, *study.measures)}
         self._types: dict[str, str] | None = None
         self._study = study
+
+    @property
+    def seed(self) -> int | None:
+        """Of what is drawn; None where nothing is."""
+        found: int | None = self._study.identity.get("sample", {}).get("seed")
+        return found
 
     @property
     def runs_done(self) -> int:
@@ -151,7 +142,7 @@ class Store:
             "study": self._study.name,
             "key": self.key,
             "versions": dict(versions()),
-            "identity": _plain(self._study.identity),
+            "identity": plain(self._study.identity),
             "points": self.points,
             "samples": self._study.samples,
             "each": self.each,
@@ -166,13 +157,13 @@ class Store:
         with writing(self.path, "folder"):
             (self.path / RUNS).mkdir(exist_ok=True)
             for name, content in files.items():
-                _put_below(self.path, name, content)
+                put_below(self.path, name, content)
         self._write_lock()
 
     def _found(self) -> None:
         """Look at every chunk that should be there."""
         held = kept_in(self.path)
-        _end_line(self.path / CHUNKS)
+        end_line(self.path / CHUNKS)
         wanted = {f"{chunk.name(self.key)}.parquet": chunk for extent in self.extents for chunk in extent}
         wrong = list[str]()
         for item in sorted((self.path / RUNS).iterdir()):
@@ -246,116 +237,6 @@ def opened(path: str | Path, study: Computable, files: Mapping[str, bytes], *, f
         with writing(path, "folder"):
             store._found()
         yield store
-
-
-def read_lock(path: Path) -> dict[str, Any] | None:
-    """What ``study.lock.json`` says; None where there is none. Raises `OutputError` for one that cannot be read."""
-    try:
-        lock = json.loads((path / LOCK).read_text(encoding="utf-8"))
-        if not {"key", "versions", "identity", "samples", "extents", "each", "types"} <= lock.keys():
-            raise ValueError
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, AttributeError):
-        raise OutputError(
-            f"{path / LOCK}: expected what a study has written, found something else; name another folder"
-        ) from None
-    return dict(lock)
-
-
-def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
-    """In one sentence, what has changed since a study was begun; empty where nothing has."""
-    old, now = ({**_leaves(held), **_leaves(of, "versions.")} for held, of in _both(lock, identity))
-    changed = [name for name in {**old, **now} if old.get(name) != now.get(name)]
-    told = [f"{name} was {_shown(old, name)}, now {_shown(now, name)}" for name in changed[:_TOLD]]
-    more = f"; and {len(changed) - _TOLD} more" if len(changed) > _TOLD else ""
-    return f"holds another study: {'; '.join(told)}{more}" if changed else ""
-
-
-def _both(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
-    yield lock["identity"], lock["versions"]
-    yield _plain(identity), dict(versions())
-
-
-def _plain(data: Any) -> Any:
-    """As it comes back from a file."""
-    return json.loads(json.dumps(data, default=str))
-
-
-def _leaves(data: Any, path: str = "") -> dict[str, str]:
-    """Each number and text in nested data, by its path."""
-    if not isinstance(data, dict):
-        return {path.strip("."): json.dumps(data)}
-    return {name: leaf for key, value in data.items() for name, leaf in _leaves(value, f"{path}{key}.").items()}
-
-
-def _shown(leaves: Mapping[str, str], name: str) -> str:
-    return shorten(leaves[name]) if name in leaves else "nothing"
-
-
-def _put_below(folder: Path, name: str, content: bytes) -> None:
-    """Write a file where it is not there already, in a folder that may be new."""
-    target = folder / name
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if not target.is_file() or target.read_bytes() != content:
-        put(target, content)
-
-
-def put(target: Path, content: bytes) -> None:
-    """Write a file in one step, and force it to the disk."""
-    beside = target.with_name(f"{target.name}.tmp")
-    try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(target)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    _sync(target.parent)
-
-
-def append(target: Path, line: str) -> None:
-    """Add a line to a file, and force it to the disk."""
-    with target.open("ab") as file:
-        file.write(encoded(line))
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
-def kept_in(folder: Path) -> dict[str, Kept]:
-    """By file, the last line of each; a line that is not whole is of a process that was ended."""
-    found = dict[str, Kept]()
-    try:
-        text = (folder / CHUNKS).read_text(encoding="utf-8", errors="replace")
-    except FileNotFoundError:
-        return found
-    for line in text.splitlines():
-        try:
-            kept = Kept(**json.loads(line))
-        except (ValueError, TypeError):
-            continue
-        found[kept.file] = kept
-    return found
-
-
-def _end_line(path: Path) -> None:
-    """What is appended must begin a line."""
-    with suppress(FileNotFoundError):
-        with path.open("rb") as file:
-            whole = file.read()[-1:] in (b"", b"\n")
-        if not whole:
-            append(path, "\n")
 
 
 def _is(path: Path, sha256: str) -> bool:

@@ -217,6 +217,20 @@ def test_a_wrong_call_is_told_in_one_line(words: tuple[str, ...], told: str, tmp
     assert len(err.splitlines()) == 1
 
 
+def test_from_python_a_study_runs_in_an_unguarded_script_and_gives_its_results(tmp_path: Path) -> None:
+    (tmp_path / "small.yaml").write_text(SMALL, encoding="utf-8")
+    (tmp_path / "script.py").write_text(
+        "import dmframe as dm\n"
+        "results = dm.load_study('small.yaml').run(workers=1)\n"
+        "print(results.folder, results.frame.collect().height)\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "studies/small 3\n"
+
+
 def test_what_is_packed_is_what_is_unpacked(tmp_path: Path) -> None:
     study = load_study({"dmframe-study": 1, "graph": "pendulum", "set": {"duration": "0.1 s"}})
     assert unpacked(packed(study)).key == study.key

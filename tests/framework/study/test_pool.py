@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from typing import final
 
 import pytest
 from stand_in_study import StandIn
 from study_processes import check, client, close, files, gate, kill, said, wait_for_end
 
+from dmframe.study import execute
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, Failed
+from dmframe.study.computed import Computed, Failed, compute
 from dmframe.study.execute import AHEAD, run_study
 from dmframe.study.pool import Pool
 
@@ -117,3 +119,40 @@ def test_chunks_wait_in_a_short_queue_however_many_there_are(tmp_path: Path, mon
     monkeypatch.setattr(Pool, "ended", counting)
     run_study(StandIn(samples=200), tmp_path / "out", workers=1, chunk=8)
     assert 1 < most <= AHEAD
+
+
+@final
+class Blaming:
+    """Workers that end with all chunks that wait there, as a scheduler's do, who cannot tell which of them did it."""
+
+    count = 1
+
+    def __init__(self, study: StandIn, poison: Chunk) -> None:
+        self._study, self._poison = study, poison
+        self._waiting = list[Chunk]()
+        self._ended = list[tuple[Chunk, Computed | Failed]]()
+
+    def submit(self, chunk: Chunk) -> None:
+        self._waiting.append(chunk)
+
+    def ended(self, timeout: float) -> tuple[Chunk, Computed | Failed] | None:
+        if not self._ended:
+            blamed = Failed("ended", alone=True)
+            harmed = self._poison in self._waiting
+            self._ended = [(each, blamed if harmed else compute(self._study, each)) for each in self._waiting]
+            self._waiting.clear()
+        return self._ended.pop()
+
+    def __enter__(self) -> Blaming:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_chunk_that_waited_beside_a_deadly_one_is_not_blamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    poison = Chunk(0, 1, 8, 16)
+    monkeypatch.setattr(execute, "Pool", lambda study, _: Blaming(study, poison))
+    state = run_study(StandIn(), tmp_path / "out", chunk=8)
+    assert state.failed == {poison: "ended"}
+    assert state.kept == 120 - 8

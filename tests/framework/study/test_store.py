@@ -14,7 +14,7 @@ from stand_in_study import StandIn
 from study_processes import environment, frame, written
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.study import computed, store
+from dmframe.study import computed, lock
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computed, compute
 from dmframe.study.execute import run_study
@@ -109,7 +109,7 @@ def test_with_force_a_changed_study_begins_anew(out: Path) -> None:
 
 
 def test_another_version_is_named(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(store, "versions", lambda: {**computed.versions(), "numpy": "1.0"})
+    monkeypatch.setattr(lock, "versions", lambda: {**computed.versions(), "numpy": "1.0"})
     changed = StandIn()
     with pytest.raises(ValueFault, match=r'versions.numpy was "[\d.]+", now "1.0"'), opened(out, changed, {}):
         pass
