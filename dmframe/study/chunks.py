@@ -157,7 +157,8 @@ class Sizes:
     def _settle(self, fitting: int) -> None:
         if self._along == "points":
             whole = fitting // self._fewest * self._fewest
-            self.each = (whole or fitting, self._found or self.samples)
+            few = self._fewest if fitting > 1 else 1  # a batch of one takes as long as a full one
+            self.each = (whole or few, self._found or self.samples)
         elif fitting >= self.samples and self.points > 1:  # several points make a chunk: how many, is timed next
             self._found = fitting
             self._rest_of_first()
