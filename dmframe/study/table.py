@@ -17,6 +17,7 @@ from dmframe.config.places import placed
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError
+from dmframe.parameter import PAIRS, specs
 from dmframe.results.metrics import EIGHTHS, goal_of
 
 KEPT: Final = 8
@@ -110,30 +111,20 @@ class Group:
         labels = dict.fromkeys(label for part in (*self.numbers, *values) for label in part)
         rows = dict[str, np.ndarray]()
         for label in labels:
-            own = self._own(label)
-            parts = [_filled(part.get(label, numbers.get(label, own)), label in part, own, count)
-                     for numbers, part in zip(self.numbers, values, strict=True)]  # fmt: skip
-            if any(part is None for part in parts):
+            block, _, key = label.partition(".")
+            own = getattr(self.diagram.blocks[block], key)
+            full = self.diagram.models[block].values[key].shape
+            if specs(type(self.diagram.blocks[block]))[key].form in PAIRS:
+                full = np.shape(own)  # two ends, each of which may stand for all elements
+            parts = list[np.ndarray]()
+            for numbers, drawn in zip(self.numbers, values, strict=True):
+                given = drawn[label] if label in drawn else np.asarray(numbers.get(label, own), dtype=float)[None]
+                parts.append(given.reshape(-1, *(1 for _ in full)) if given.ndim == 1 else given)
+            try:
+                rows[label] = np.concatenate([np.broadcast_to(part, (count, *full)) for part in parts])
+            except ValueError:  # written in ways that no array holds
                 return None
-            rows[label] = np.concatenate([part for part in parts if part is not None])
         return _measured(self.diagram, self.experiment, rows, wanted, threads)
-
-    def _own(self, label: str) -> np.ndarray:
-        """The diagram's value, in full."""
-        block, _, key = label.partition(".")
-        return np.asarray(self.diagram.models[block].values[key], dtype=float)
-
-
-def _filled(value: Any, drawn: bool, own: np.ndarray, count: int) -> np.ndarray | None:
-    """(count, *shape): what was drawn, a row a run, or one value for all; None where it does not fill the parameter."""
-    rows = np.asarray(value, dtype=float)
-    rows = rows if drawn else rows[None]
-    if rows.ndim == 1:
-        rows = rows.reshape(-1, *(1 for _ in own.shape))
-    try:
-        return np.broadcast_to(rows, (count, *own.shape))
-    except ValueError:
-        return None
 
 
 def wanted_of(signals: Sequence[str], limits: Mapping[str, float]) -> Wanted:

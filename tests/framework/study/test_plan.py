@@ -192,7 +192,9 @@ sample: {{runs: 2, servo.K_P: {{scale: [0.8, 1.25]}}, servo.K_I: {{scale: {{log:
 grid:
   dynamics.Gamma: [1, {[*range(1, 23)]}, 3]
   servo: {{scale: [0.5, 1], of: [servo.K_P, servo.K_I]}}
-  case: {{slow: {{clock: 4 ms}}, fast: {{clock: 2 ms, arm.viscous: [2, 0]}}}}
+  case:
+    slow: {{clock: 4 ms, inverse.w_box: [0, 0.1]}}
+    fast: {{clock: 2 ms, arm.viscous: [2, 0], inverse.w_box: [0, 0.2]}}
 """)
     assert len(found.points) == 12
     together = found.band(1, 12, 0, 2)
