@@ -127,7 +127,7 @@ class Sizes:
         if self.whole:
             return None
         if self._along == "samples" and self._covered[0] >= self.samples:
-            self._along, self._size, self._timed = "points", 1, 0
+            self._along, self._size, self._timed = "points", self._fewest, 0
         if self._along == "samples":
             first = self._covered[0]
             stop = min(first + self._size, self.samples)
@@ -149,13 +149,20 @@ class Sizes:
             self._size = min(fitting, count * GROWTH)
         self._timed += 1
 
+    @property
+    def _fewest(self) -> int:
+        """Points of few samples that a machine advances at once."""
+        return max(FIRST // self.samples, 1)
+
     def _settle(self, fitting: int) -> None:
         if self._along == "points":
-            self.each = (fitting, self._found or self.samples)
+            whole = fitting // self._fewest * self._fewest
+            few = self._fewest if fitting > 1 else 1  # a batch of one takes as long as a full one
+            self.each = (whole or few, self._found or self.samples)
         elif fitting >= self.samples and self.points > 1:  # several points make a chunk: how many, is timed next
             self._found = fitting
             self._rest_of_first()
-            self._along, self._size, self._timed = "points", 1, 0
+            self._along, self._size, self._timed = "points", self._fewest, 0
             return
         else:
             self.each = (1, fitting)

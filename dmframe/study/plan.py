@@ -25,6 +25,7 @@ from dmframe.study.grid import Axis, Case, changed, scaled
 from dmframe.study.table import (
     Column,
     Columns,
+    Group,
     Loops,
     apart,
     columns_of,
@@ -221,12 +222,51 @@ class Study:
 
     def rows_of(self, point: int, samples: np.ndarray, *, threads: int = 1) -> Columns:
         """`rows` of any samples of a point, in their order."""
+        return self._head(point, samples) | self._measured(self.points[point], samples, threads)
+
+    def band(self, point: int, end: int, first: int, stop: int, *, threads: int = 1) -> Columns:
+        """The same rows of the points [point, end), one point after another, sooner: many differ in numbers alone.
+
+        A batch advances several runs at once, and a grid of single runs has but one at each point.
+        """
+        found, count = dict[int, Columns](), stop - first
+        for group in self._alike(point, end) if count else ():
+            values = [self.values(each, first, stop) for each in group.points]
+            together = group.measured(values, count, self._wanted(group.diagram), threads)
+            if together is None:
+                continue
+            self._loops.engine = together.engine
+            rows = rows_of(together, self.measures, count * len(group.points))
+            for k, each in enumerate(group.points):
+                part = {name: column[k * count : (k + 1) * count] for name, column in rows.items()}
+                found[each] = self._head(each, np.arange(first, stop)) | part
+        rest = [each for each in range(point, end) if each not in found]
+        found |= {each: self.rows(each, first, stop, threads=threads) for each in rest}
+        return joined([found[each] for each in range(point, end)])
+
+    def _alike(self, point: int, end: int) -> list[Group]:
+        """Points of one closed loop, clock, duration and solver, where there are several."""
+        if any(self._apart(label) for factor in self.factors for label in factor.labels):
+            return []
+        groups = list[Group]()
+        for each in range(point, end):
+            experiment = self.points[each].graph.experiment
+            diagram, numbers = self._loops.of(experiment)
+            group = next((group for group in groups if group.takes(experiment, diagram)), None)
+            if group is None:
+                groups.append(group := Group(experiment, diagram))
+            group.points.append(each)
+            group.numbers.append(numbers)
+        return [group for group in groups if len(group.points) > 1]
+
+    def _head(self, point: int, samples: np.ndarray) -> Columns:
+        """Which runs they are, and what varies."""
         here, count = self.points[point], len(samples)
         told: Columns = {"run": samples * len(self.points) + point, "point": np.full(count, point, dtype=np.int32)}
         told["sample"] = np.asarray(samples, dtype=np.int64)
         for name, value in here.values.items():
             told[name] = [value] * count if isinstance(value, str) else np.full(count, value)
-        return told | self._drawn(samples) | self._measured(here, samples, threads)
+        return told | self._drawn(samples)
 
     def graph_of(self, run: int) -> Graph:
         """One run as a graph of its own, with the very numbers of its row.

@@ -16,6 +16,7 @@ from dmframe.config.places import placed
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError
+from dmframe.parameter import PAIRS, specs
 from dmframe.results.metrics import EIGHTHS, goal_of
 
 KEPT: Final = 8
@@ -92,6 +93,51 @@ class Loops:
         while len(self.held) > KEPT:
             self.held.popitem(last=False)
         return diagram
+
+
+@final
+@dataclass
+class Group:
+    """Grid points of one closed loop, clock, duration and solver, that differ in numbers alone.
+
+    Attributes
+    ----------
+    points, numbers
+        Their indices, and of each the parameters in which it differs from the diagram.
+    """
+
+    experiment: Experiment
+    diagram: Diagram
+    points: list[int] = field(default_factory=list)
+    numbers: list[dict[str, Any]] = field(default_factory=list)
+
+    def takes(self, experiment: Experiment, diagram: Diagram) -> bool:
+        """A graph of that loop may join."""
+        own = self.experiment
+        alike = (experiment.file.duration, experiment.settings) == (own.file.duration, own.settings)
+        return diagram is self.diagram and alike
+
+    def measured(
+        self, values: Sequence[Mapping[str, np.ndarray]], count: int, wanted: Wanted, threads: int
+    ) -> Measured | None:
+        """`count` runs of each point in one batch, `values` being what is drawn at each; None where that cannot be."""
+        labels = dict.fromkeys(label for part in (*self.numbers, *values) for label in part)
+        rows = dict[str, np.ndarray]()
+        for label in labels:
+            block, _, key = label.partition(".")
+            own = getattr(self.diagram.blocks[block], key)
+            full = self.diagram.models[block].values[key].shape
+            if specs(type(self.diagram.blocks[block]))[key].form in PAIRS:
+                full = np.shape(own)  # two ends, each of which may stand for all elements
+            parts = list[np.ndarray]()
+            for numbers, drawn in zip(self.numbers, values, strict=True):
+                given = drawn[label] if label in drawn else np.asarray(numbers.get(label, own), dtype=float)[None]
+                parts.append(given.reshape(-1, *(1 for _ in full)) if given.ndim == 1 else given)
+            try:
+                rows[label] = np.concatenate([np.broadcast_to(part, (count, *full)) for part in parts])
+            except ValueError:  # written in ways that no array holds
+                return None
+        return _measured(self.diagram, self.experiment, rows, wanted, threads)
 
 
 def wanted_of(signals: Sequence[str], limits: Mapping[str, float]) -> Wanted:

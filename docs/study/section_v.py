@@ -1,10 +1,11 @@
 """The comparison of Section V as a study: adaptive over kinematic error, for many servos, frictions, clocks and gains.
 
-    python docs/study/section_v.py           run everything, write section_v.csv, then draw
+    dmframe study docs/study/section_v_map.yaml --no-report        and section_v_boxed.yaml, section_v_unknowns.yaml
+    python docs/study/section_v.py           gather their runs from studies/, write section_v.csv, then draw
     python docs/study/section_v.py --draw    figures and tables from section_v.csv alone
 
 One row of the CSV is one run. Every run is a packaged graph with other numbers, so each can be had alone by ``dmframe
-run GRAPH --set ...``, as `overrides` writes them.
+study studies/section_v_map --rerun N``.
 """
 
 from __future__ import annotations
@@ -12,8 +13,7 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from itertools import product
 from math import inf, isfinite, isnan, nan
@@ -24,20 +24,12 @@ import numpy as np
 
 FOLDER = Path(__file__).parent
 CSV, PAGE = FOLDER / "section_v.csv", FOLDER / "section_v.md"
+STUDIES = ("section_v_map", "section_v_boxed", "section_v_unknowns")
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 
-HORIZON = 200  # [s], the paper's
 TASKS = {"fast": 0.008, "slow": 0.09}  # the paper's sampling periods [s]
 FORMS = {"velocity": "(32)", "position": "(34)"}
 """What the PID inverse ties to the robot, and the paper's equation."""
-GAINS = {
-    "paper": (1, False),
-    "tenth": (0.1, False),
-    "tenfold": (10, False),
-    "boxed_10": (10, True),
-    "boxed_100": (100, True),
-}
-"""Gamma, and whether w is kept in a box; all other gains are the paper's."""
 
 # The map: how the servo's stiffness, friction and the clock decide where adaptation helps.
 SERVOS = (0.1, 0.3, 1.0, 3.0, 10.0)
@@ -50,13 +42,6 @@ STIFFNESS = (0.3, 1.0, 3.0)
 PROPORTIONAL = (0.5, 1.0, 3.0)  # of K_P/K_D = 2.2 1/s
 INTEGRAL = (0.3, 1.0, 2.0)  # of K_I/K_D = 0.7 1/s^2
 ASKED = ("paper", "tenth", "tenfold")
-
-STIFF, DAMPED, SHAKY = (800, 800, 400), (1760, 1760, 880), (560, 560, 280)  # K_D, K_P, K_I of the packaged graphs
-VISCOUS, COULOMB = (5, 5, 2), (8, 8, 4)
-W_LARGEST = 0.004  # [rad/(N m s)], above every 1/K_star of the packaged servo
-LIGHTEST = 0.6  # [kg m^2], the elbow's: about the least eigenvalue of the mass matrix at the start
-SMOOTHED = 0.005  # [rad/s], the robot's friction_velocity
-STEPS = (1e-3, 5e-4, 2.5e-4, 1.25e-4)  # [s]
 
 Place = tuple[str, float, float, float, float, float]
 
@@ -103,79 +88,35 @@ def cells() -> list[Cell]:
     return list(found)
 
 
-def graph_of(cell: Cell) -> str:
-    """The packaged graph of a cell."""
-    return f"ur10_{cell.task}" + {"kinematic": "_kinematic", "position": "_tied_position"}.get(cell.form, "")
+def cell_of(values: Mapping[str, Any]) -> Cell:
+    """The cell of a grid point of one of the studies."""
+    task, form, gains = f"{values['controller']} ".split(" ", 2)
+    return Cell(
+        task,
+        float(str(values["servo"]).removeprefix("x ")),
+        *(float(values.get(key, 1.0)) for key in ("proportional", "integral", "friction")),
+        float(values.get("clock", TASKS[task])),
+        form,
+        gains.strip(),
+    )
 
 
-def numbers(cell: Cell) -> dict[str, Any]:
-    """What a cell changes in its graph, its clock, duration and step apart."""
-    proportional, integral = cell.servo * cell.proportional, cell.servo * cell.integral
-    servo = {"K_D": (STIFF, cell.servo), "K_P": (DAMPED, proportional), "K_I": (SHAKY, integral)}
-    arm = {"viscous": (VISCOUS, cell.friction), "coulomb": (COULOMB, cell.friction)}
-    changed: dict[str, Any] = {f"servo.{name}": _scaled(*each) for name, each in servo.items()}
-    changed |= {f"arm.{name}": _scaled(*each) for name, each in arm.items()}
-    if cell.form != "kinematic":
-        Gamma, boxed = GAINS[cell.gains]
-        changed["dynamics.Gamma"] = Gamma
-        if boxed:
-            changed["inverse.w_box"] = [0, float(f"{W_LARGEST / cell.servo:.6g}")]
-    return changed
+def gather(folders: Iterable[Path]) -> list[Cell]:
+    """All cells, from the folders in which the studies lie."""
+    from dmframe.study.results import Results
 
-
-def overrides(cell: Cell) -> list[str]:
-    """The same as ``--set`` values."""
-    changes = {**numbers(cell), "clock": f"{cell.clock:g}", "duration": HORIZON, "solver.step": solver_step(cell)}
-    return [f"{label}={value}" for label, value in changes.items()]
-
-
-def solver_step(cell: Cell) -> float:
-    """A step [s] at which RK4 is stable: the friction law's slope at rest, and the servo, over the inertia."""
-    slopes = zip(STIFF, VISCOUS, COULOMB, strict=True)
-    # the elbow, the last, turns the lightest inertia
-    *_, fastest = (cell.servo * K + cell.friction * (B + D / SMOOTHED) for K, B, D in slopes)
-    return next(step for step in (*STEPS, 0.0) if step <= 2.0 * LIGHTEST / fastest)
-
-
-def _scaled(values: Iterable[float], factor: float) -> list[float]:
-    return [float(f"{value * factor:.6g}") for value in values]
-
-
-def run(asked: Sequence[Cell], told: Callable[[int], object] = lambda count: None) -> list[Cell]:
-    """Simulate cells, those of one graph, clock and step together."""
-    from dmframe.config.experiment import load_experiment
-    from dmframe.results.metrics import tracking_error
-    from dmframe.simulate import Recording, simulate_many
-
-    def result(done: Recording) -> tuple[float, float]:
-        if any("stiff" in notice for notice in done.notices):
-            raise RuntimeError(f"{done.notices}")
-        if done.divergence is not None:
-            return nan, float(f"{done.divergence.time:.4g}")
-        error = tracking_error(done)
-        return float(f"{error.rms_final * 1e3:.4g}"), nan
-
-    batches = defaultdict[Any, list[Cell]](list)
-    for cell in asked:
-        batches[graph_of(cell), GAINS.get(cell.gains, (0, False))[1], cell.clock, solver_step(cell)].append(cell)
     found = dict[Cell, Cell]()
-    for (name, *_), batch in batches.items():
-        graph = load_experiment(name, overrides(batch[0]))
-        done = simulate_many(
-            graph.diagram(),
-            [numbers(cell) for cell in batch],
-            HORIZON,
-            clock=graph.file.clock,
-            solver=graph.solver,
-            start=graph.start,
-            reduce=result,
-        )
-        for cell, values in zip(batch, done, strict=True):
-            if isinstance(values, Exception):
-                raise values
-            found[cell] = replace(cell, rms_mm=values[0], diverged=values[1])
-        told(len(found))
-    return [found[cell] for cell in asked]
+    for folder in folders:
+        results = Results(folder)
+        for row in results.frame.collect().iter_rows(named=True):
+            cell = cell_of(results.study.points[row["point"]].values)
+            if row["fault"] is not None:
+                raise RuntimeError(f"{folder}: run {row['run']}: {row['fault']}")
+            if row["diverged"]:
+                found[cell] = replace(cell, diverged=float(f"{row['diverged_at']:.4g}"))
+            else:
+                found[cell] = replace(cell, rms_mm=float(f"{row['rms_final'] * 1e3:.4g}"))
+    return [found[cell] for cell in cells()]
 
 
 def ratios(rows: Iterable[Cell], form: str, gains: str) -> dict[Place, float]:
@@ -329,12 +270,13 @@ def fill(page: str, rows: Sequence[Cell]) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Run, write, draw."""
+    """Gather, write, draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--draw", action="store_true", help="from section_v.csv, without running")
-    if not parser.parse_args(arguments).draw:
-        every = cells()
-        write(run(every, lambda count: sys.stderr.write(f"\r{count} of {len(every)}")))
+    parser.add_argument("--draw", action="store_true", help="from section_v.csv alone")
+    parser.add_argument("folder", nargs="?", default="studies", help="where dmframe study left the three studies")
+    given = parser.parse_args(arguments)
+    if not given.draw:
+        write(gather(Path(given.folder, name) for name in STUDIES))
     rows = read()
     draw(rows)
     if PAGE.exists():

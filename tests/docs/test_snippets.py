@@ -1,8 +1,8 @@
 """Every fenced ``console``, ``python`` and ``yaml`` snippet of the README and the docs does what the page says.
 
 A page's snippets run in order, in one empty folder. A snippet whose first line is ``# name.ext`` is that file. Other
-Python runs. Other YAML is a graph, or some keys laid over ur10_fast's, and must build. A console
-snippet holds commands after ``$``, and what they print: ``...`` in a line stands for any text, as a line for any lines.
+Python runs. Other YAML is a study, a graph, or some keys laid over ur10_fast's, and must build. A console snippet
+holds commands after ``$``, and what they print: ``...`` in a line stands for any text, as a line for any lines.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.joinpath("do
 PAGES = [page for page in PAGES if COURSE not in page.parents]
 FENCE = re.compile(r"^```([^`\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FILE = re.compile(r"# ([\w/]+\.\w+)\n")
+STUDY = "dmframe-study:"
 DIRECTIVE = re.compile(r"\{(?:live|toctree)\}")
 """What the site makes of a fence; building the site runs it."""
 PLAIN = {"text", "sh", "mermaid"}
@@ -88,6 +89,9 @@ def run_python(text: str, shared: Page, where: str) -> None:
 
 
 def build_yaml(text: str, shared: Page) -> None:
+    if text.startswith(STUDY) or f"\n{STUDY}" in text:
+        assert written(text, shared), "a study's first line is its file's name"
+        return  # the page's next command reads it
     data = read_document(text, "snippet.yaml").data
     written(text, shared)
     if "dmframe" not in data:

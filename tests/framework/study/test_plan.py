@@ -15,6 +15,7 @@ from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema
 from dmframe.study.plan import Study
+from dmframe.study.table import joined
 
 Make = Callable[..., Study]
 
@@ -182,3 +183,23 @@ def test_the_schema_takes_what_the_grammar_takes_and_refuses_a_wrong_key() -> No
         {"measure": {"signal": []}},
     ):
         assert list(validator.iter_errors({**data, **wrong})), wrong
+
+
+def test_points_that_differ_in_numbers_run_together_and_give_the_same_rows(study: Make) -> None:
+    found = study(f"""\
+set: {{duration: 0.2 s}}
+sample: {{runs: 2, servo.K_P: {{scale: [0.8, 1.25]}}, servo.K_I: {{scale: {{log: [0.5, 2]}}, per: joint}}}}
+grid:
+  dynamics.Gamma: [1, {[*range(1, 23)]}, 3]
+  servo: {{scale: [0.5, 1], of: [servo.K_P, servo.K_I]}}
+  case:
+    slow: {{clock: 4 ms, inverse.w_box: [0, 0.1]}}
+    fast: {{clock: 2 ms, arm.viscous: [2, 0], inverse.w_box: [0, 0.2]}}
+""")
+    assert len(found.points) == 12
+    together = found.band(1, 12, 0, 2)
+    alone = joined([found.rows(point, 0, 2) for point in range(1, 12)])
+    assert together.keys() == alone.keys()
+    for name, column in alone.items():
+        assert np.array_equal(together[name], column, equal_nan=isinstance(column[0], float)), name
+    assert len(set(together["rms_final"])) == 22
