@@ -232,7 +232,8 @@ class Study:
         found, count = dict[int, Columns](), stop - first
         for group in self._alike(point, end) if count else ():
             values = [self.values(each, first, stop) for each in group.points]
-            together = group.measured(values, count, self._wanted(group.diagram), threads)
+            batch = self._loops.batch(group.diagram, group.experiment, self._wanted(group.diagram), threads)
+            together = group.measured(values, count, batch)
             if together is None:
                 continue
             self._loops.engine = together.engine

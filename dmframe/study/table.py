@@ -117,9 +117,7 @@ class Group:
         alike = (experiment.file.duration, experiment.settings) == (own.file.duration, own.settings)
         return diagram is self.diagram and alike
 
-    def measured(
-        self, values: Sequence[Mapping[str, np.ndarray]], count: int, wanted: Wanted, threads: int
-    ) -> Measured | None:
+    def measured(self, values: Sequence[Mapping[str, np.ndarray]], count: int, batch: Batch) -> Measured | None:
         """`count` runs of each point in one batch, `values` being what is drawn at each; None where that cannot be."""
         labels = dict.fromkeys(label for part in (*self.numbers, *values) for label in part)
         rows = dict[str, np.ndarray]()
@@ -137,7 +135,7 @@ class Group:
                 rows[label] = np.concatenate([np.broadcast_to(part, (count, *full)) for part in parts])
             except ValueError:  # written in ways that no array holds
                 return None
-        return _measured(self.diagram, self.experiment, rows, wanted, threads)
+        return _measured(batch, self.experiment, rows, count)
 
 
 def wanted_of(signals: Sequence[str], limits: Mapping[str, float]) -> Wanted:
