@@ -7,6 +7,7 @@ compiler fuses no products into sums (``-ffp-contract=off``). A module exports
   which returns how many ticks ended within bounds. ``period`` is an f64, all others are i32: counts, and the addresses
   of arrays in bytes. Arrays hold f64, but for ``kept``, which holds i32. Counts are from 0 to 2^31 - 1; of ``first``
   nothing but the remainder by ``every`` matters.
+- ``flow(state, t, T, p, rates)``, all addresses: the rates of what is integrated, with the commands of that instant.
 - what is asked for beside it, each a function of the addresses of its arguments and then of its results, of f64 all.
 - ``memory``, and ``heap``: its first bytes, up to that address, are the module's own. From there on the host lays out
   the arrays as it likes, with no overlap, and lets the memory grow where they need more.
@@ -114,7 +115,7 @@ def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
     sizes = {**parts.sizes, "C": hoisted.constants.numel_out(0)}
     places, used = dict[str, Whole](), 0
     columns = {"T": 1, "t": 1, "at": sizes["X"], **{f"k{k}": sizes["X"] for k in range(1, 5)}}
-    columns |= {name.lower(): sizes[name] for name in "ZUWYC"}
+    columns |= {name.lower(): sizes[name] for name in "ZUWYCN"}
     for name, size in columns.items():
         places[name], used = whole(used), used + 8 * size
     frame = {
@@ -123,9 +124,10 @@ def loop_module(parts: Parts, more: Sequence[Any] = ()) -> bytes:
         "sound": _sound(sizes["Z"] + sizes["X"]),
         "record": _record(places, sizes["Z"] + sizes["X"]),
         "run": _run(places, sizes),
+        "flow": _flow(places, sizes),
     }
     beside = {f.name(): written(f) for f in more}
-    return module({**ARITHMETIC, **own, **frame, **beside}, ("run", *beside), HOST, used)
+    return module({**ARITHMETIC, **own, **frame, **beside}, ("run", "flow", *beside), HOST, used)
 
 
 def written(f: Any) -> Function:
@@ -236,6 +238,17 @@ def _slope(at: Mapping[str, Whole], moved: bool) -> Function:
         f.store(at["t"], 0, t)
         f.write(at["t"], p, at["c"], at["w"], "trajectory")
     f.write(x, at["u"], at["w"], p, at["c"], dx, "rate")
+    return f
+
+
+def _flow(at: Mapping[str, Whole], sizes: Mapping[str, int]) -> Function:
+    """The function that is exported: what a tick does before its first step, with nothing drawn at random."""
+    f = Function([I32] * 5)
+    state, t, period, p, rates = map(_integer, range(5))
+    f.write(p, at["c"], "constants")
+    f.write(t, p, at["c"], at["w"], "trajectory")
+    f.write(state, at["w"], at["n"], period, p, at["c"], at["z"], at["u"], at["y"], "sample")
+    f.write(state + 8 * sizes["Z"], at["u"], at["w"], p, at["c"], rates, "rate")
     return f
 
 

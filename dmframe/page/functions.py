@@ -66,8 +66,6 @@ class Functions:
         (pose, T, p) -> the state at the start.
     reach
         (pose, p) -> how far the pose is from the path's start, and the slope of that; None where nothing is sought.
-    flow
-        (state, t, T, p) -> the rates of what flows in the plant.
     shown
         (state, t, T, p) -> what is drawn of an instant: `scene`, then the groups.
     judged
@@ -89,7 +87,6 @@ class Functions:
     posed: Variable | None
     begin: Any
     reach: Any
-    flow: Any
     shown: Any
     judged: Any
     scene: int
@@ -104,7 +101,7 @@ class Functions:
     @property
     def exported(self) -> tuple[Any, ...]:
         """Those that stand beside the run."""
-        return tuple(f for f in (self.begin, self.reach, self.flow, self.shown, self.judged) if f is not None)
+        return tuple(f for f in (self.begin, self.reach, self.shown, self.judged) if f is not None)
 
     def heeded(self, moved: Set[int], values: np.ndarray) -> set[int]:
         """The elements of p, among those that are `moved`, on which anything depends that a reader sees.
@@ -183,7 +180,6 @@ def functions_of(
         posed=posed,
         begin=_function("begin", [_pose(posed), loop.period, loop.p], [symbolic_start(diagram, start, posed)[1]]),
         reach=_reach(diagram, posed, start),
-        flow=_function("flow", reads, [loop.on_path(loop.acting([stack(v.rate for v in loop.flowing)])[0])]),
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
         judged=_function("judged", [loop.p], [judged]),
         scene=scene.numel(),

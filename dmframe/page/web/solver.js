@@ -51,7 +51,7 @@ export class Loop {
     let at = Math.ceil(exports.heap.value / 8) * 8;
     const columns = {
       state: states, beside: states, p: sizes.P, T: 1, t: 1, pose: sizes.pose, residual: sizes.reach,
-      slope: sizes.reach * sizes.pose, rates: content.flowing, shown: sizes.shown, judged: sizes.judged,
+      slope: sizes.reach * sizes.pose, rates: sizes.X, shown: sizes.shown, judged: sizes.judged,
       bounds: states, kept: Math.ceil(states / 2),
     };
     for (const [name, size] of Object.entries(columns)) {
@@ -149,7 +149,7 @@ export class Loop {
 
   // The largest modulus of an eigenvalue of the plant at a state [1/s], which limits the steps of rk4.
   speed(state, T) {
-    const n = this.content.flowing, first = this.states - n, J = [];
+    const { sizes, flowing: n } = this.content, first = this.states - n, J = [];
     const rates = (k, shift) => {
       const x = this.view("beside", this.states);
       x.set(state);
@@ -157,7 +157,7 @@ export class Loop {
       this.view("T", 1)[0] = T;
       this.view("t", 1)[0] = 0;
       this.exports.flow(this.places.beside, this.places.t, this.places.T, this.places.p, this.places.rates);
-      return this.view("rates", n).slice();
+      return this.view("rates", sizes.X).slice(-n);
     };
     for (let k = 0; k < n; k++) {
       const h = 1e-6 * (1 + Math.abs(state[first + k])), after = rates(k, h), before = rates(k, -h);

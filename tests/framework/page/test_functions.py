@@ -11,6 +11,7 @@ import pytest
 from in_node import content_of_graph
 
 import dmframe as dm
+from dmframe.codegen import wasm
 from dmframe.errors import ValueFault
 from dmframe.page.content import content_of
 from dmframe.page.sliders import sliders_of
@@ -42,6 +43,13 @@ def test_a_page_whose_functions_are_wrong_is_seen(arm2, monkeypatch, fault):
     check = check_along_a_run if fault == "shown" else check_functions
     with pytest.raises(AssertionError):
         check(arm2)
+
+
+def test_rates_of_the_plant_at_another_state_are_seen(arm2, monkeypatch):
+    right = wasm._flow
+    monkeypatch.setattr(wasm, "_flow", lambda at, sizes: right(at, {**sizes, "Z": sizes["Z"] - 1}))
+    with pytest.raises(AssertionError):
+        check_functions(arm2)
 
 
 @pytest.mark.parametrize("name", ["ur10", "panda", "arm2"])
