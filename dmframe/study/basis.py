@@ -54,10 +54,10 @@ def proof(t: Told) -> Iterator[Part]:
     """The box, and whether the certificate's conditions hold in it."""
     says = (
         "The conditions of the proof were decided exactly, for all values of the parameters in this box at once, "
-        "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one may diverge "
-        "where the proof holds. Where a condition fails somewhere in the box, it may still hold for most of what was "
-        "drawn: each of these was looked at by itself, in floating point, and a column says how many fulfil every "
-        "condition."
+        "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one may "
+        "diverge where the proof holds. Where a condition fails somewhere in the box, it may still hold for most of "
+        "what was drawn: each of these was looked at by itself, in floating point, and a column says how many fulfil "
+        "every condition."
     )
     if not t.found.results.study.factors:
         says = (
