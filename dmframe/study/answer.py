@@ -84,7 +84,7 @@ def lead(t: Told) -> Lead:
     if found.sheet.samples == 1:
         lost = sum(each.alone[place].count for each in ran)
         text = f"{count(len(ran))} settings ran, each once; {_diverged(lost, 'of them')}."
-        says = f"Each ran once, on one robot: that is no probability.{unfinished}"
+        says = f"each ran once, on one robot: that is no probability.{unfinished}"
         return Lead(_outcome(len(ran) - lost, len(ran)), text.rstrip("."), Marked(says))
     if len(found.points) == 1:
         share = ran[0].alone[place]
@@ -152,6 +152,8 @@ def summary(t: Told) -> Iterator[Part]:
     """What else there is to know first."""
     found, main = t.found, t.found.results.main
     items, failing = list[Cell](), list[int]()
+    if found.sheet.samples == 1 and main:
+        items += _ends(t)
     best = _best(found)
     if best is not None and len(found.points) > 1:
         each, top = best
@@ -192,6 +194,21 @@ def summary(t: Told) -> Iterator[Part]:
     yield Bullets(items, failing)
 
 
+def _ends(t: Told) -> Iterator[Marked]:
+    """The settings of single runs with the smallest figure, and with the greatest."""
+    main, sheet = t.found.results.main, t.found.sheet
+    values = sheet.figure(main)[:, 0]
+    there = [k for k in range(sheet.points) if math.isfinite(values[k])]
+    if len(there) < 2:
+        return
+    least, most = (choose(there, key=lambda k: values[k]) for choose in (min, max))
+    unit, names = t.unit(main), t.found.results.names
+    yield Marked(
+        f"`{main}` is smallest at `{names[least]}`, {figure(values[least], unit)}, and of those that came to their end "
+        f"greatest at `{names[most]}`, {figure(values[most], unit)}."
+    )
+
+
 def _best(found: Findings) -> tuple[Found, Quantile] | None:
     """Of the points where none diverged the one with the smallest greatest quantile; of one point, itself."""
     main = found.results.main
@@ -211,6 +228,9 @@ def _ordinal(p: float) -> str:
 def _proof_in_short(t: Told) -> str:
     good, all_of = sum(each.proved for each in t.proofs), len(t.proofs)
     where = f"over the whole box of what was drawn{_held(t.proofs)}"
+    if not t.found.results.study.factors:
+        of = "" if all_of == len(t.found.points) else " that were looked at"
+        return f"The graph is proved at {good} of the {all_of} settings{of}."
     if good == all_of:
         return f"The proof's conditions hold {where}" + (f", at each of {all_of} settings." if all_of > 1 else ".")
     if not good:

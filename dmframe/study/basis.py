@@ -50,15 +50,19 @@ def worst(t: Told) -> Iterator[Part]:
 
 def proof(t: Told) -> Iterator[Part]:
     """The box, and whether the certificate's conditions hold in it."""
-    yield Paragraph(
-        Marked(
-            "The conditions of the proof were decided exactly, for all values of the parameters in this box at once, "
-            "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one "
-            "may diverge where the proof holds. Where a condition fails somewhere in the box, it may still hold for "
-            "most of what was drawn: each of these was looked at by itself, in floating point, and a column says "
-            "how many fulfil every condition."
-        )
+    says = (
+        "The conditions of the proof were decided exactly, for all values of the parameters in this box at once, "
+        "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one may "
+        "diverge where the proof holds. Where a condition fails somewhere in the box, it may still hold for most of "
+        "what was drawn: each of these was looked at by itself, in floating point, and a column says how many fulfil "
+        "every condition."
     )
+    if not t.found.results.study.factors:
+        says = (
+            "Each setting has its own proof, or none. It is in continuous time; the runs of this study are sampled, so "
+            "that one may diverge where the proof holds."
+        )
+    yield Paragraph(says)
     first = next((each for each in t.proofs if each.box.ends), None)
     if first is not None:
         rows = list[list[Cell]]()
@@ -80,7 +84,12 @@ def proof(t: Told) -> Iterator[Part]:
         badge = Badge("proved", "proved") if each.proved else Badge("not proved", "open")
         row: list[Cell] = [Word(each.name, "code")] if several else []
         rows.append([*row, badge, *([_fulfilled(each)] if looked else []), _conditions(each)])
-    heads = ["setting"] * several + ["over the box"] + [f"{t.noun} that fulfil all"] * looked + ["conditions"]
+    heads = (
+        ["setting"] * several
+        + ["over the box" if first else "verdict"]
+        + [f"{t.noun} that fulfil all"] * looked
+        + ["conditions"]
+    )
     yield Table(rows, heads, kind="study", keys=several)
     if len(t.found.points) > len(t.proofs):
         yield Paragraph(f"The first {len(t.proofs)} of {len(t.found.points)} settings.", note=True)

@@ -34,13 +34,17 @@ def sections(t: Told, pictures: Mapping[str, str]) -> Iterator[Section]:
     if t.worst:
         yield Section("worst", "The worst runs", [*basis.worst(t)])
     if t.proofs:
-        yield Section("proof", "The proof over all that was drawn", [*basis.proof(t)])
+        drawn = " over all that was drawn" if t.found.results.study.factors else ""
+        yield Section("proof", f"The proof{drawn}", [*basis.proof(t)])
     yield Section("design", "What was varied", [*basis.design(t)])
     yield Section("repeat", "To do it again", [*basis.repeat(t)])
 
 
 def _settings(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
     found, shown = t.found, t.found.points[:ROWS]
+    if found.sheet.samples == 1:
+        yield from _single(t, shown)
+        return
     several, independent = len(found.points) > 1, found.results.independent
     for place, event in enumerate(found.events):
         heads: list[Cell] = [*["setting"] * several, "runs", event.name, "share"]
@@ -76,11 +80,30 @@ def _settings(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
         yield Picture(pictures["divergence"], "divergence", "Share of the runs that diverged, a line a setting.")
     for name in dict.fromkeys(name for each in found.points for name in each.quantiles):
         yield from _quantiles(t, name, shown)
-    if len(found.points) > ROWS:
-        yield Paragraph(
-            Marked(f"The first {ROWS} of {count(len(found.points))} settings; `Results(folder).table` has all."),
-            note=True,
-        )
+    yield from _more(t)
+
+
+def _single(t: Told, shown: Sequence[Found]) -> Iterator[Part]:
+    """Settings that ran once each: their figures."""
+    sheet, several = t.found.sheet, len(t.found.points) > 1
+    names = list(dict.fromkeys([t.found.results.main, *(event.figure for event in t.found.events)]))
+    names = [name for name in names if name in sheet.columns]
+    rows, failing = list[list[Cell]](), list[int]()
+    for k, each in enumerate(shown):
+        row = list[Cell]([Word(each.name, "code")] if several else [])
+        row += [figure(sheet.figure(name)[each.index, 0], t.unit(name)) for name in names]
+        when = float(sheet.diverged_at[each.index, 0])
+        rows.append([*row, plain(when, "s") if math.isfinite(when) else ""])
+        failing += [k] if math.isfinite(when) else []
+    heads = list[Cell](["setting"] * several + [Word(name, "code") for name in names] + ["diverged after"])
+    yield Table(rows, heads, kind="study", keys=several, numbers=range(int(several), len(heads)), failing=failing)
+    yield from _more(t)
+
+
+def _more(t: Told) -> Iterator[Part]:
+    if len(t.found.points) > ROWS:
+        rest = f"The first {ROWS} of {count(len(t.found.points))} settings; `Results(folder).table` has all."
+        yield Paragraph(Marked(rest), note=True)
 
 
 def _quantiles(t: Told, name: str, shown: Sequence[Found]) -> Iterator[Part]:
