@@ -1,0 +1,100 @@
+"""Ten thousand robots for every packaged controller: ``python docs/study/every_controller.py [RUNS]``.
+
+Of each graph the servo's gains and the robot's friction are drawn for each run within a factor of two, and it runs for
+20 s at most. Results go to ``studies/every_controller``, where what is there already is not computed again; the table
+goes to ``every_controller.csv`` and to the page.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+from typing import Any
+
+import dmframe as dm
+from dmframe.graph.progress import Bars
+from dmframe.port import Side
+from dmframe.study.proof import proofs_of
+from dmframe.units import plain
+
+FOLDER = Path(__file__).parent
+PAGE, TABLE = FOLDER / "every_controller.md", FOLDER / "every_controller.csv"
+RUNS, SECONDS = 10_000, 20.0
+VARIED = {"servo": ("K_D", "K_P", "K_I"), "friction": ("viscous", "coulomb")}
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+HEADS = ("graph", "varied", "runs", "diverged", "at_most", "unit", "median", "q99", "proved")
+
+
+def study_of(name: str, runs: int) -> dict[str, Any]:
+    """One factor for all gains of the servo, one for all friction, each from half to twice the graph's."""
+    graph = dm.load(name)
+    plant = {label: block for label, block in graph.experiment.blocks.items() if block.side is Side.PLANT}
+    sample = dict[str, Any]()
+    for factor, keys in VARIED.items():
+        labels = [f"{label}.{key}" for label, block in plant.items() for key in keys if getattr(block, key, None)]
+        if labels:
+            sample[factor] = {"scale": {"log": [0.5, 2]}, "of": labels}
+    return {
+        "dmframe-study": 1,
+        "title": f"{runs} robots for {name}",
+        "graph": name,
+        "set": {"duration": min(graph.duration, SECONDS)},
+        "sample": {"runs": runs, "seed": 1, **sample},
+    }
+
+
+def row_of(name: str, runs: int) -> dict[str, Any]:
+    """What the study of a graph says."""
+    data = study_of(name, runs)
+    study = dm.load_study(data)
+    results = study.run(Path("studies/every_controller") / name)
+    told = results.table.row(0, named=True)
+    (proof,) = proofs_of(study, [name])
+    varied = " and ".join(factor for factor in VARIED if factor in data["sample"]) or "nothing"
+    figures = (told.get("rms_final_median"), told.get("rms_final_q99"))
+    return {"graph": name, "varied": varied, "runs": told["runs"], "diverged": told["diverged"]} | {
+        "at_most": told["at_most"],
+        "unit": results.units.get("rms_final", ""),
+        "median": figures[0],
+        "q99": figures[1],
+        "proved": "yes" if proof.proved else "not all",
+    }
+
+
+def table(rows: list[dict[str, str]]) -> str:
+    """As the page shows it."""
+    lines = ["| graph | varied | diverged | at most | median | 99 % | proved |", "|" + "---|" * 7]
+    for row in rows:
+        share = f"{int(row['diverged']) / int(row['runs']):.2%}" if int(row["diverged"]) else "none"
+        cells = [f"`{row['graph']}`", row["varied"], share, f"{float(row['at_most']):.3%}"]
+        cells += ["-" if row[key] in ("", "inf") else plain(float(row[key]), row["unit"]) for key in ("median", "q99")]
+        lines.append(f"| {' | '.join((*cells, row['proved']))} |")
+    return "\n".join(lines)
+
+
+def main(words: list[str]) -> None:
+    """Run, write the table, fill the page."""
+    runs = int(words[0]) if words else RUNS
+    names = list(dm.graphs())
+    with Bars() as bars:
+        bar = bars.of("controllers", len(names))
+        rows = []
+        for done, name in enumerate(names, start=1):
+            if (
+                study_of(name, runs)["sample"].keys() & VARIED.keys()
+            ):  # of some the torque is commanded, without friction
+                rows.append(row_of(name, runs))
+            bar(done)
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, HEADS)
+        writer.writeheader()
+        writer.writerows(rows)
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        text = table(list(csv.DictReader(file)))
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
