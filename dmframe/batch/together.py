@@ -154,7 +154,7 @@ class Together:
             for first in range(0, members.size, lanes.width):
                 some = members[first : first + lanes.width]
                 groups.append((lanes, some, lanes.start(states[:, some], p[:, some])))
-        ticks = self.prepared.ticks
+        ticks = self.prepared.ticks if groups else 0
         for first in range(0, ticks, TICKS):
             count = min(TICKS, ticks - first)
             given = step.instants.rows(first, count + 1)
