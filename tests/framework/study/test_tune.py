@@ -25,7 +25,9 @@ from dmframe.study.front import Trial, dominates, front_of
 from dmframe.study.objective import Statistic
 from dmframe.study.plan import Study, load_study
 from dmframe.study.tune import JOURNAL, Tuning, load_tuning
-from dmframe.study.tuned import tuned_of
+from dmframe.study.tune_figures import figures_of
+from dmframe.study.tune_page import as_html
+from dmframe.study.tuned import Tuned, tuned_of
 
 pytest.importorskip("optuna")
 
@@ -229,18 +231,30 @@ def test_the_command_checks_proves_and_writes_what_it_found(
 
 
 def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
-    found = tuning(study, PLANTS + GAINS)
-    found.search(tmp_path, 2)
+    found = tuning(study, PLANTS + GAINS.replace("worst rms_final", "[worst rms_final, median effort]"))
+    found.search(tmp_path, 3)
     result = tuned_of(found, tmp_path)
-    assert result.own is not None
-    worse = replace(result, front=(replace(result.best, longer=(result.own.longer[0] * 2,)),))
-    assert worse.misled
-    assert any("over 2 s" in notice and "misleads" in notice for notice in worse.notices)
-    lost = replace(result, front=(replace(result.best, longer=(math.inf,)),))
-    assert lost.misled
-    assert any("runs diverge that did not over 400 ms" in notice for notice in lost.notices)
-    better = replace(result, front=(replace(result.best, longer=(result.own.longer[0] / 2,)),))
+    own = result.own
+    assert own is not None
+    assert set(figures_of(result)) == {"search", "values", "front"}
+
+    def with_longer(first: float, radius: float = 0.9) -> Tuned:
+        return replace(result, front=(replace(result.best, longer=(first, 1.0), radius=radius),))
+
+    for first, words in (
+        (own.longer[0] * 2, "the horizon misleads: over 2 s"),
+        (math.inf, "runs diverge that did not over"),
+    ):
+        worse = with_longer(first)
+        assert worse.misled
+        assert any(words in notice for notice in worse.notices)
+        assert "not to be used as it is" in as_html(worse, {})
+    better = with_longer(own.longer[0] / 2)
     assert not better.misled
+    assert "not to be used" not in as_html(better, {})
+    shaky = with_longer(own.longer[0] / 2, radius=1.01)
+    assert any("unstable near its set-point" in notice for notice in shaky.notices)
+    assert "with a doubt" in as_html(shaky, {})
 
 
 def test_the_front_is_what_nothing_dominates() -> None:
