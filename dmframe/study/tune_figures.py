@@ -37,6 +37,8 @@ def figures_of(found: Tuned) -> dict[str, Any]:
 
 def search_figure(found: Tuned) -> Any:
     """The first objective of each trial, and the best so far."""
+    from matplotlib.ticker import MaxNLocator
+
     of, trials = found.tuning.objectives[0], found.trials
     with page(COLUMN, 2.6) as figure:
         axes = figure.subplots()
@@ -66,6 +68,7 @@ def search_figure(found: Tuned) -> Any:
                 transform=axes.get_xaxis_transform(),
                 label="refused, or broke a limit",
             )
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("trial")
         names_above(figure, axes, COLUMN)
     return figure

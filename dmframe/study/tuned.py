@@ -72,6 +72,11 @@ class Chosen:
     radius: float | None
     proof: Verification | None = None
 
+    @property
+    def unstable(self) -> bool:
+        """Near its set-point, linearised, on its clock."""
+        return self.radius is not None and self.radius > 1 + TOLERANCE
+
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
@@ -303,7 +308,7 @@ def _notices(found: Tuned) -> list[str]:
             f"{listed(lost)}: over {plain(LONGER * duration, 's')} runs diverge that did not over "
             f"{plain(duration, 's')}; tune over longer runs"
         )
-    shaky = [each for each in found.front if each.radius is not None and each.radius > 1 + TOLERANCE]
+    shaky = [each for each in found.front if each.unstable]
     if shaky:
         clock = plain(shaky[0].graph.clock or 0.0, "s")
         told.append(
