@@ -154,7 +154,7 @@ def summary(t: Told) -> Iterator[Part]:
     items, failing = list[Cell](), list[int]()
     if found.sheet.samples == 1 and main:
         items += _ends(t)
-    best = _best(found)
+    best = best_of(found)
     if best is not None and len(found.points) > 1:
         each, top = best
         middle = next((q for q in each.quantiles[main] if q.p == 0.5), None)
@@ -209,7 +209,7 @@ def _ends(t: Told) -> Iterator[Marked]:
     )
 
 
-def _best(found: Findings) -> tuple[Found, Quantile] | None:
+def best_of(found: Findings) -> tuple[Found, Quantile] | None:
     """Of the points where none diverged the one with the smallest greatest quantile; of one point, itself."""
     main = found.results.main
     several = [each for each in found.steady if each.quantiles.get(main)]
@@ -234,7 +234,14 @@ def _proof_in_short(t: Told) -> str:
     if good == all_of:
         return f"The proof's conditions hold {where}" + (f", at each of {all_of} settings." if all_of > 1 else ".")
     if not good:
-        return f"The proof's conditions do not all hold {where}; that is no proof of the contrary."
+        looked = next((each.drawn for each in t.proofs if each.drawn is not None), None)
+        at = f" at `{t.proofs[0].name}`" if all_of > 1 else ""
+        most = (
+            f"; {count(int(looked.sum()))} of {count(len(looked))} {t.noun} fulfil them{at}"
+            if looked is not None
+            else ""
+        )
+        return f"The proof's conditions do not all hold {where}{most}. That is no proof of the contrary."
     return f"The proof's conditions hold {where} at {good} of {all_of} settings."
 
 

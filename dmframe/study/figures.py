@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -201,10 +202,25 @@ def _field(found: Findings, axes: Any, drawn: Drawn, values: np.ndarray, norm: A
             set_ticks(np.arange(axis.size), [f"{factor * value:g}" for value in axis.edges])
         elif axis.log:
             set_scale("log")
+            low, high = label(found, key)[1] * axis.edges[[0, -1]]
+            marks = plain_marks(float(low), float(high))
+            set_ticks(marks, [f"{mark:g}" for mark in marks])
+            set_ticks([], minor=True)
     axes.grid(visible=False)
     bar = axes.figure.colorbar(mesh, ax=axes, pad=0.02)
     bar.set_label(name)
     bar.outline.set_linewidth(0.4)
+
+
+def plain_marks(low: float, high: float) -> list[float]:
+    """Numbers with one digit, about five of them, for a logarithmic axis."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for digits in ((1, 2, 3, 4, 5, 6, 8), (1, 2, 5), (1,)):
+        found = [float(f"{digit}e{power}") for power in decades for digit in digits]
+        found = [mark for mark in found if low * (1 - 1e-9) <= mark <= high * (1 + 1e-9)]
+        if len(found) <= 6:
+            break
+    return found or [low, high]
 
 
 def _edges(axis: Axis, factor: float) -> np.ndarray:

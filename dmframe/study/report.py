@@ -16,7 +16,7 @@ from dmframe.port import Side
 from dmframe.report import html
 from dmframe.report.html import Html, plain, tag
 from dmframe.report.page import document
-from dmframe.study.answer import Saved, Told, lead
+from dmframe.study.answer import Saved, Told, best_of, lead
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
 from dmframe.study.proof import proofs_of
@@ -59,7 +59,7 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
     found = findings_of(results)
     told = Told(
         found,
-        tuple(_saved(results)),
+        tuple(_saved(results, found)),
         tuple(proofs_of(results.study, results.names)) if proofs else (),
         _robots(results),
         _commands(results),
@@ -99,14 +99,20 @@ def _write_figures(place: Path, files: Mapping[str, bytes]) -> None:
         write_bytes(place / name, content)
 
 
-def _saved(results: Results) -> list[Saved]:
-    """The worst runs by each figure that the study asks for, each once, written as graphs."""
+def _saved(results: Results, told: Findings) -> list[Saved]:
+    """The worst runs by each figure that the study asks for, each once, written as graphs; and of the best setting one.
+
+    Where a bad setting is among them, the worst of all are its own, which says nothing of those that one would take.
+    """
     study, there = results.study, set(results.frame.collect_schema())
     runs = dict[int, str]()
     for figure, number in study.file.report.worst.items():
         if figure in there:
             for run in results.worst_runs(figure, number):
                 runs.setdefault(run, figure)
+    best = best_of(told)
+    if runs and best is not None and all(run % len(study.points) != best[0].index for run in runs):
+        runs |= dict.fromkeys(results.worst_runs(results.main, 1, [best[0].index]), results.main)
     with writing(results.folder):
         for old in results.folder.glob(WORST.format("*")):
             old.unlink()

@@ -17,6 +17,7 @@ from scipy import stats
 import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.study import results as results_module
+from dmframe.study.figures import plain_marks
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
 from dmframe.study.plan import Study, load_study
@@ -207,7 +208,12 @@ def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tu
     assert "What decides whether a run diverges most at Gamma = 10 : servo.K_D" in said
     worst = Results(place).worst_runs()[0]
     assert f"The worst run is number {worst} at Gamma = 10 : diverged after" in said
-    assert (place / "worst_1.yaml").is_file()
+    found = Results(place)
+    saved = [dm.load(place / f"worst_{k}.yaml") for k in (1, 2, 3, 4)]
+    assert [each.experiment.blocks["dynamics"].Gamma for each in saved] == [10, 10, 10, 1]  # type: ignore[attr-defined]
+    (own,) = found.worst_runs("rms_final", 1, points=[0])  # the worst at the setting that one would take
+    assert saved[3].experiment.blocks == found.study.graph_of(own).experiment.blocks
+    assert not (place / "worst_5.yaml").exists()
     names = {path.name for path in (place / "figures").iterdir()}
     assert names == {
         f"{name}.{kind}"
@@ -371,3 +377,16 @@ def test_settings_are_called_by_what_differs_among_them() -> None:
         "a.K = 1, b.K = 2",
         "a.K = 2, b.K = 1",
     ]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "marks"),
+    [
+        (0.5, 2, [0.5, 0.6, 0.8, 1, 2]),
+        (0.01, 0.8, [0.01, 0.02, 0.05, 0.1, 0.2, 0.5]),
+        (1e-3, 1e3, [1e-3, 1e-2, 0.1, 1, 10, 100, 1e3]),
+        (1.1, 1.9, [1.1, 1.9]),
+    ],
+)
+def test_a_logarithmic_axis_has_plain_numbers(low: float, high: float, marks: list[float]) -> None:
+    assert plain_marks(low, high) == marks
