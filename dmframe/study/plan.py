@@ -283,7 +283,7 @@ class Study:
         force: bool = False,
         progress: bool | None = None,
     ) -> Results:
-        """Compute the rows that its folder does not hold yet, as ``dmframe study`` does; `out` is ``studies/NAME``.
+        """Compute the rows that are not there yet, as ``dmframe study`` does, into ``studies/NAME`` by default.
 
         Raises
         ------

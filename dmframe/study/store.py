@@ -211,7 +211,8 @@ def opened(path: str | Path, study: Computable, files: Mapping[str, bytes], *, f
         store = Store(path, study)
         lock = read_lock(path)
         if lock is None:
-            ours = {_HELD, RUNS, CHUNKS, *(Path(name).parts[0] for name in files)}
+            ours = {_HELD, RUNS, CHUNKS, PROVENANCE, PROCESSES, *(Path(name).parts[0] for name in files)}
+            ours |= {f"{name}.tmp" for name in (*ours, LOCK)}  # of a process that was ended while it began
             strangers = [item.name for item in path.iterdir() if item.name not in ours]
             if strangers:
                 raise OutputError(

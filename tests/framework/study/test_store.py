@@ -84,6 +84,13 @@ def test_a_file_that_nobody_knows_is_set_aside_and_what_was_half_written_goes(ou
     assert len(frame(out)) == 120
 
 
+def test_a_folder_whose_first_process_was_ended_as_it_began_can_be_used(tmp_path: Path) -> None:
+    for name in ("study.yaml", "study.lock.json.tmp", "study.yaml.tmp"):
+        (tmp_path / name).write_text("half")
+    fill(tmp_path, StandIn())
+    assert len(frame(tmp_path)) == 120
+
+
 def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
     lines = (out / "chunks.jsonl").read_text()
     (out / "chunks.jsonl").write_text(lines[:-30])
