@@ -260,6 +260,32 @@ def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path])
     assert found.events[1].name == "rms_final > 1 mrad"
 
 
+def test_a_time_of_a_run_that_diverged_is_its_own_and_one_that_never_came_is_infinite(
+    folder: Callable[..., Path],
+) -> None:
+    asked = "diverged_at < 0.6 s, diverged_at > 0.6 s"
+    found = findings_of(Results(folder(breaking, text_of(report=f"report: {{probability: [{asked}]}}"))))
+    early = int((found.results.study.drawn(0, 200)["servo.K_D"] < 0.6).sum())
+    assert 0 < early < found.points[1].alone[0].count
+    assert [each.count for each in found.points[1].alone[1:]] == [early, 200 - early]
+    assert [each.count for each in found.points[0].alone[1:]] == [0, 200]
+
+
+def test_a_run_without_the_figure_is_no_case_of_its_event(folder: Callable[..., Path]) -> None:
+    def lacking(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return {"rms_final": np.where(drawn["servo.K_D"] < 1, np.nan, 1.0)}
+
+    place = folder(lacking, text_of(report="report: {probability: [rms_final > 1 mrad]}"))
+    found = findings_of(Results(place))
+    there = int((found.results.study.drawn(0, 200)["servo.K_D"] >= 1).sum())
+    assert [(each.alone[1].count, each.alone[1].runs) for each in found.points] == [(there, there)] * 2
+
+
+def test_what_varies_is_no_event(folder: Callable[..., Path]) -> None:
+    with pytest.raises(DmframeError, match="unknown figure"):
+        findings_of(Results(folder(steady, text_of(report="report: {probability: [servo.K_D > 1]}"))))
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
