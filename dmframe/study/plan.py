@@ -140,6 +140,14 @@ class Study:
             found.append(Point(index, values, tuple(cases), self))
         return tuple(found)
 
+    @cached_property
+    def noisy(self) -> bool:
+        """Some loop draws random numbers, or the length of its samples; all samples of a point draw the same ones."""
+        jitter = any(bool(experiment.file.jitter) for experiment in self.bases.values())
+        jitter |= any(label == "jitter" for axis in self.axes for label in axis.labels)
+        jitter |= any("jitter" in factor.labels for factor in self.factors)
+        return jitter or any(diagram.loop.noises for diagram in self._diagrams)
+
     @property
     def design(self) -> Design:
         """Where the samples lie; the same at each point."""

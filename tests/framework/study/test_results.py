@@ -16,7 +16,9 @@ from scipy import stats
 
 import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
+from dmframe.study.answer import Told, lead
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
 from dmframe.study.plan import Study, load_study
@@ -249,6 +251,29 @@ def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..
     said = words(write_report(place, proofs=False))
     assert "80 runs are not there yet" in said
     assert "2 runs could not be made" in said
+    assert lead_of(place).outcome == "open"
+
+
+def test_a_setting_that_could_not_be_made_is_not_forgotten_in_the_answer(folder: Callable[..., Path]) -> None:
+    def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return steady(study, point, drawn) | ({"fault": ["no pose"] * len(drawn["servo.K_D"])} if point else {})
+
+    told = lead_of(folder(figures))
+    assert told.outcome == "open"
+    assert told.headline == "None of 200 robots diverged at 1 of 2 settings"
+    assert "for all 2 settings together. 200 runs could not be made" in str(told.sentence)
+
+
+@pytest.mark.parametrize(("jitter", "noisy"), [("", False), (", jitter: 0.1 ms", True)])
+def test_the_answer_says_where_all_samples_meet_one_noise(
+    folder: Callable[..., Path], jitter: str, noisy: bool
+) -> None:
+    place = folder(steady, text_of().replace("2 s}", "2 s, clock: 2 ms" + jitter + "}"))
+    assert ("nothing is said of other noise" in str(lead_of(place).sentence)) == noisy
+
+
+def lead_of(place: Path) -> Lead:
+    return lead(Told(findings_of(Results(place)), (), (), True, (), ()))
 
 
 def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path]) -> None:
