@@ -12,11 +12,13 @@ from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
 from dmframe.study.findings import DIVERGED, Findings, Found
 from dmframe.study.numbers import count, figure, percent
 from dmframe.study.proof import HELD, Proof
-from dmframe.study.statistics import Quantile
+from dmframe.study.statistics import LEVEL, Quantile
 from dmframe.units import plain
 
 WORTH: Final = 0.05
 """Share of the variance from which a quantity is named as one that decides."""
+BY_CHANCE: Final = 1 - LEVEL
+"""Of a quantity that is named; a share so large comes no more often where the quantity has no influence."""
 NAMED: Final = 4
 """Settings that a sentence names."""
 METHODS: Final = {
@@ -180,7 +182,7 @@ def summary(t: Told) -> Iterator[Part]:
         items.append(Marked(f"`{main}`: {told}."))
     for name in dict.fromkeys(name for each in found.points for name in each.influences):
         each = next(each for each in found.points if name in each.influences)
-        strong = [item for item in each.influences[name] if item.share >= WORTH][:3]
+        strong = [item for item in each.influences[name] if item.share >= WORTH and item.chance <= BY_CHANCE][:3]
         if strong:
             told = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
             what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
@@ -220,13 +222,19 @@ def _ordinal(p: float) -> str:
 
 
 def _proof_in_short(t: Told) -> str:
-    good, all_of = sum(each.proved for each in t.proofs), len(t.proofs)
+    good, all_of, points = sum(each.proved for each in t.proofs), len(t.proofs), len(t.found.points)
+    outside = list(dict.fromkeys(name for each in t.proofs for name in each.box.outside))
+    rest = f" Not in the box, since no parameter of the loop: {listed([f'`{name}`' for name in outside])}."
+    rest = rest * bool(outside) + f" The other {points - all_of} settings were not looked at." * (points > all_of)
     where = f"over the whole box of what was drawn{_held(t.proofs)}"
+    if not any(each.box.ends for each in t.proofs):
+        where = "at the numbers that the graphs state"
     if good == all_of:
-        return f"The proof's conditions hold {where}" + (f", at each of {all_of} settings." if all_of > 1 else ".")
+        each_of = f", at each of {all_of} settings." if all_of > 1 else "."
+        return f"The proof's conditions hold {where}{each_of}{rest}"
     if not good:
-        return f"The proof's conditions do not all hold {where}; that is no proof of the contrary."
-    return f"The proof's conditions hold {where} at {good} of {all_of} settings."
+        return f"The proof's conditions do not all hold {where}; that is no proof of the contrary.{rest}"
+    return f"The proof's conditions hold {where} at {good} of {all_of} settings.{rest}"
 
 
 def _held(proofs: Sequence[Proof]) -> str:

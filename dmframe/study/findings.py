@@ -13,6 +13,7 @@ from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.study.results import Results
 from dmframe.study.sheet import LEAST, Sheet, is_time
 from dmframe.study.statistics import (
+    FEWEST,
     Influence,
     Map,
     Paired,
@@ -245,12 +246,14 @@ def _influences(results: Results, sheet: Sheet, k: int) -> dict[str, tuple[Influ
         told[DIVERGED] = np.where(sheet.done[k], sheet.diverged[k].astype(float), np.nan)
     found = dict[str, tuple[Influence, ...]]()
     for figure, values in told.items():
-        if len(np.unique(values[~np.isnan(values)])) < 2:
-            continue  # there is nothing to explain
+        known = values[~np.isnan(values)]
+        if len(np.unique(known)) < 2 or len(known) < FEWEST:
+            continue  # there is nothing to explain, or nothing to explain it by
         each = [influence(name, sheet.draws(name, k), values, independent=results.independent) for name in factors]
-        ps = adjusted([item.p if item.p is not None else 1.0 for item in each])
+        ps = adjusted([item.chance for item in each])
         each = [
-            Influence(item.factor, item.share, None if item.p is None else p) for item, p in zip(each, ps, strict=True)
+            Influence(item.factor, item.share, None if item.p is None else p, p)
+            for item, p in zip(each, ps, strict=True)
         ]
         if each:
             found[figure] = tuple(sorted(each, key=lambda item: -item.share))

@@ -18,7 +18,7 @@ import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
-from dmframe.study.answer import Told, lead
+from dmframe.study.answer import WORTH, Told, lead, summary
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
 from dmframe.study.plan import Study, load_study
@@ -252,6 +252,29 @@ def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..
     assert "80 runs are not there yet" in said
     assert "2 runs could not be made" in said
     assert lead_of(place).outcome == "open"
+
+
+def test_of_few_runs_no_influence_is_told(folder: Callable[..., Path]) -> None:
+    found = findings_of(Results(folder(steady, text_of(runs=15))))
+    assert all(not each.influences for each in found.points)
+
+
+@pytest.mark.parametrize("method", ["random", "sobol"])
+def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: Path, method: str) -> None:
+    named = 0
+    for seed in range(20):
+
+        def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray], seed: int = seed) -> dict[str, Any]:
+            return {"rms_final": np.random.default_rng(seed).uniform(1, 2, len(drawn["servo.K_D"]))}
+
+        (tmp_path / str(seed)).mkdir()
+        results = Results(write(tmp_path / str(seed), figures, text_of(runs=20, method=method, grid="\n")))
+        told = Told(findings_of(results), (), (), True, (), ())
+        shares = [item.share for item in told.found.points[0].influences["rms_final"]]
+        said = "What decides" in repr(list(summary(told)))
+        named += said
+        assert not said or max(shares) >= WORTH
+    assert named <= 4  # of twenty, where each is to be wrong one time in twenty
 
 
 def test_a_setting_that_could_not_be_made_is_not_forgotten_in_the_answer(folder: Callable[..., Path]) -> None:
