@@ -19,6 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph import Graph
 from dmframe.results.metrics import goal_of
+from dmframe.simulate import Recording
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile
 from dmframe.study.grid import Axis, Case, changed, scaled
@@ -31,6 +32,7 @@ from dmframe.study.table import (
     columns_of,
     faulty,
     joined,
+    row_of,
     rows_of,
     together,
     wanted_of,
@@ -411,6 +413,10 @@ class Study:
         for axis, place in zip(self.axes, places, strict=True):
             index = index * len(axis.cases) + place
         return self.points[index]
+
+    def row_of(self, run: Recording, graph: Graph) -> dict[str, Any]:
+        """What the table would measure of a whole run of one of the study's graphs."""
+        return row_of(run, self._wanted(graph.diagram), self.measures)
 
     def _wanted(self, diagram: Diagram) -> Wanted:
         """What is measured of a loop: the asked signals that it has, limits in their units."""
