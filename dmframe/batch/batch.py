@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, Final, final
@@ -196,16 +196,17 @@ class Batch:
     def _together(self, columns: Mapping[str, np.ndarray], board: Board, runs: np.ndarray) -> np.ndarray:
         """Run some rows of the columns in lanes; returns those that do not fit."""
         prepared, some = self.prepared, {label: column[runs] for label, column in columns.items()}
-        of_run = partial(varied, self.diagram, some)
+        given = self.settings.get("start", {})
         with SYMBOLIC:
             p, faults = parameters_of(self.diagram, some, runs.size)
-            given = self.settings.get("start", {})
-            states, wrong = starts_of(self.diagram, some, of_run, p, given, prepared.step.instants, prepared.starts)
-            faults = {**wrong, **faults}
+            board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
+            runs, p, some = _without(runs, p, some, faults)  # what has no parameters has no start
+            of_run = partial(varied, self.diagram, some)
+            states, faults = starts_of(self.diagram, some, of_run, p, given, prepared.step.instants, prepared.starts)
+            board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
             good = np.setdiff1d(np.arange(runs.size), list(faults))
             p, states = p[:, good], states[:, good]
             speeds = speeds_of(self._slope, states, p)
-        board.faults.update({int(runs[run]): fault for run, fault in faults.items()})
         together = Together(self.lanes, prepared, self._limits, self.threads or cores())
         left = together.run(p, states, speeds, board, runs[good])
         return np.asarray(runs[good[left]])
@@ -215,6 +216,14 @@ class Batch:
         """Of each element that is measured."""
         limits = [np.full(elements.numel(), self.wanted.limit(label)) for label, (_, elements) in self.channels.items()]
         return np.concatenate([np.zeros(0), *limits])
+
+
+def _without(
+    runs: np.ndarray, p: np.ndarray, columns: Mapping[str, np.ndarray], faults: Collection[int]
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """Runs, their parameters and their rows but for those with a fault."""
+    good = np.setdiff1d(np.arange(runs.size), list(faults))
+    return runs[good], p[:, good], {label: column[good] for label, column in columns.items()}
 
 
 __all__ = ["Batch", "Wanted", "measure"]

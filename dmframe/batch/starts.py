@@ -17,6 +17,7 @@ from dmframe.simulate.start import (
     Made,
     goal_and_place,
     on_path,
+    pose_on_path,
     start_state,
     symbolic_start,
     told_starts,
@@ -42,7 +43,7 @@ def starts_of(
     labels
         What varies.
     p
-        (P, N), the runs' parameters.
+        (P, N), the runs' parameters, of runs that have some.
     given, instants, made
         See `start_state`.
     """
@@ -65,12 +66,13 @@ def starts_of(
     unknown = posed[0][1] if posed else None
     poses = np.zeros((0 if unknown is None else unknown.symbol.numel(), runs))
     if unknown is not None:
-        rows, read = _rows(diagram, unknown), _read(diagram, *posed[0], made)
+        read = _read(diagram, *posed[0], made)
         for members in _alike(p[read]):
-            alone(members[0])
-            poses[:, members] = states[rows, members[0]][:, None]
-            if members[0] in faults:
-                faults.update(dict.fromkeys(members.tolist(), faults[members[0]]))
+            try:  # the pose alone: whatever else ails the first of them is not the others' fault
+                pose = pose_on_path(varied(members[0]), given, made, unknown)
+                poses[:, members] = pose.reshape(-1, 1, order="F")
+            except DmframeError as fault:
+                faults.update(dict.fromkeys(members.tolist(), fault))
     begin = _begin(diagram, given, unknown, instants, made)
     free, states = (np.asarray(found.full()) for found in begin(poses, instants.period, p))
     sound = np.isfinite(free) & (np.abs(free - states) <= ROUNDING * (1 + np.abs(free)))
@@ -91,15 +93,6 @@ def _begin(diagram: Diagram, given: Mapping[str, Any], unknown: Variable | None,
         loop = diagram.loop
         made[key] = ca.Function("begin", [pose, loop.period, loop.p], ca.cse([ca.densify(free), ca.densify(held)]))
     return made[key]
-
-
-def _rows(diagram: Diagram, variable: Variable) -> slice:
-    first = 0
-    for other in diagram.loop.variables:
-        if other.label == variable.label:
-            break
-        first += other.symbol.numel()
-    return slice(first, first + variable.symbol.numel())
 
 
 def _read(diagram: Diagram, followed: Any, unknown: Variable, made: Made) -> np.ndarray:

@@ -32,7 +32,7 @@ def run_whole(
         A label that cannot be varied, whatever its value.
     """
     variants = [{label: column[run].tolist() for label, column in columns.items()} for run in runs]
-    found = simulate_many(diagram, variants, duration, reduce=partial(_of_run, wanted=wanted), **settings)
+    found = simulate_many(diagram, variants, duration, reduce=partial(of_run, wanted=wanted), **settings)
     for run, told in zip(runs.tolist(), found, strict=True):
         if isinstance(told, UnknownNameError | NeedsDiagramError):
             raise told
@@ -46,20 +46,23 @@ def run_whole(
 
 
 @final
-class _Told(NamedTuple):
+class Told(NamedTuple):
+    """What is kept of a run."""
+
     figures: Mapping[str, Figures]
     diverged: float
     notices: tuple[str, ...]
     engine: str
 
 
-def _of_run(run: Recording, wanted: Wanted) -> _Told:
+def of_run(run: Recording, wanted: Wanted) -> Told:
+    """The figures of one whole run."""
     error = tracking_error(run)
     values = {} if error is None else {ERROR: error.norm[:, None]}
     values |= {label: run[label] for label in wanted.signals}
     diverged = np.nan if run.divergence is None else run.divergence.time
     figures = {label: _figures(run, signal, wanted.limit(label)) for label, signal in values.items()}
-    return _Told(figures, diverged, run.notices, run.engine)
+    return Told(figures, diverged, run.notices, run.engine)
 
 
 def _figures(run: Recording, values: np.ndarray, limit: float) -> Figures:

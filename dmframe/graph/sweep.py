@@ -68,7 +68,8 @@ def sweep(
     xarray.Dataset
         ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm, ``diverged``, ``diverged_at``
         [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s]; nan where a run never
-        came. Units are attributes.
+        came. The extremes of a run that diverged are those until then: look at ``diverged`` first. Units are
+        attributes.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def sweep(
         raise ValueFault(f"values: expected as many of each in a list, found {told}")
     wanted = Wanted(tuple(signals), dict(limits or {}))
     shape = tuple(lengths.values()) if design == "grid" else (max(lengths.values(), default=1),)
-    indices = np.indices(shape).reshape(len(shape), -1)
+    indices = np.indices(shape).reshape(len(shape), int(np.prod(shape)))
     places = dict(zip(tried, indices if design == "grid" else [indices[0]] * len(tried), strict=True))
     numbers = {label: column for label in tried if (column := _column(base, label, tried[label])) is not None}
     try:
@@ -100,7 +101,7 @@ def sweep(
 def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:
     """Values of a block's parameter as numbers, a row each; None for anything else."""
     spec = _spec(base, label)
-    if spec is None:
+    if spec is None or getattr(base.experiment.blocks[label.partition(".")[0]], label.partition(".")[2]) is None:
         return None
     try:
         return np.array([_number(value, spec.unit) for value in several], dtype=float)
@@ -191,5 +192,7 @@ def _dataset(
         label: xarray.Variable([label if label in names else RUN], values, {"units": unit} if unit else {})
         for label, (values, unit) in axes.items()
     }
-    told = {"graph": base.name, "duration": base.duration, "engine": found.engine, "notices": "; ".join(found.notices)}
+    told: dict[str, Any] = {"graph": base.name, "engine": found.engine, "notices": "; ".join(found.notices)}
+    if "duration" not in axes:
+        told |= {"duration": base.duration}
     return xarray.Dataset(data, coordinates | {"eighth": np.arange(1, EIGHTHS + 1)}, told)

@@ -60,6 +60,13 @@ def start_state(
     return _column(variables, values)
 
 
+def pose_on_path(diagram: Diagram, given: Mapping[str, Any], made: Made, variable: Variable) -> np.ndarray:
+    """Where a state begins that a trajectory decides: a part of `start_state`, with its faults."""
+    values = told_starts(diagram, given)
+    _onto_path(diagram, values, given.get(NEAR), made)
+    return values[variable.label]
+
+
 def told_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The states that `given` or a parameter of their block says; see `start_state`."""
     values = _given(diagram, diagram.loop.variables, given)

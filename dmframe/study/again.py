@@ -47,7 +47,8 @@ class Again:
     @property
     def difference(self) -> float:
         """The largest relative difference; infinite where one diverged alone."""
-        return max((_apart(self.rerun[name], value) for name, value in (self.row or {}).items()), default=0.0)
+        row = self.row or {}
+        return max((_apart(self.rerun[name], value, _size(name, row)) for name, value in row.items()), default=0.0)
 
     @property
     def alike(self) -> bool:
@@ -91,13 +92,7 @@ def again(study: Study, run: int, place: Path, into: Path, *, force: bool = Fals
             with writing(into / name):
                 shutil.copyfile(source, into / name)
     done = load(target).run(progress=False)
-    at = None if done.divergence is None else done.divergence.time
-    figures: dict[str, Any] = {"diverged": done.divergence is not None, "diverged_at": math.nan if at is None else at}
-    error = done.error
-    if error is not None:
-        eighths = [math.nan if value is None else float(value) for value in error.rms_by_eighth]
-        figures |= {f"rms_{k + 1}": value for k, value in enumerate(eighths)}
-        figures |= {"rms_final": eighths[-1], "error_most": float(error.norm.max())}
+    figures = study.row_of(done.recording, graph)
     units = {column.name: column.unit for column in study.measures}
     row = _row(place, run, list(figures))
     return Again(run, point, sample, target, place, figures, row, {name: units.get(name, "") for name in figures})
@@ -111,12 +106,22 @@ def _row(place: Path, run: int, names: list[str]) -> Mapping[str, Any] | None:
     return dict(found.row(0, named=True)) if len(found) else None
 
 
-def _apart(a: Any, b: Any) -> float:
+def _size(name: str, row: Mapping[str, Any]) -> float:
+    """How large a signal is: what is rounded to nothing in it differs by much of itself."""
+    signal, _, figure = name.rpartition(".")
+    if not signal or figure == "crossed":
+        return 0.0
+    others = [key for key in row if key.rpartition(".")[0] == signal and not key.endswith("crossed")]
+    alike = [abs(row[key]) for key in others]
+    return max((value for value in alike if math.isfinite(value)), default=0.0)
+
+
+def _apart(a: Any, b: Any, size: float = 0.0) -> float:
     if a == b or (a != a and b != b):  # nan is nan here
         return 0.0
     if isinstance(a, bool) or a != a or b != b:
         return math.inf
-    return float(abs(a - b) / max(abs(a), abs(b)))
+    return float(abs(a - b) / max(abs(a), abs(b), size))
 
 
 def _finite(figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -12,11 +12,13 @@ from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
 from dmframe.study.findings import DIVERGED, Findings, Found
 from dmframe.study.numbers import count, figure, percent
 from dmframe.study.proof import HELD, Proof
-from dmframe.study.statistics import Quantile
+from dmframe.study.statistics import LEVEL, Quantile
 from dmframe.units import plain
 
 WORTH: Final = 0.05
 """Share of the variance from which a quantity is named as one that decides."""
+BY_CHANCE: Final = 1 - LEVEL
+"""Of a quantity that is named; a share so large comes no more often where the quantity has no influence."""
 NAMED: Final = 4
 """Settings that a sentence names."""
 METHODS: Final = {
@@ -78,28 +80,32 @@ def lead(t: Told) -> Lead:
     ran = [each for each in found.points if each.runs]
     place = found.events.index(found.diverging)
     samples = max((each.runs for each in ran), default=0)
-    unfinished = _unfinished(found)
+    unfinished, whole = _unfinished(found), not any(each.failed or each.missing for each in found.points)
     if not ran:
         return Lead("open", "No run is there yet", Marked(f"there is nothing to tell.{unfinished}"))
     if found.sheet.samples == 1:
         lost = sum(each.alone[place].count for each in ran)
         text = f"{count(len(ran))} settings ran, each once; {_diverged(lost, 'of them')}."
-        says = f"each ran once, on one robot: that is no probability.{unfinished}"
-        return Lead(_outcome(len(ran) - lost, len(ran)), text.rstrip("."), Marked(says))
+        says = f"Each ran once, on one robot: that is no probability.{unfinished}"
+        return Lead(_outcome(len(ran) - lost, len(found.points)), text.rstrip("."), Marked(says))
     if len(found.points) == 1:
         share = ran[0].alone[place]
         head = f"Of {count(share.runs)} {noun} {_diverged(share.count, '')}".rstrip()
+        outcome = _outcome(whole and share.count == 0, whole or bool(share.count))
         if share.most is None:
-            return Lead(_outcome(share.count == 0, 1), head, Marked(no_interval(found) + unfinished))
+            return Lead(outcome, head, Marked(no_interval(found) + unfinished))
         says = f"the probability of divergence is at most {percent(share.most, up=True)}, at 95 % confidence."
         if share.count:
             says = f"{percent(share.value)} of them; {says}"
-        return Lead(_outcome(share.count == 0, 1), head, Marked(says + unfinished))
-    steady = found.steady
-    head = f"None of {count(samples)} {noun} diverged at {len(steady)} of {len(ran)} settings"
+        return Lead(outcome, head, Marked(says + unfinished))
+    steady, of = found.steady, len(found.points)
+    fewest = min((each.runs for each in steady), default=samples)
+    many = count(samples) if fewest == samples else f"{count(fewest)} to {count(samples)}"
+    head = f"None of {many} {noun} diverged at {len(steady)} of {of} settings"
     if not steady:
         least = min(ran, key=lambda each: each.alone[place].value)
-        head = f"At each of {len(ran)} settings some of {count(samples)} {noun} diverged"
+        at = f"At each of {of} settings" if len(ran) == of else f"At each of the {len(ran)} of {of} settings that ran"
+        head = f"{at} some of {count(samples)} {noun} diverged"
         says = f"fewest at {code(least)}: {percent(least.alone[place].value)}"
         if least.together[place].most is not None:
             says += f", a probability of at most {percent(least.together[place].most or 1, up=True)} at 95 % confidence"
@@ -109,10 +115,11 @@ def lead(t: Told) -> Lead:
     if steady[0].together[place].most is not None:
         each_of = "at each of them " if len(steady) > 1 else ""
         says += f"; {each_of}the probability of divergence is at most {percent(most, up=True)}, at 95 % confidence"
-        says += f" for all {len(ran)} settings together."
+        says += f" for all {of} settings together."
     else:
         says += f". {no_interval(found)}"
-    return Lead(_outcome(len(steady), len(ran)), head, Marked(says + unfinished))
+    outcome = _outcome(len(steady), of)
+    return Lead(outcome if whole or outcome != "proved" else "open", head, Marked(says + unfinished))
 
 
 def _outcome(good: int, of: int) -> str:
@@ -124,8 +131,14 @@ def _diverged(number: int, of: str) -> str:
 
 
 def _unfinished(found: Findings) -> str:
-    missing = sum(each.missing for each in found.points)
-    return f" {count(missing)} runs are not there yet: the same command computes them." if missing else ""
+    """What the answer does not cover: runs that are not there, and other noise."""
+    missing, failed = (sum(getattr(each, what) for each in found.points) for what in ("missing", "failed"))
+    told = f" {count(missing)} runs are not there yet: the same command computes them." if missing else ""
+    told += f" {count(failed)} runs could not be made, of which this says nothing." if failed else ""
+    if found.sheet.samples > 1 and found.results.study.noisy:
+        told += " The loop draws noise or a jitter: all samples meet the same, that of the graph's `seed`, so that "
+        told += "nothing is said of other noise."
+    return told
 
 
 def no_interval(found: Findings) -> str:
@@ -171,7 +184,7 @@ def summary(t: Told) -> Iterator[Part]:
         items.append(Marked(f"`{main}`: {told}."))
     for name in dict.fromkeys(name for each in found.points for name in each.influences):
         each = next(each for each in found.points if name in each.influences)
-        strong = [item for item in each.influences[name] if item.share >= WORTH][:3]
+        strong = [item for item in each.influences[name] if item.share >= WORTH and item.chance <= BY_CHANCE][:3]
         if strong:
             told = listed([f"`{item.factor}` ({percent(item.share)})" for item in strong])
             what = "whether a run diverges" if name == DIVERGED else f"`{name}`"
@@ -226,13 +239,19 @@ def _ordinal(p: float) -> str:
 
 
 def _proof_in_short(t: Told) -> str:
-    good, all_of = sum(each.proved for each in t.proofs), len(t.proofs)
+    good, all_of, points = sum(each.proved for each in t.proofs), len(t.proofs), len(t.found.points)
+    outside = list(dict.fromkeys(name for each in t.proofs for name in each.box.outside))
+    rest = f" Not in the box, since no parameter of the loop: {listed([f'`{name}`' for name in outside])}."
+    rest = rest * bool(outside) + f" The other {points - all_of} settings were not looked at." * (points > all_of)
     where = f"over the whole box of what was drawn{_held(t.proofs)}"
     if not t.found.results.study.factors:
-        of = "" if all_of == len(t.found.points) else " that were looked at"
+        of = "" if all_of == points else " that were looked at"
         return f"The graph is proved at {good} of the {all_of} settings{of}."
+    if not any(each.box.ends for each in t.proofs):
+        where = "at the numbers that the graphs state"
     if good == all_of:
-        return f"The proof's conditions hold {where}" + (f", at each of {all_of} settings." if all_of > 1 else ".")
+        each_of = f", at each of {all_of} settings." if all_of > 1 else "."
+        return f"The proof's conditions hold {where}{each_of}{rest}"
     if not good:
         looked = next((each.drawn for each in t.proofs if each.drawn is not None), None)
         at = f" at `{t.proofs[0].name}`" if all_of > 1 else ""
@@ -241,8 +260,8 @@ def _proof_in_short(t: Told) -> str:
             if looked is not None
             else ""
         )
-        return f"The proof's conditions do not all hold {where}{most}. That is no proof of the contrary."
-    return f"The proof's conditions hold {where} at {good} of {all_of} settings."
+        return f"The proof's conditions do not all hold {where}{most}. That is no proof of the contrary.{rest}"
+    return f"The proof's conditions hold {where} at {good} of {all_of} settings.{rest}"
 
 
 def _held(proofs: Sequence[Proof]) -> str:

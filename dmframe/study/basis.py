@@ -75,9 +75,16 @@ def proof(t: Told) -> Iterator[Part]:
             rows.append([Word(label, "code"), ", ".join(told)])
         at = f" at {first.name}" if len(t.proofs) > 1 else ""
         yield Table(rows, ("parameter", f"from and to{at}"), kind="study", keys=True)
-        if first.box.outside:
-            names = listed([f"`{name}`" for name in first.box.outside])
-            yield Paragraph(Marked(f"Not in the box, for it is no parameter of the loop: {names}."), note=True)
+    outside = list(dict.fromkeys(name for each in t.proofs for name in each.box.outside))
+    if outside:
+        names = listed([f"`{name}`" for name in outside])
+        yield Paragraph(
+            Marked(
+                f"Not in the box, for it is no parameter of the loop: {names}. Of such the proof takes the graph's own "
+                "number, and says nothing of the others."
+            ),
+            note=True,
+        )
     several, looked = len(t.proofs) > 1, any(each.drawn is not None for each in t.proofs)
     rows = []
     for each in t.proofs:

@@ -11,8 +11,9 @@ import numpy as np
 
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.study.results import Results
-from dmframe.study.sheet import LEAST, Sheet
+from dmframe.study.sheet import LEAST, Sheet, is_time
 from dmframe.study.statistics import (
+    FEWEST,
     Influence,
     Map,
     Paired,
@@ -39,7 +40,7 @@ _EVENT: Final = re.compile(r"\s*(\S+)\s*(<=|>=|<|>)\s*(.+?)\s*")
 class Event:
     """Something of which the probability is told: divergence, or a figure beyond a limit.
 
-    A run that diverged is beyond every limit: its figure is infinite.
+    A run that diverged is beyond every limit: its figure is infinite. A run without the figure is no case of it.
     """
 
     figure: str
@@ -60,6 +61,10 @@ class Event:
             return sheet.diverged
         values = sheet.figure(self.figure)
         return np.asarray(values > self.limit if self.above else values < self.limit)
+
+    def known(self, sheet: Sheet) -> np.ndarray:
+        """(points, samples) bool: the runs of which it can be said."""
+        return sheet.done if self.figure == DIVERGED else ~np.isnan(sheet.figure(self.figure))
 
 
 def event_of(text: str, units: Mapping[str, str]) -> Event:
@@ -168,12 +173,12 @@ def findings_of(results: Results) -> Findings:
         What the study wants to see is not measured, or does not vary; all such faults at once.
     """
     asked, units, main = results.study.file.report, results.units, results.main
-    there = set(results.frame.collect_schema())
+    there, measured = set(results.frame.collect_schema()), [column.name for column in results.study.measures]
     faults = list[DmframeError]()
     events = list[Event]()
     for text in dict.fromkeys((DIVERGED, *asked.probability)):
         try:
-            events.append(event_of(text, {key: unit for key, unit in units.items() if key in there}))
+            events.append(event_of(text, {key: units[key] for key in measured if key in there}))
         except DmframeError as error:
             faults.append(error)
     varied = [column.name for column in results.study.varied]
@@ -181,7 +186,7 @@ def findings_of(results: Results) -> Findings:
         faults += [
             UnknownNameError(f"report.map {list(pair)}", "varied quantity", n, varied) for n in pair if n not in varied
         ]
-    figures = [name for name in dict.fromkeys((main, *asked.worst)) if name in there]
+    figures = [name for name in dict.fromkeys((main, *asked.worst)) if name in there and not is_time(name)]
     raise_all(faults)
     names = [*figures, *(event.figure for event in events if event.figure != DIVERGED), *varied, *EIGHTHS]
     sheet = results.sheet(*(name for name in dict.fromkeys(names) if name in there))
@@ -197,7 +202,7 @@ def findings_of(results: Results) -> Findings:
 
 def _found(results: Results, sheet: Sheet, events: Sequence[Event], figures: Sequence[str], k: int) -> Found:
     independent = results.independent
-    happened = [sheet.of(k, event.happened(sheet)) for event in events]
+    happened = [event.happened(sheet)[k][event.known(sheet)[k]] for event in events]
     values = {figure: sheet.of(k, sheet.figure(figure)) for figure in figures}
     values = {figure: column[~np.isnan(column)] for figure, column in values.items()}
     ps = results.study.file.report.quantiles if sheet.samples > 1 else ()
@@ -241,12 +246,14 @@ def _influences(results: Results, sheet: Sheet, k: int) -> dict[str, tuple[Influ
         told[DIVERGED] = np.where(sheet.done[k], sheet.diverged[k].astype(float), np.nan)
     found = dict[str, tuple[Influence, ...]]()
     for figure, values in told.items():
-        if len(np.unique(values[~np.isnan(values)])) < 2:
-            continue  # there is nothing to explain
+        known = values[~np.isnan(values)]
+        if len(np.unique(known)) < 2 or len(known) < FEWEST:
+            continue  # there is nothing to explain, or nothing to explain it by
         each = [influence(name, sheet.draws(name, k), values, independent=results.independent) for name in factors]
-        ps = adjusted([item.p if item.p is not None else 1.0 for item in each])
+        ps = adjusted([item.chance for item in each])
         each = [
-            Influence(item.factor, item.share, None if item.p is None else p) for item, p in zip(each, ps, strict=True)
+            Influence(item.factor, item.share, None if item.p is None else p, p)
+            for item, p in zip(each, ps, strict=True)
         ]
         if each:
             found[figure] = tuple(sorted(each, key=lambda item: -item.share))

@@ -168,7 +168,7 @@ class ReportSection(Section):
     """What the report shows."""
 
     probability: Labels = Field(
-        ("diverged",), description="events whose probability is told: diverged, or a figure below a limit"
+        ("diverged",), description="events whose probability is told: diverged, or a figure beyond a limit"
     )
     quantiles: tuple[Annotated[float, BeforeValidator(_fraction)], ...] = Field(
         (0.5, 0.95, 0.99), description="of the figures, between 0 and 1"

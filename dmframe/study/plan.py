@@ -19,6 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph import Graph
 from dmframe.results.metrics import goal_of
+from dmframe.simulate import Recording
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile
 from dmframe.study.grid import Axis, Case, changed, scaled
@@ -31,6 +32,7 @@ from dmframe.study.table import (
     columns_of,
     faulty,
     joined,
+    row_of,
     rows_of,
     together,
     wanted_of,
@@ -139,6 +141,14 @@ class Study:
             values = {axis.name: case.told for axis, case in zip(self.axes, cases, strict=True)}
             found.append(Point(index, values, tuple(cases), self))
         return tuple(found)
+
+    @cached_property
+    def noisy(self) -> bool:
+        """Some loop draws random numbers, or the length of its samples; all samples of a point draw the same ones."""
+        jitter = any(bool(experiment.file.jitter) for experiment in self.bases.values())
+        jitter |= any(label == "jitter" for axis in self.axes for label in axis.labels)
+        jitter |= any("jitter" in factor.labels for factor in self.factors)
+        return jitter or any(diagram.loop.noises for diagram in self._diagrams)
 
     @property
     def design(self) -> Design:
@@ -403,6 +413,10 @@ class Study:
         for axis, place in zip(self.axes, places, strict=True):
             index = index * len(axis.cases) + place
         return self.points[index]
+
+    def row_of(self, run: Recording, graph: Graph) -> dict[str, Any]:
+        """What the table would measure of a whole run of one of the study's graphs."""
+        return row_of(run, self._wanted(graph.diagram), self.measures)
 
     def _wanted(self, diagram: Diagram) -> Wanted:
         """What is measured of a loop: the asked signals that it has, limits in their units."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from dmframe.errors import MissingError, UnknownNameError, ValueFault
 from dmframe.files import expanded
-from dmframe.study.sheet import LEAST, Sheet, names_of, sheet_of
+from dmframe.study.sheet import Sheet, is_time, least_is_worst, names_of, sheet_of
 from dmframe.study.statistics import quantile, share
 
 if TYPE_CHECKING:
@@ -139,7 +139,8 @@ class Results:
         Parameters
         ----------
         figure
-            A column of the table; the main one without it. The greatest is the worst, of a ``.least`` the smallest.
+            A column of the table; the main one without it. The greatest is the worst, of a ``.least`` the smallest,
+            of a time the earliest.
         points
             Grid points among which they are sought; all without it.
         """
@@ -149,7 +150,9 @@ class Results:
         if not figure:
             raise MissingError("worst: expected a figure; this study measures none but divergence")
         sheet = self.sheet(figure)
-        values = sheet.figure(figure) * (-1 if figure.endswith(LEAST) else 1)
+        values = sheet.figure(figure) * (-1 if least_is_worst(figure) else 1)
+        if is_time(figure):  # of an event that never came
+            values = np.where(np.isinf(values), np.nan, values)
         if points is not None:
             values = np.where(np.isin(np.arange(sheet.points), points)[:, None], values, np.nan)
         # a run that has neither the figure nor diverged is nowhere

@@ -226,7 +226,7 @@ def _influence(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
                 item = next(item for item in each.influences[name] if item.factor == factor)
                 row += [percent(item.share), *([chance(item.p)] if tested else [])]
             rows.append(row)
-        rest: list[Cell] = ["the rest, which they decide together"]
+        rest: list[Cell] = ["the rest: decided together, or too fine for so few runs"]
         for each in points:
             left = max(0.0, 1 - sum(item.share for item in each.influences[name]))
             rest += [percent(left), *([""] if tested else [])]
@@ -238,7 +238,8 @@ def _influence(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
             f"{BINS} bins of each quantity, without what so many bins explain by chance. Ranks, since an error spans "
             "decades and a run that diverged has none: it is last. “By chance” is the probability of so large a share "
             "where the quantity has no influence (Kruskal and Wallis; adjusted for their number, after Holm); a design "
-            "that spreads its points has none. What quantities decide only together is in no row but the last."
+            "that spreads its points has none. What quantities decide only together is in no row but the last; so is "
+            "what one decides within its bins, which are the coarser the fewer runs there are."
         ),
         note=True,
     )

@@ -17,6 +17,19 @@ if TYPE_CHECKING:
 LEAST: Final = ".least"
 """Ends the name of a figure of which the smallest is the worst."""
 
+TIMES: Final = ("diverged_at", "_crossed", ".crossed")
+"""Ends of the names of figures that are the time of an event, of which the earliest is the worst."""
+
+
+def is_time(name: str) -> bool:
+    """True for a figure that is the time of an event."""
+    return name.endswith(TIMES)
+
+
+def least_is_worst(name: str) -> bool:
+    """True for a figure of which the smallest is the worst."""
+    return name.endswith((LEAST, *TIMES))
+
 
 @final
 @dataclass(frozen=True, repr=False, eq=False)
@@ -54,9 +67,13 @@ class Sheet:
     def figure(self, name: str) -> np.ndarray:
         """(points, samples): a figure, where the worst number stands for a run that diverged; nan where none could be.
 
-        Infinite, minus infinite for a `LEAST`.
+        Infinite, minus infinite for a `LEAST`. The time of an event is infinite where it never came; a run that
+        diverged has left every limit then.
         """
         values = np.where(self.done, self.columns[name], np.nan)
+        if is_time(name):
+            values = np.where(np.isnan(values) & self.diverged, self.diverged_at, values)
+            return np.where(np.isnan(values) & self.done, np.inf, values)
         return np.where(self.diverged, -np.inf if name.endswith(LEAST) else np.inf, values)
 
     def draws(self, name: str, point: int) -> np.ndarray:

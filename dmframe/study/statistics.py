@@ -17,6 +17,9 @@ from scipy import stats
 LEVEL: Final = 0.95
 """Of every interval."""
 
+FEWEST: Final = 16
+"""Runs below which nothing is said of influences: there are two bins of eight at least."""
+
 BINS: Final = 16
 """Into which a factor's draws are cut for its influence, each with as many runs."""
 
@@ -204,11 +207,14 @@ class Influence:
         Of the variance of the figure's ranks, from 0 to 1.
     p
         How likely so large a share is where the factor has no influence; None for no random draws.
+    chance
+        The same as a yardstick by which a share is named or not, of any design.
     """
 
     factor: str
     share: float
     p: float | None
+    chance: float
 
 
 def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent: bool, bins: int = BINS) -> Influence:
@@ -243,13 +249,13 @@ def influence(factor: str, draws: np.ndarray, values: np.ndarray, *, independent
     ranks = stats.rankdata(values)
     total = float(np.var(ranks)) if count else 0.0
     if most < 2 or total == 0:
-        return Influence(factor, 0.0, 1.0 if independent else None)
+        return Influence(factor, 0.0, 1.0 if independent else None, 1.0)
     sizes = np.bincount(groups, minlength=most)
     means = np.bincount(groups, weights=ranks, minlength=most) / sizes
     eta = float(np.sum(sizes * (means - ranks.mean()) ** 2) / (count * total))
     corrected = 1 - (1 - eta) * (count - 1) / (count - most)
-    p = float(stats.chi2.sf((count - 1) * eta, most - 1)) if independent else None
-    return Influence(factor, min(max(corrected, 0.0), 1.0), p)
+    chance = float(stats.chi2.sf((count - 1) * eta, most - 1))
+    return Influence(factor, min(max(corrected, 0.0), 1.0), chance if independent else None, chance)
 
 
 def _groups(draws: np.ndarray, bins: int) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 
 from dmframe.batch import Batch, Figures, Measured, Wanted
 from dmframe.batch.figures import ERROR
+from dmframe.batch.whole import of_run
 from dmframe.config.experiment import Experiment
 from dmframe.config.places import placed
 from dmframe.diagram import Diagram
@@ -18,6 +19,7 @@ from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError
 from dmframe.parameter import PAIRS, specs
 from dmframe.results.metrics import EIGHTHS, goal_of
+from dmframe.simulate import Recording
 
 KEPT: Final = 8
 """Closed loops that a process keeps ready."""
@@ -237,6 +239,18 @@ def _of_signal(label: str, figures: Figures) -> dict[str, np.ndarray]:
         name = label if rows == 1 else f"{label}[{k}]"
         found |= {f"{name}.{figure}": getattr(figures, figure)[:, k] for figure in (*FIGURES, "crossed")}
     return found
+
+
+def row_of(run: Recording, wanted: Wanted, columns: Sequence[Column]) -> dict[str, Any]:
+    """The measured columns of one whole run."""
+    told = of_run(run, wanted)
+    signals = {
+        label: Figures(each.unit, each.rms_by_eighth[None], each.least[None], each.most[None], each.last[None],
+                       each.crossed[None])
+        for label, each in told.figures.items()
+    }  # fmt: skip
+    rows = rows_of(Measured(signals, np.array([told.diverged]), {}, (), told.engine), columns, 1)
+    return {column.name: rows[column.name][0].item() for column in columns}
 
 
 def faulty(fault: DmframeError, columns: Sequence[Column], count: int) -> Columns:

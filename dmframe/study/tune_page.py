@@ -56,6 +56,8 @@ def _lead(found: Tuned) -> Lead:
         return Lead(
             "refuted", "not to be used as it is", Marked(f"{sentence} Over longer runs it is worse: see below.")
         )
+    if best.broken:
+        return Lead("refuted", "not to be used as it is", Marked(f"{sentence} Limits are broken: {best.broken[0]}."))
     if best.unstable:
         return Lead("not_applicable", "tuned, with a doubt", Marked(f"{sentence} Near its set-point it is unstable."))
     return Lead("proved" if proved else "not_applicable", "tuned" if proved else "tuned, not proved", Marked(sentence))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
 from dmframe.config.experiment import Experiment
-from dmframe.errors import DmframeError, MissingError, listed
+from dmframe.errors import MissingError, listed
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.graph import Graph
 from dmframe.study.candidate import Family
@@ -60,6 +60,8 @@ class Chosen:
         The larger spectral radius of the loop linearised on the graph's clock; None without a clock or a set-point.
     proof
         Its certificate; None for the graph's own values.
+    broken
+        Limits that do not hold over the fresh plants, or over longer runs, in words.
     """
 
     label: str
@@ -71,6 +73,7 @@ class Chosen:
     graph: Graph
     radius: float | None
     proof: Verification | None = None
+    broken: tuple[str, ...] = ()
 
     @property
     def unstable(self) -> bool:
@@ -138,7 +141,7 @@ class Tuned:
     @property
     def quiet(self) -> bool:
         """The study's loops draw no random numbers."""
-        return not any(map(_noisy, self.tuning.study.bases.values()))
+        return not self.tuning.study.noisy
 
     @cached_property
     def notices(self) -> tuple[str, ...]:
@@ -242,13 +245,13 @@ def _families(tuning: Tuning) -> tuple[Family | None, Family | None]:
     """Fresh plants, and those to be run for longer; none where nothing is sampled, or where the grid says how long."""
     study = tuning.study
     section, fresh = study.file.sample, study
-    if study.factors:
+    if study.factors or study.noisy:
         seed = (section.seed + _FRESH) % 2**64
         sample = section.model_copy(update={"seed": seed, "runs": tuning.section.fresh or section.runs})
         fresh = replace(study, file=study.file.model_copy(update={"sample": sample}))
         fresh.__dict__["_loops"] = study._loops
     times = any(label == "duration" for axis in study.axes for label in axis.labels)
-    return (Family(fresh) if study.factors else None), (None if times else Family(fresh))
+    return (Family(fresh) if fresh is not study else None), (None if times else Family(fresh))
 
 
 def _checked(
@@ -264,17 +267,35 @@ def _checked(
     candidate = tuning.candidate(values)
     experiment = candidate.points[0].graph.experiment
     graph = Graph(replace(experiment, name=label if prove else experiment.name))
-    told, long = tuple[float, ...](), tuple[float, ...]()
+    told, long, broken = tuple[float, ...](), tuple[float, ...](), list[str]()
     if fresh is not None:
-        told = tuple(tuning.figures_of(_of(candidate, fresh.study), fresh)[0])
+        if tuning.study.noisy:
+            candidate = candidate.on({name: _other_noise(base) for name, base in candidate.bases.items()})
+        figures, rows = tuning.figures_of(_of(candidate, fresh.study), fresh)
+        told = tuple(figures)
+        broken += _broken(tuning, rows, "on fresh plants")
     if longer is not None:
         bases = {name: base.with_duration(LONGER * base.file.duration) for name, base in candidate.bases.items()}
-        long = tuple(tuning.figures_of(_of(candidate.on(bases), longer.study), longer)[0])
+        figures, rows = tuning.figures_of(_of(candidate.on(bases), longer.study), longer)
+        long = tuple(figures)
+        broken += _broken(tuning, rows, f"{LONGER:g} times as long")
     radius = None if graph.clock is None else sampled_radius(graph.diagram, graph.clock, experiment.start)
     proof = graph.verify() if prove else None
     searched = trial.figures if trial is not None else ()
     number = None if trial is None else trial.number
-    return Chosen(label, number, dict(values), searched, told, long, graph, radius, proof)
+    return Chosen(label, number, dict(values), searched, told, long, graph, radius, proof, tuple(broken))
+
+
+def _other_noise(base: Experiment) -> Experiment:
+    """The graph with other random numbers than those of the search."""
+    return base.changed({"seed": (base.file.seed + _FRESH) % 2**64})
+
+
+def _broken(tuning: Tuning, rows: Mapping[str, Any], where: str) -> list[str]:
+    """The limits that some runs do not keep to, with the figure."""
+    values = [(each, each.statistic.of(each.statistic.figures(rows))) for each in tuning.bounds]
+    beyond = [(each, value) for each, value in values if not each.excess(value) <= 0]  # of nan, too
+    return [f"{where} {each.text} does not hold: it is {each.statistic.shown(value)}" for each, value in beyond]
 
 
 def _of(candidate: Study, family: Study) -> Study:
@@ -308,6 +329,7 @@ def _notices(found: Tuned) -> list[str]:
             f"{listed(lost)}: over {plain(LONGER * duration, 's')} runs diverge that did not over "
             f"{plain(duration, 's')}; tune over longer runs"
         )
+    told += [f"{each.label}: {text}; tune over more plants" for each in found.front for text in each.broken]
     shaky = [each for each in found.front if each.unstable]
     if shaky:
         clock = plain(shaky[0].graph.clock or 0.0, "s")
@@ -324,13 +346,6 @@ def _notices(found: Tuned) -> list[str]:
     if found.quiet:
         told.append(_NO_NOISE)
     return told
-
-
-def _noisy(base: Experiment) -> bool:
-    try:
-        return bool(base.diagram().loop.noises)
-    except DmframeError:  # a graph that only the cases of the grid make whole
-        return False
 
 
 def _figures(tuning: Tuning, each: Chosen) -> list[str]:
@@ -354,6 +369,7 @@ def _plain(each: Chosen, names: Sequence[str]) -> dict[str, Any]:
         "searched": told(each.searched),
         "fresh": told(each.fresh),
         "longer": told(each.longer),
+        "broken": list(each.broken),
         "radius": each.radius,
         "proof": None if each.proof is None else each.proof.headline,
     }

@@ -171,6 +171,24 @@ def test_a_run_that_cannot_be_is_a_fault_of_its_own() -> None:
     assert np.isfinite(found.error.last[3, 0])
 
 
+@needs_compiler
+@pytest.mark.parametrize(
+    ("values", "faulty", "text"),
+    [
+        ({"dynamics.Gamma": [-1.0, 1.0, 2.0]}, [0], "expected a number > 0, found -1.0"),
+        ({"inverse.w_I_box": [[3.0, 4.0], [0.5, 20.0], [1.9, 2.1]]}, [0], "expected a start inside w_I_box, 3 to 4"),
+    ],
+)
+def test_the_first_runs_fault_is_not_that_of_others_who_start_where_it_would(
+    values: Any, faulty: list[int], text: str
+) -> None:
+    found = batch("arm2_joint", 0.1).measure(values)
+    assert list(found.faults) == faulty
+    assert text in str(found.faults[0])
+    assert found.error is not None
+    assert np.isfinite(found.error.last[1:]).all()
+
+
 @pytest.mark.parametrize(
     ("values", "wanted", "kind", "text"),
     [

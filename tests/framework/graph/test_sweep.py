@@ -51,9 +51,10 @@ def test_parameters_that_are_lists_and_blocks_that_change_are_texts_on_their_axi
     np.testing.assert_allclose(found["rms_final"], finals, rtol=1e-9)
 
 
-def test_a_sweep_of_nothing_is_one_run() -> None:
-    found = dm.sweep("pendulum", {}, until=0.1, design="list")
-    assert found["rms_final"].shape == (1,)
+@pytest.mark.parametrize(("design", "shape"), [("list", (1,)), ("grid", ())])
+def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> None:
+    found = dm.sweep("pendulum", {}, until=0.1, design=design)
+    assert found["rms_final"].shape == shape
 
 
 @pytest.mark.parametrize(
@@ -72,3 +73,14 @@ def test_what_cannot_be_swept_is_told(values: Any, options: Any, text: str) -> N
     with pytest.raises(DmframeError) as told:
         dm.sweep("pendulum", values, until=0.1, **options)
     assert text in str(told.value)
+
+
+def test_a_duration_that_is_swept_is_told_once() -> None:
+    found = dm.sweep("pendulum", {"duration": ["0.02 s", "0.04 s"]})
+    assert "duration" not in found.attrs
+    assert list(found["duration"].values) == ["0.02 s", "0.04 s"]
+
+
+def test_a_parameter_that_the_graph_leaves_out_can_be_swept() -> None:
+    found = dm.sweep("ur10_fast", {"inverse.w_I_box": [[0.1, 30], [0.2, 30]]}, until="0.02 s")
+    assert found.sizes["inverse.w_I_box"] == 2

@@ -154,6 +154,19 @@ def test_a_study_whose_row_is_another_says_so(tmp_path: Path, dmframe: Dmframe) 
     assert "differs from its row, by up to 1.0e-06 of a figure" in out
 
 
+def test_a_row_is_compared_with_its_run_in_all_that_is_measured(tmp_path: Path, dmframe: Dmframe) -> None:
+    measured = "measure: {signals: [servo.u, arm.q], limits: {servo.u: 1 V}}\n"
+    (tmp_path / "small.yaml").write_text(SMALL + measured, encoding="utf-8")
+    run_study(load_study(tmp_path / "small.yaml"), tmp_path / "studies" / "small", workers=1)
+    status, out, err = dmframe("small.yaml", "--rerun", "1")
+    assert (status, err) == (0, "")
+    (file,) = (tmp_path / "studies" / "small" / "runs").iterdir()
+    polars.read_parquet(file).with_columns(polars.col("arm.q.most") * (1 + 1e-6)).write_parquet(file)
+    status, out, _ = dmframe("small.yaml", "--rerun", "1")
+    assert status == 1
+    assert "differs from its row, by up to " in out
+
+
 SMALL = """\
 dmframe-study: 1
 graph: pendulum

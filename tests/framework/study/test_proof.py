@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from dmframe.study import basis
 from dmframe.study import proof as module
+from dmframe.study.answer import Told, _proof_in_short
 from dmframe.study.design import Spread
+from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
 from dmframe.study.proof import HELD, box_of, held_at, proofs_of
 from dmframe.study.varied import Factor
@@ -113,3 +117,20 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(module, "MOST", 1)
     found = study("servo.K_D: {scale: [0.9, 1.1]}", grid="grid: {dynamics.Gamma: [1, 2, 3]}\n")
     assert [each.index for each in proofs_of(found, ["a", "b", "c"])] == [0]
+
+
+@pytest.mark.parametrize(
+    ("sample", "says", "apart"),
+    [
+        ("inverse.w_I: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
+        ("inverse.w_I: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
+        ("servo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", False),
+    ],
+)
+def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
+    found = study(sample, "arm2_joint")
+    told = Told(cast(Findings, SimpleNamespace(points=found.points)), (), tuple(proofs_of(found, [""])), True, (), ())
+    assert says in _proof_in_short(told)
+    assert ("Not in the box, since no parameter of the loop: `inverse.w_I`" in _proof_in_short(told)) == apart
+    parts = repr(list(basis.proof(told)))
+    assert ("says nothing of the others" in parts) == apart

@@ -16,7 +16,9 @@ from scipy import stats
 
 import dmframe as dm
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
+from dmframe.study.answer import WORTH, Told, lead, summary
 from dmframe.study.figures import plain_marks
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
@@ -255,6 +257,52 @@ def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..
     said = words(write_report(place, proofs=False))
     assert "80 runs are not there yet" in said
     assert "2 runs could not be made" in said
+    assert lead_of(place).outcome == "open"
+
+
+def test_of_few_runs_no_influence_is_told(folder: Callable[..., Path]) -> None:
+    found = findings_of(Results(folder(steady, text_of(runs=15))))
+    assert all(not each.influences for each in found.points)
+
+
+@pytest.mark.parametrize("method", ["random", "sobol"])
+def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: Path, method: str) -> None:
+    named = 0
+    for seed in range(20):
+
+        def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray], seed: int = seed) -> dict[str, Any]:
+            return {"rms_final": np.random.default_rng(seed).uniform(1, 2, len(drawn["servo.K_D"]))}
+
+        (tmp_path / str(seed)).mkdir()
+        results = Results(write(tmp_path / str(seed), figures, text_of(runs=20, method=method, grid="\n")))
+        told = Told(findings_of(results), (), (), True, (), ())
+        shares = [item.share for item in told.found.points[0].influences["rms_final"]]
+        said = "What decides" in repr(list(summary(told)))
+        named += said
+        assert not said or max(shares) >= WORTH
+    assert named <= 4  # of twenty, where each is to be wrong one time in twenty
+
+
+def test_a_setting_that_could_not_be_made_is_not_forgotten_in_the_answer(folder: Callable[..., Path]) -> None:
+    def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return steady(study, point, drawn) | ({"fault": ["no pose"] * len(drawn["servo.K_D"])} if point else {})
+
+    told = lead_of(folder(figures))
+    assert told.outcome == "open"
+    assert told.headline == "None of 200 robots diverged at 1 of 2 settings"
+    assert "for all 2 settings together. 200 runs could not be made" in str(told.sentence)
+
+
+@pytest.mark.parametrize(("jitter", "noisy"), [("", False), (", jitter: 0.1 ms", True)])
+def test_the_answer_says_where_all_samples_meet_one_noise(
+    folder: Callable[..., Path], jitter: str, noisy: bool
+) -> None:
+    place = folder(steady, text_of().replace("2 s}", "2 s, clock: 2 ms" + jitter + "}"))
+    assert ("nothing is said of other noise" in str(lead_of(place).sentence)) == noisy
+
+
+def lead_of(place: Path) -> Lead:
+    return lead(Told(findings_of(Results(place)), (), (), True, (), ()))
 
 
 def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path]) -> None:
@@ -264,6 +312,32 @@ def test_events_are_figures_with_limits_in_any_unit(folder: Callable[..., Path])
     first, second = (each.alone[1].count for each in found.points)
     assert (first, second) == (int((draws > 1).sum()), int((draws < 0.7).sum()))
     assert found.events[1].name == "rms_final > 1 mrad"
+
+
+def test_a_time_of_a_run_that_diverged_is_its_own_and_one_that_never_came_is_infinite(
+    folder: Callable[..., Path],
+) -> None:
+    asked = "diverged_at < 0.6 s, diverged_at > 0.6 s"
+    found = findings_of(Results(folder(breaking, text_of(report=f"report: {{probability: [{asked}]}}"))))
+    early = int((found.results.study.drawn(0, 200)["servo.K_D"] < 0.6).sum())
+    assert 0 < early < found.points[1].alone[0].count
+    assert [each.count for each in found.points[1].alone[1:]] == [early, 200 - early]
+    assert [each.count for each in found.points[0].alone[1:]] == [0, 200]
+
+
+def test_a_run_without_the_figure_is_no_case_of_its_event(folder: Callable[..., Path]) -> None:
+    def lacking(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
+        return {"rms_final": np.where(drawn["servo.K_D"] < 1, np.nan, 1.0)}
+
+    place = folder(lacking, text_of(report="report: {probability: [rms_final > 1 mrad]}"))
+    found = findings_of(Results(place))
+    there = int((found.results.study.drawn(0, 200)["servo.K_D"] >= 1).sum())
+    assert [(each.alone[1].count, each.alone[1].runs) for each in found.points] == [(there, there)] * 2
+
+
+def test_what_varies_is_no_event(folder: Callable[..., Path]) -> None:
+    with pytest.raises(DmframeError, match="unknown figure"):
+        findings_of(Results(folder(steady, text_of(report="report: {probability: [servo.K_D > 1]}"))))
 
 
 @pytest.mark.parametrize(

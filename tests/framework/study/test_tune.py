@@ -230,6 +230,34 @@ def test_the_command_checks_proves_and_writes_what_it_found(
     assert f"{best['values']['dynamics.Gamma']:g}" in (out / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_limit_that_fresh_plants_break_is_told(study: Make, tmp_path: Path) -> None:
+    limit = "  subject_to: worst servo.u.peak <= 1 kV\n"
+    found = tuning(study, PLANTS.replace("runs: 8", "runs: 2") + GAINS + limit + "  fresh: 20\n")
+    found.search(tmp_path, 1)
+    kept = tuned_of(found, tmp_path)
+    assert kept.best.broken == ()
+    _, rows = found.figures_of(found.candidate(kept.best.values), found.family)
+    peak = found.bounds[0].statistic.of(found.bounds[0].statistic.figures(rows))
+    # the search's own plants keep to it
+    result = tuned_of(replace(found, bounds=(replace(found.bounds[0], limit=peak),)), tmp_path)
+    assert any(text.startswith("on fresh plants worst servo.u.peak <=") for text in result.best.broken)
+    assert any("does not hold: it is" in notice for notice in result.notices)
+    assert "not to be used as it is" in result.save().read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("jitter", "alike"), [("0.5 ms", False), ("0 ms", True)])
+def test_what_was_tuned_with_noise_is_checked_with_other_noise(
+    study: Make, tmp_path: Path, jitter: str, alike: bool
+) -> None:
+    text = PLANTS.replace("0.4 s", f"0.1 s, jitter: {jitter}").replace("[0.5, 2]", "[1, 1.0000000001]")
+    found = tuning(study, text + GAINS)
+    found.search(tmp_path, 1)
+    result = tuned_of(found, tmp_path)
+    assert result.quiet == alike
+    apart = abs(result.best.fresh[0] / result.best.searched[0] - 1)
+    assert (apart < 1e-8) == alike
+
+
 def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
     found = tuning(study, PLANTS + GAINS.replace("worst rms_final", "[worst rms_final, median effort]"))
     found.search(tmp_path, 3)
