@@ -117,7 +117,11 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     moved = tmp_path / "moved"
     shutil.move(folder, moved)
     shutil.rmtree(mine.parent)  # the folder holds the study, its graph and its block
+    begun = json.loads((moved / "study.lock.json").read_text("utf-8"))
+    (moved / "study.lock.json").write_text(json.dumps(begun | {"study": "arms"}), encoding="utf-8")  # of arms.yaml
     status, out, _ = dmframe("moved", "--json", "--no-report")
+    assert json.loads(out)["study"] == "arms"
+    assert json.loads((moved / "study.lock.json").read_text("utf-8"))["study"] == "arms"
     assert (status, json.loads(out)["computed"], json.loads(out)["kept"]) == (0, 0, 18)
     assert json.loads(out)["report"] is None
     (moved / "report.html").unlink()
