@@ -20,11 +20,12 @@ from dmframe.analysis.period import linearised_period
 from dmframe.errors import DmframeError, OutputError
 from dmframe.graph import load
 from dmframe.study import candidate as candidates
+from dmframe.study.design import Spread
 from dmframe.study.front import Trial, dominates, front_of
 from dmframe.study.objective import Statistic
 from dmframe.study.plan import Study, load_study
 from dmframe.study.tune import JOURNAL, Tuning, load_tuning
-from dmframe.study.tuned import tuned_of
+from dmframe.study.tuned import near_end, tuned_of
 
 pytest.importorskip("optuna")
 
@@ -201,7 +202,7 @@ def test_another_search_in_the_folder_is_refused_with_the_difference(study: Make
         (PLANTS.replace("runs: 8", "runs: 9") + GAINS, "runs"),
         (PLANTS.replace("0.4 s", "0.5 s") + GAINS, "graphs"),
     ):
-        with pytest.raises(OutputError, match=f"another {word}"):
+        with pytest.raises(OutputError, match=f"differs in: {word}"):
             tuning(study, text).search(tmp_path, 1)
     assert tuning(study, PLANTS + GAINS + "  trials: 7\n").search(tmp_path, 2) == 2
 
@@ -224,11 +225,28 @@ def test_what_is_found_is_checked_on_fresh_plants_proved_and_written(study: Make
         JOURNAL,
     }
     graph = load(tmp_path / "tuned.yaml")
+    assert graph.title.endswith("; dynamics.Gamma, task.gamma tuned by study")
+    assert f"task.gamma = {best.values['task.gamma']:g} rad^2/(m^2 s)" in str(result)
+    assert f"{best.values['task.gamma']:g} rad^2/(m^2 s), worst rms_final is" in (tmp_path / "report.html").read_text()
     assert graph.blocks["dynamics"].Gamma == best.values["dynamics.Gamma"]  # type: ignore[attr-defined]
     assert graph.verify().proved
     summary = json.loads((tmp_path / "tuned.json").read_text(encoding="utf-8"))
     assert [each["label"] for each in summary["found"]] == ["own", "tuned"]
     assert summary["found"][1]["proof"].startswith("proved")
+
+
+@pytest.mark.parametrize(
+    ("spread", "value", "end"),
+    [
+        (Spread("log", 0.1, 10, 0.1, 10), 9.29, 10),
+        (Spread("log", 0.1, 10, 0.1, 10), 8, None),
+        (Spread("log", 0.1, 10, 0.1, 10), 0.1, 0.1),
+        (Spread("uniform", 0, 10, 0, 10), 9.29, None),
+        (Spread("uniform", 0, 10, 0, 10), 9.9, 10),
+    ],
+)
+def test_a_best_value_beside_an_end_is_told(spread: Spread, value: float, end: float | None) -> None:
+    assert near_end(value, spread) == end
 
 
 def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
@@ -297,7 +315,7 @@ def test_two_processes_share_one_search_by_the_command_line(study: Make, arm: Pa
         "out",
         "--trials",
         "6",
-        "--jobs",
+        "--workers",
         "1",
         "--json",
     ]
