@@ -46,8 +46,8 @@ def worst(t: Told) -> Iterator[Part]:
     yield Paragraph(
         Marked(
             "Each file is a whole graph with the numbers of its run, and runs as it did, to rounding: `dmframe run "
-            f"{first} --out worst` draws it, in this page's folder; `dmframe verify {first}` proves it, or says why not; "
-            f"`dmframe analyse {first}` says up to which sampling period its loop is stable."
+            f"{first} --out worst` draws it, in this page's folder; `dmframe verify {first}` proves it, or says why "
+            f"not; `dmframe analyse {first}` says up to which sampling period its loop is stable."
         )
     )
 

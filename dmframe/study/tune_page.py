@@ -128,8 +128,8 @@ def _asked(found: Tuned) -> Table:
     early = "no"
     if section.screen is not None:
         early = (
-            f"the {100 * section.screen:g} % of the plants that were the hardest for the best trial run first; the rest is "
-            "left out where they show that another trial is nowhere worse"
+            f"the {100 * section.screen:g} % of the plants that were the hardest for the best trial run first; the "
+            "rest is left out where they show that another trial is nowhere worse"
         )
     rows.append(["early stop", early])
     return Table(rows, keys=True)
