@@ -82,7 +82,9 @@ def tune(
     ] = None,
     trials: Annotated[str | None, typer.Option(metavar="N", help="Trials in all, instead of the file's.")] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
-    jobs: Annotated[str | None, typer.Option(metavar="N", help="Threads; by default all cores.")] = None,
+    workers: Annotated[
+        str | None, typer.Option("--workers", "--jobs", metavar="N", help="Threads; as many as cores without it.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> int:
@@ -97,7 +99,8 @@ def tune(
     if trust:
         remember(Path(study).parent)
     counts = {
-        name: None if text is None else whole(name, text) for name, text in (("--trials", trials), ("--jobs", jobs))
+        name: None if text is None else whole(name, text)
+        for name, text in (("--trials", trials), ("--workers", workers))
     }
     for name, count in counts.items():
         if count is not None and count < 1:
@@ -107,6 +110,6 @@ def tune(
         out=out,
         trials=counts["--trials"],
         overrides=overrides,
-        jobs=counts["--jobs"] or 0,
+        jobs=counts["--workers"] or 0,
         as_json=as_json,
     )

@@ -84,8 +84,8 @@ def run(
         if last is not None:
             tell(f"{last.kept} of {last.runs} runs are kept in {place}; the same command continues", aside=True)
         return STOPPED
-    page = _reported(Results(place), quiet=as_json) if report and state.complete else None
-    _tell(study, state, place, page, as_json)
+    page, answer = _reported(Results(place), quiet=as_json) if report and state.complete else (None, None)
+    _tell(study, state, place, page, answer, as_json)
     return 0 if state.complete else INCOMPLETE
 
 
@@ -93,15 +93,17 @@ def report(folder: str, *, as_json: bool, trust: bool) -> int:
     """Write the report of a folder's runs anew; returns the exit status."""
     if trust:
         remember(Path(folder).expanduser())
-    page = _reported(Results(folder), quiet=as_json)
-    tell(json.dumps({"report": str(page)}, indent=2) if as_json else f"wrote {page}")
+    page, answer = _reported(Results(folder), quiet=as_json)
+    tell(json.dumps({"answer": answer, "report": str(page)}, indent=2) if as_json else f"{answer}\nwrote {page}")
     return 0
 
 
-def _reported(results: Results, *, quiet: bool) -> Path:
+def _reported(results: Results, *, quiet: bool) -> tuple[Path, str]:
+    from dmframe.study.report import reported
+
     with telling(results.name, quiet=quiet) as say:
-        say("writing the report")
-        return results.report()
+        say("deciding the proof over all that was drawn, and writing the report")
+        return reported(results.folder, results)
 
 
 def _check(study: Study) -> None:
@@ -121,7 +123,7 @@ def _note(state: State, scheduler: str | None) -> str:
     return ", ".join(notes)
 
 
-def _tell(study: Study, state: State, place: Path, page: Path | None, as_json: bool) -> None:
+def _tell(study: Study, state: State, place: Path, page: Path | None, answer: str | None, as_json: bool) -> None:
     counted = _counted(place) if state.kept else {"diverged": 0, "faults": 0}
     if as_json:
         data = {
@@ -136,6 +138,7 @@ def _tell(study: Study, state: State, place: Path, page: Path | None, as_json: b
             "seconds": round(state.seconds, 3),
             "workers": state.workers,
             "out": str(place),
+            "answer": answer,
             "report": None if page is None else str(page),
         }
         tell(json.dumps(data, indent=2))
@@ -150,6 +153,8 @@ def _tell(study: Study, state: State, place: Path, page: Path | None, as_json: b
         )
     rate = f", {state.computed / state.seconds:.3g} runs/s on {_workers(state.workers)}" if state.computed else ""
     tell(f"{study.name}: {state.kept} of {state.runs} runs; {state.computed} computed in {_time(state.seconds)}{rate}")
+    if answer is not None:
+        tell(answer)
     tell(f"diverged: {counted['diverged']}, not run for a fault: {counted['faults']}")
     tell(f"results: {place}")
     if page is not None:

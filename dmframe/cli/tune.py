@@ -9,6 +9,8 @@ from pathlib import Path
 from dmframe.cli import STOPPED
 from dmframe.cli.streams import tell
 from dmframe.graph.progress import telling
+from dmframe.results.folder import safe_name
+from dmframe.study.run import default_folder
 from dmframe.study.tune import load_tuning
 from dmframe.study.tuned import Tuned, tuned_of
 
@@ -20,7 +22,7 @@ def tune_study(
 ) -> int:
     """Search, or go on with the search of the folder; returns the exit status."""
     tuning = load_tuning(Path(source), overrides=overrides, threads=jobs)
-    folder = out or Path(f"{tuning.study.name}_tuned")
+    folder = out or default_folder(tuning.study).with_name(f"{safe_name(tuning.study.name)}_tuned")
     wanted = trials or tuning.section.trials
     with telling(tuning.study.name, quiet=as_json) as progress:
         try:

@@ -13,6 +13,7 @@ import numpy as np
 from dmframe.block import AbstractBlock
 from dmframe.block.faults import told_by
 from dmframe.block.model import BlockModel, same_expressions, stated_by, with_starts
+from dmframe.block.names import type_name
 from dmframe.block.sizes import parameter_arrays
 from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import Parameter
@@ -55,6 +56,8 @@ def with_values(diagram: Diagram, values: Mapping[str, Any]) -> Diagram:
             kept = {key: value for key, value in blocks[name].model_dump().items() if value is not None}
             blocks[name] = kind(**{**kept, **changed})
         except DmframeError as error:
+            for fault in error.faults:  # which says the type, where a reader has the name
+                fault.text = f"{name}.{fault.text.removeprefix(f'{type_name(kind)}.')}"
             faults += error.faults
     raise_all(faults)
     for name in (*by_block, *_priors(blocks, by_block)):

@@ -11,10 +11,13 @@ from dmframe.report.parts import Badge, Cell, Marked, Paragraph, Part, Subsectio
 from dmframe.study.answer import METHODS, Told
 from dmframe.study.figures import FACTORS
 from dmframe.study.numbers import count, figure, span
+from dmframe.study.plan import Study
 from dmframe.study.proof import Proof
 from dmframe.study.varied import Factor
 from dmframe.units import plain
 
+NAMED: Final = 4
+"""Graphs that the page's head names."""
 SHOWN: Final = 12
 """Values of a grid quantity that are listed."""
 
@@ -43,7 +46,8 @@ def worst(t: Told) -> Iterator[Part]:
     yield Paragraph(
         Marked(
             "Each file is a whole graph with the numbers of its run, and runs as it did, to rounding: `dmframe run "
-            f"{first} --out worst` draws it. `dmframe verify {first}` proves it, or says why not."
+            f"{first} --out worst` draws it, in this page's folder; `dmframe verify {first}` proves it, or says why "
+            f"not; `dmframe analyse {first}` says up to which sampling period its loop is stable."
         )
     )
 
@@ -118,6 +122,16 @@ def _fulfilled(each: Proof) -> str:
         return "not known"
     number, of = int(each.drawn.sum()), len(each.drawn)
     return f"{count(number)} of {count(of)}"
+
+
+def what(study: Study) -> str:
+    """Which graphs ran, and for how long: an answer holds for these alone."""
+    experiments = [point.graph.experiment for point in study.points]
+    names = list(dict.fromkeys(each.name for each in experiments))
+    times = sorted({each.file.duration for each in experiments})
+    shown = [*names[:NAMED], f"{len(names) - NAMED} more"] if len(names) > NAMED else names
+    graphs = f"{'Graph' if len(names) == 1 else 'Graphs'} {listed(shown)}"
+    return f"{graphs}; runs of {plain(times[0], 's') if len(times) == 1 else span(times[0], times[-1], 's')}."
 
 
 def design(t: Told) -> Iterator[Part]:

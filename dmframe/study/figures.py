@@ -173,6 +173,8 @@ def map_figure(found: Findings, maps: Sequence[Drawn]) -> Any:
                 kinds.append((100 * each.map.diverged, mpl.colors.Normalize(0, 100), "Greys", "diverged [%]"))
             for axes, (values, scale, colours, name) in zip(row, kinds, strict=True):
                 _field(found, axes, each, values, scale, colours, name)
+                if values is not median and not np.nanmax(values, initial=0.0) > 0:
+                    axes.text(0.5, 0.5, "none diverged", ha="center", va="center", transform=axes.transAxes)
                 if each.name:
                     axes.set_title(verbatim(each.name))
         for axes in grid[-1]:

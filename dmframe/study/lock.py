@@ -31,6 +31,15 @@ def read_lock(path: Path) -> dict[str, Any] | None:
     return dict(lock)
 
 
+def begun_as(path: Path) -> str:
+    """The name of the study that a folder holds; empty where it holds none."""
+    try:
+        name = json.loads((path / LOCK).read_text(encoding="utf-8"))["study"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    return name if isinstance(name, str) else ""
+
+
 def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:
     """In one sentence, what has changed since a study was begun; empty where nothing has."""
     old, now = ({**_leaves(held), **_leaves(of, "versions.")} for held, of in _both(lock, identity))

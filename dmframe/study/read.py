@@ -23,11 +23,14 @@ from dmframe.errors import DmframeError, Faults, UnknownNameError, ValueFault, r
 from dmframe.files import expanded
 from dmframe.study.grammar import KEYS, STUDY, StudyFile, keys_at, own_name
 from dmframe.study.grid import Axis, Given, axis_of, changed, scaled, told_in
+from dmframe.study.lock import begun_as
 from dmframe.study.plan import Study
 from dmframe.study.varied import SETTINGS, Factor, factor, told_twice
 
 TEXT = "study"
 """What messages call a study that came from no file."""
+KEPT = "study.yaml"
+"""The study's file in a folder of results."""
 
 
 def load_study(
@@ -79,8 +82,14 @@ def load_study(
         text_ = f"sample.runs: {file.sample.runs} runs of which nothing varies; name what does, or leave runs out"
         faults.append(ValueFault(text_, path=("sample", "runs")))
     raise_placed(faults, document)
-    name = path.stem if path is not None else TEXT
-    return Study(name, path, text, document, file, bases, tuple(axes), tuple(factors))
+    return Study(_name(path), path, text, document, file, bases, tuple(axes), tuple(factors))
+
+
+def _name(path: Path | None) -> str:
+    """The file's name without its ending; in a folder of results, the name under which the study was begun."""
+    if path is None:
+        return TEXT
+    return (begun_as(path.parent) if path.name == KEPT else "") or path.stem
 
 
 def raise_placed(faults: Sequence[DmframeError], document: Document) -> None:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, Final
 
 from dmframe.copies import shared
@@ -17,6 +18,7 @@ from dmframe.report import html
 from dmframe.report.html import Html, plain, tag
 from dmframe.report.page import document
 from dmframe.study.answer import Saved, Told, best_of, lead
+from dmframe.study.basis import what
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
 from dmframe.study.proof import proofs_of
@@ -32,6 +34,11 @@ WORST: Final = "worst_{}.yaml"
 
 
 def write_report(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Path:
+    """Write a study's report into its folder; see `reported`. Returns the page."""
+    return reported(folder, results, proofs=proofs)[0]
+
+
+def reported(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> tuple[Path, str]:
     """Write ``report.html``, ``figures/`` and the worst runs, ``worst_1.yaml`` and so on, into a study's folder.
 
     Those of before are replaced. Nothing is run: the table is read, and the proof is decided over what was drawn.
@@ -45,8 +52,8 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
 
     Returns
     -------
-    Path
-        The page.
+    tuple
+        The page, and the sentence that it begins with.
 
     Raises
     ------
@@ -69,13 +76,15 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
     _write_figures(results.folder / FIGURES, files)
     pictures = {Path(name).stem: content.decode() for name, content in files.items() if name.endswith(".svg")}
     write_text(page, as_html(told, pictures))
-    return page
+    answer = lead(told)
+    return page, f"{answer.headline}: {answer.sentence.text}".replace("`", "")
 
 
 def as_html(told: Told, pictures: Mapping[str, str]) -> str:
     """The page, in one file that fetches nothing; `pictures` are SVG by name."""
     name, title = told.found.results.name, told.found.results.study.title
     titled = [tag("p", plain(title), class_="doc-title")] if title else []
+    titled.append(tag("p", plain(what(told.found.results.study)), class_="note"))
     head = tag("header", tag("p", plain("Study of a control loop"), class_="doc-kind"), tag("h1", plain(name)), *titled)
     writer, parts, answer = html.Writer("s"), list(sections(told, pictures)), lead(told)
     inside = [html.lead(answer), writer.contents(name, parts), *map(writer.section, parts)]
@@ -158,7 +167,9 @@ def _robots(results: Results) -> bool:
 
 
 def _commands(results: Results) -> Sequence[tuple[str, str]]:
-    place = results.folder.name or str(results.folder)
+    """As they are typed where the page was written; for a folder elsewhere, as they are typed beside it."""
+    folder, here = results.folder.resolve(), Path.cwd()
+    place = quote(str(folder.relative_to(here)) if folder.is_relative_to(here) else folder.name)
     return (
         (f"dmframe study {place}", "computes the runs that are not there yet"),
         (f"dmframe study {place}/study.yaml --out AGAIN", "runs all of it again, in another folder"),
@@ -178,8 +189,9 @@ def _made(folder: Path) -> Sequence[tuple[str, str]]:
 
 def _flat(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_flat(each)}" for key, each in value.items())
+        counted = all(isinstance(each, int) for each in value.values())
+        return ", ".join(f"{key} ({each})" if counted else f"{key} {_flat(each)}" for key, each in value.items())
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
-__all__ = ["as_html", "write_report"]
+__all__ = ["as_html", "reported", "write_report"]

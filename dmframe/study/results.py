@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +12,7 @@ import numpy as np
 
 from dmframe.errors import MissingError, UnknownNameError, ValueFault
 from dmframe.files import expanded
+from dmframe.study.lock import begun_as
 from dmframe.study.sheet import Sheet, is_time, least_is_worst, names_of, sheet_of
 from dmframe.study.statistics import quantile, share
 
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from dmframe.study.plan import Study
 
 RUNS: Final = "runs"
-LOCK: Final = "study.lock.json"
 STUDY: Final = "study"
 """The name of the study's file in its folder, without the ending."""
 FINAL: Final = "rms_final"
@@ -65,9 +63,9 @@ class Results:
     @cached_property
     def name(self) -> str:
         """The study's, as it was begun: in the folder each study's file bears one name."""
-        with suppress(OSError, ValueError, KeyError):
-            told = json.loads(self.folder.joinpath(LOCK).read_text(encoding="utf-8"))
-            return str(told["study"])
+        begun = begun_as(self.folder)
+        if begun:
+            return begun
         return self.folder.resolve().name if self.study.name == STUDY else self.study.name
 
     @property

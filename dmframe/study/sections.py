@@ -200,7 +200,7 @@ def _maps(t: Told, pictures: Mapping[str, str]) -> Iterator[Part]:
             continue
         caption = Marked(
             f"Median of `{t.found.results.main}`, and share of the runs that diverged, in bins of `{x}` and `{y}`; all "
-            "else varies within a bin. White bins hold no run; in hatched ones most diverged."
+            "else varies within a bin. Of the medians, white bins hold no run, and in hatched ones most diverged."
         )
         yield Picture(pictures[f"map_{place}"], f"map_{place}", caption, wide=True)
 

@@ -417,8 +417,8 @@ def _check_same(held: optuna.Study, tuning: Tuning, folder: Path) -> None:
     differ = [name for name in {**there, **mine} if there.get(name) != mine.get(name)]
     if differ:
         raise OutputError(
-            f"{folder}: holds a search with another {', '.join(sorted(differ))}; name another folder, or take the "
-            "study's file as it was"
+            f"{folder}: holds another search, which differs in: {', '.join(sorted(differ))}; name another folder, or "
+            "take the study's file as it was"
         )
 
 

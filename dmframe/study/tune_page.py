@@ -43,7 +43,7 @@ def _lead(found: Tuned) -> Lead:
     if not found.front:
         return Lead("refuted", "nothing found", Marked(f"{found.counts}; none keeps to all limits."))
     best = found.best
-    values = ", ".join(f"`{name}` = {value:g}" for name, value in best.values.items())
+    values = ", ".join(best.told(tuning, "`"))
     at = best.fresh or best.searched
     where = "on fresh plants" if best.fresh else "over the study's runs"
     before = ""
@@ -51,7 +51,7 @@ def _lead(found: Tuned) -> Lead:
         own = (found.own.fresh or found.own.searched)[0]
         before = f", {of.shown(own)} with the graph's own values"
     proved = best.proof is not None and best.proof.proved
-    sentence = f"with {values} {of.text} is {of.shown(at[0])} {where}{before}. {found.counts.capitalize()}."
+    sentence = f"with {values}, {of.text} is {of.shown(at[0])} {where}{before}. {found.counts.capitalize()}."
     if found.misled:
         return Lead(
             "refuted", "not to be used as it is", Marked(f"{sentence} Over longer runs it is worse: see below.")
@@ -132,8 +132,8 @@ def _asked(found: Tuned) -> Table:
     early = "no"
     if section.screen is not None:
         early = (
-            f"the {section.screen:.0%} of the plants that were the hardest for the best trial run first; the rest is "
-            "left out where they show that another trial is nowhere worse"
+            f"the {100 * section.screen:g} % of the plants that were the hardest for the best trial run first; the "
+            "rest is left out where they show that another trial is nowhere worse"
         )
     rows.append(["early stop", early])
     return Table(rows, keys=True)

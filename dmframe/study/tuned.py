@@ -17,6 +17,7 @@ from dmframe.errors import MissingError, listed
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.graph import Graph
 from dmframe.study.candidate import Family
+from dmframe.study.design import Spread
 from dmframe.study.front import Trial, front_of
 from dmframe.study.plan import Study
 from dmframe.study.tune import Tuning
@@ -29,6 +30,8 @@ LONGER: Final = 5.0
 """By this factor the runs are longer that show whether the search's horizon misled it."""
 MOST: Final = 3
 """Points of the front that are checked and proved."""
+CLOSE: Final = 0.02
+"""Share of what was searched, from which on the best value may lie beyond its end."""
 _FRESH: Final = 2**63
 """Between the seed of the search's plants and that of the fresh ones."""
 _NO_NOISE: Final = "the study's loops have no noise: high gains that it would punish are not punished here"
@@ -79,6 +82,11 @@ class Chosen:
     def unstable(self) -> bool:
         """Near its set-point, linearised, on its clock."""
         return self.radius is not None and self.radius > 1 + TOLERANCE
+
+    def told(self, tuning: Tuning, mark: str = "") -> list[str]:
+        """Its values with their units; a `mark` stands on both sides of each name."""
+        units = {name: factor.unit for name, factor in tuning.columns.items()}
+        return [f"{mark}{name}{mark} = {_number(value, units[name])}" for name, value in self.values.items()]
 
 
 @final
@@ -203,7 +211,7 @@ class Tuned:
     def __str__(self) -> str:
         lines = [f"{self.tuning.study.name}: {self.counts}"]
         for each in self._rows:
-            lines.append(f"  {each.label}: {', '.join(f'{name} = {value:g}' for name, value in each.values.items())}")
+            lines.append(f"  {each.label}: {', '.join(each.told(self.tuning))}")
             lines += [f"    {line}" for line in _figures(self.tuning, each)]
         return "\n".join([*lines, *(f"  {notice}" for notice in self.notices)])
 
@@ -266,7 +274,10 @@ def _checked(
 ) -> Chosen:
     candidate = tuning.candidate(values)
     experiment = candidate.points[0].graph.experiment
-    graph = Graph(replace(experiment, name=label if prove else experiment.name))
+    if prove:
+        title = f"{experiment.file.title or experiment.name}; {', '.join(tuning.columns)} tuned by {tuning.study.name}"
+        experiment = replace(experiment, name=label, file=experiment.file.model_copy(update={"title": title}))
+    graph = Graph(experiment)
     told, long, broken = tuple[float, ...](), tuple[float, ...](), list[str]()
     if fresh is not None:
         if tuning.study.noisy:
@@ -339,13 +350,28 @@ def _notices(found: Tuned) -> list[str]:
         )
     for name, value in best.values.items():
         spread = tuning.columns[name].spread
-        if spread is not None and value in (spread.lower, spread.upper):
-            told.append(f"{name} = {value:g} lies at an end of what was searched; look beyond it")
+        end = None if spread is None else near_end(value, spread)
+        if end is not None:
+            unit = tuning.columns[name].unit
+            told.append(f"{name} = {_number(value, unit)} lies at an end of what was searched, {end:g}; look beyond it")
     if best.proof is not None and not best.proof.proved:
         told.append(f"the best values are not proved: {best.proof.reason}")
     if found.quiet:
         told.append(_NO_NOISE)
     return told
+
+
+def near_end(value: float, spread: Spread) -> float | None:
+    """The end of what was searched that a value lies at, as far as a search of some hundred trials can tell."""
+    low, high, at = spread.lower, spread.upper, value
+    if spread.kind == "log":
+        low, high, at = math.log(low), math.log(high), math.log(at)
+    share = (at - low) / (high - low)
+    return spread.lower if share <= CLOSE else spread.upper if share >= 1 - CLOSE else None
+
+
+def _number(value: float, unit: str) -> str:
+    return f"{value:g} {unit}".rstrip()
 
 
 def _figures(tuning: Tuning, each: Chosen) -> list[str]:

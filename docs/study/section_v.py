@@ -22,6 +22,8 @@ from typing import Any
 
 import numpy as np
 
+from dmframe.errors import DmframeError
+
 FOLDER = Path(__file__).parent
 CSV, PAGE = FOLDER / "section_v.csv", FOLDER / "section_v.md"
 STUDIES = ("section_v_map", "section_v_boxed", "section_v_unknowns")
@@ -276,7 +278,10 @@ def main(arguments: Sequence[str]) -> None:
     parser.add_argument("folder", nargs="?", default="studies", help="where dmframe study left the three studies")
     given = parser.parse_args(arguments)
     if not given.draw:
-        write(gather(Path(given.folder, name) for name in STUDIES))
+        try:
+            write(gather(Path(given.folder, name) for name in STUDIES))
+        except DmframeError as error:
+            parser.exit(2, f"{error}\n")
     rows = read()
     draw(rows)
     if PAGE.exists():

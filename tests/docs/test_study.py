@@ -158,3 +158,12 @@ def test_runs_of_the_study_come_out_as_the_data_say(study: ModuleType, plans: li
         assert found["fault"] == [None]
         assert found["rms_final"][0] * 1e3 == pytest.approx(kept.rms_mm, rel=2e-3, nan_ok=True)
         assert found["diverged_at"][0] == pytest.approx(kept.diverged, rel=0.2, nan_ok=True)
+
+
+def test_without_the_runs_it_says_which_command_makes_them(
+    study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        study.main([str(tmp_path)])
+    assert ended.value.code == 2
+    assert "run it first: dmframe study FILE" in capsys.readouterr().err

@@ -60,7 +60,7 @@ def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> N
 @pytest.mark.parametrize(
     ("values", "options", "text"),
     [
-        ({"dynamics.Gamma": [1, -1, 0]}, {}, "expected a number > 0, found -1.0"),
+        ({"dynamics.Gamma": [1, -1, 0]}, {}, "dynamics.Gamma: expected a number > 0, found -1.0"),
         ({"dynamics.Gama": [1]}, {}, "unknown parameter of dynamic_compensator; did you mean Gamma?"),
         ({"dynamics.Gamma": []}, {}, "values dynamics.Gamma: expected at least one value, found none"),
         ({"dynamics.Gamma": [1, 2], "servo.K_P": [3]}, {"design": "list"}, "dynamics.Gamma 2, servo.K_P 1"),

@@ -108,6 +108,7 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     status, out, err = dmframe("there/study.yaml", "--workers", "1")
     assert (status, err) == (0, "")
     assert out.startswith("study: 18 of 18 runs; 18 computed in ")
+    assert "\nNone of 9 robots diverged at 2 of 2 settings: Gamma = 1 and Gamma = 10; " in out
     assert out.endswith(
         "diverged: 0, not run for a fault: 0\nresults: studies/study\nreport: studies/study/report.html\n"
     )
@@ -117,13 +118,22 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     moved = tmp_path / "moved"
     shutil.move(folder, moved)
     shutil.rmtree(mine.parent)  # the folder holds the study, its graph and its block
+    begun = json.loads((moved / "study.lock.json").read_text("utf-8"))
+    (moved / "study.lock.json").write_text(json.dumps(begun | {"study": "arms"}), encoding="utf-8")  # of arms.yaml
     status, out, _ = dmframe("moved", "--json", "--no-report")
+    assert json.loads(out)["study"] == "arms"
+    assert json.loads((moved / "study.lock.json").read_text("utf-8"))["study"] == "arms"
     assert (status, json.loads(out)["computed"], json.loads(out)["kept"]) == (0, 0, 18)
     assert json.loads(out)["report"] is None
     (moved / "report.html").unlink()
     status, out, err = dmframe("report", "moved")
-    assert (status, out, err) == (0, "wrote moved/report.html\n", "")
-    assert "dmframe study report moved" in (moved / "report.html").read_text("utf-8")
+    assert (status, err) == (0, "")
+    assert out.startswith("None of 9 robots diverged at 2 of 2 settings: ")
+    assert out.endswith("\nwrote moved/report.html\n")
+    assert "`" not in out
+    page = (moved / "report.html").read_text("utf-8")
+    assert "dmframe study report moved" in page
+    assert "Graph " in page
 
     status, out, err = dmframe("moved", "--rerun", "7", "--json")
     assert status == 0, err

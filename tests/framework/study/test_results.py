@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFa
 from dmframe.report.parts import Lead
 from dmframe.study import results as results_module
 from dmframe.study.answer import WORTH, Told, lead, summary
-from dmframe.study.figures import plain_marks
+from dmframe.study.figures import figures_of, plain_marks
 from dmframe.study.findings import event_of, findings_of
 from dmframe.study.numbers import between, percent
 from dmframe.study.plan import Study, load_study
@@ -202,6 +203,32 @@ def test_the_page_begins_with_the_answer(page: Callable[..., tuple[Path, str]]) 
 def test_of_one_point_the_answer_is_the_one_sided_limit(folder: Callable[..., Path]) -> None:
     said = words(write_report(folder(text=text_of(runs=299, grid="grid: {dynamics.Gamma: [1]}\n")), proofs=False))
     assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in said
+
+
+def test_the_page_says_of_which_graph_and_how_long_it_speaks(page: Callable[..., tuple[Path, str]]) -> None:
+    place, said = page()
+    study = Results(place).study
+    (graph,) = {point.graph.name for point in study.points}
+    duration = study.points[0].graph.duration
+    assert f"Graph {graph}; runs of {duration:g} s." in said
+
+
+def test_commands_of_a_page_work_where_it_was_written(
+    folder: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = folder()
+    monkeypatch.chdir(place.parent.parent)
+    said = words(write_report(place, proofs=False))
+    assert f"dmframe study report {quote(str(place.relative_to(Path.cwd())))} " in said
+    monkeypatch.chdir(Path(__file__).parent)
+    assert f"dmframe study report {place.name} " in words(write_report(place, proofs=False))
+
+
+def test_a_map_of_a_setting_where_none_diverged_says_so(page: Callable[..., tuple[Path, str]]) -> None:
+    place, _ = page(breaking)
+    figure = figures_of(findings_of(Results(place)))["map_1"]
+    texts = [[text.get_text() for text in axes.texts] for axes in figure.axes if axes.get_title()]
+    assert texts == [[], ["none diverged"], [], []]
 
 
 def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tuple[Path, str]]) -> None:

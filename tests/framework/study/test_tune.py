@@ -21,13 +21,14 @@ from dmframe.cli.tune import tune_study
 from dmframe.errors import DmframeError, OutputError
 from dmframe.graph import load
 from dmframe.study import candidate as candidates
+from dmframe.study.design import Spread
 from dmframe.study.front import Trial, dominates, front_of
 from dmframe.study.objective import Statistic
 from dmframe.study.plan import Study, load_study
 from dmframe.study.tune import JOURNAL, Tuning, load_tuning
 from dmframe.study.tune_figures import figures_of
 from dmframe.study.tune_page import as_html
-from dmframe.study.tuned import Tuned, tuned_of
+from dmframe.study.tuned import Tuned, near_end, tuned_of
 
 pytest.importorskip("optuna")
 
@@ -204,7 +205,7 @@ def test_another_search_in_the_folder_is_refused_with_the_difference(study: Make
         (PLANTS.replace("runs: 8", "runs: 9") + GAINS, "runs"),
         (PLANTS.replace("0.4 s", "0.5 s") + GAINS, "graphs"),
     ):
-        with pytest.raises(OutputError, match=f"another {word}"):
+        with pytest.raises(OutputError, match=f"differs in: {word}"):
             tuning(study, text).search(tmp_path, 1)
     assert tuning(study, PLANTS + GAINS + "  trials: 7\n").search(tmp_path, 2) == 2
 
@@ -256,6 +257,20 @@ def test_what_was_tuned_with_noise_is_checked_with_other_noise(
     assert result.quiet == alike
     apart = abs(result.best.fresh[0] / result.best.searched[0] - 1)
     assert (apart < 1e-8) == alike
+
+
+@pytest.mark.parametrize(
+    ("spread", "value", "end"),
+    [
+        (Spread("log", 0.1, 10, 0.1, 10), 9.29, 10),
+        (Spread("log", 0.1, 10, 0.1, 10), 8, None),
+        (Spread("log", 0.1, 10, 0.1, 10), 0.1, 0.1),
+        (Spread("uniform", 0, 10, 0, 10), 9.29, None),
+        (Spread("uniform", 0, 10, 0, 10), 9.9, 10),
+    ],
+)
+def test_a_best_value_beside_an_end_is_told(spread: Spread, value: float, end: float | None) -> None:
+    assert near_end(value, spread) == end
 
 
 def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
