@@ -171,7 +171,7 @@ def _dataset(
 
     def labelled(values: np.ndarray, unit: str, *more: str) -> xarray.Variable:
         return xarray.Variable(
-            [*names, *more], values.reshape(*shape, *values.shape[1:]), {"units": unit} if unit else {}
+            [*names, *more], values.reshape((*shape, *values.shape[1:])), {"units": unit} if unit else {}
         )
 
     data = {"diverged": labelled(np.isfinite(found.diverged), ""), "diverged_at": labelled(found.diverged, "s")}
