@@ -82,9 +82,7 @@ def tune(
     ] = None,
     trials: Annotated[str | None, typer.Option(metavar="N", help="Trials in all, instead of the file's.")] = None,
     overrides: Overrides = [],  # noqa: B006 - as above
-    workers: Annotated[
-        str | None, typer.Option("--workers", "--jobs", metavar="N", help="Threads; as many as cores without it.")
-    ] = None,
+    workers: Annotated[str | None, typer.Option(metavar="N", help="Threads; as many as cores without it.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> int:
