@@ -51,9 +51,16 @@ def test_parameters_that_are_lists_and_blocks_that_change_are_texts_on_their_axi
     np.testing.assert_allclose(found["rms_final"], finals, rtol=1e-9)
 
 
-def test_a_sweep_of_nothing_is_one_run() -> None:
-    found = dm.sweep("pendulum", {}, until=0.1, design="list")
-    assert found["rms_final"].shape == (1,)
+@pytest.mark.parametrize(("design", "shape"), [("list", (1,)), ("grid", ())])
+def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> None:
+    found = dm.sweep("pendulum", {}, until=0.1, design=design)
+    assert found["rms_final"].shape == shape
+
+
+def test_limits_may_have_units_and_one_signal_may_stand_alone() -> None:
+    one = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals="servo.u", limits={"error": "1 mrad"})
+    two = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals=["servo.u"], limits={"error": 1e-3})
+    assert one.identical(two)
 
 
 @pytest.mark.parametrize(
@@ -66,6 +73,17 @@ def test_a_sweep_of_nothing_is_one_run() -> None:
         ({"dynamics.Gamma": [1]}, {"design": "cube"}, "design: expected grid or list, found 'cube'"),
         ({"dynamics.Gamma": [1]}, {"signals": ["arm.w"]}, "signals: unknown signal"),
         ({"dynamics.Gamma": ["fast"]}, {}, "Gamma"),
+        ({"dynamics.Gamma": np.array(3)}, {}, "values dynamics.Gamma: expected a list of values"),
+        ({5: [1]}, {}, "values: expected values by name"),
+        ({"dynamics.Gamma": [1], "blocks.dynamics.Gamma": [2]}, {}, "are the same parameter; leave one out"),
+        ({"dynamics.Gamma": range(1, 10**5), "servo.K_P": range(1, 10**5)}, {}, "found 9999800001; take fewer"),
+        ({"dynamics.Gamma": [1]}, {"signals": 5}, 'signals: expected names such as ["servo.u"], found 5'),
+        ({"dynamics.Gamma": [1]}, {"signals": [["servo.u"]]}, "signals: expected names"),
+        ({"dynamics.Gamma": [1]}, {"limits": [1]}, "limits: expected numbers by name"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": "5 kg"}}, "limits.error: expected a quantity in rad"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": float("nan")}}, "limits.error: expected"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": -1}}, "limits.error: expected a number of at least 0"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"eror": "1 mm"}}, "limits: unknown measured signal"),
     ],
 )
 def test_what_cannot_be_swept_is_told(values: Any, options: Any, text: str) -> None:
