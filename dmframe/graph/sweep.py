@@ -115,7 +115,7 @@ def _apart(labels: Iterable[str]) -> None:
 
 
 def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> Wanted:
-    """What is measured, limits as numbers. (Names that there are not are told by `Batch.of`.)"""
+    """What is measured, limits as numbers. Names that there are not are told by `Batch.of`."""
     labels = [signals] if isinstance(signals, str) else signals
     labels = list(labels) if isinstance(labels, Iterable) else [labels]
     for label in labels:
