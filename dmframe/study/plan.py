@@ -145,7 +145,11 @@ class Study:
         """Where the samples lie; the same at each point."""
         section = self.file.sample
         names = tuple(name for factor in self.factors for name in factor.columns)
-        return Design(section.method, section.seed, names, section.runs)
+        try:
+            return Design(section.method, section.seed, names, section.runs)
+        except ValueFault as fault:
+            _raise_placed([fault], self.document)
+            raise
 
     @property
     def varied(self) -> tuple[Column, ...]:
