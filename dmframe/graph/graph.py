@@ -371,7 +371,10 @@ def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
         raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(values), 30)}")
     tried = dict[str, list[Any]]()
     for label, several in values.items():
-        if isinstance(several, str | bytes | Mapping) or not isinstance(several, Iterable):
+        if not isinstance(label, str):
+            raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(label), 30)}")
+        some = isinstance(several, Iterable) and getattr(several, "ndim", 1) > 0  # an array may hold one number
+        if isinstance(several, str | bytes | Mapping) or not some:
             raise ValueFault(
                 f"values {label}: expected a list of values, {example}, found {shorten(repr(several), 30)}"
             )

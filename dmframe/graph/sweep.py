@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from dmframe.batch.figures import ERROR, Board
 from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault, raise_all
 from dmframe.graph.graph import Graph, listed, load
 from dmframe.parameter import Spec, specs
-from dmframe.results.metrics import EIGHTHS
+from dmframe.results.metrics import EIGHTHS, goal_of
 from dmframe.units import shorten, to_unit
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ Design = Literal["grid", "list"]
 MOST_FAULTS: Final = 10
 """Of runs that cannot be made, so many are told."""
 
+MOST_RUNS: Final = 10**7
+"""Whose figures one process holds."""
+
 RUN: Final = "run"
 """The dimension of a list of runs."""
 
@@ -38,7 +42,7 @@ def sweep(
     until: float | str | None = None,
     design: Design = "grid",
     signals: Sequence[str] = (),
-    limits: Mapping[str, float] | None = None,
+    limits: Mapping[str, float | str] | None = None,
     engine: Choice = "auto",
 ) -> xarray.Dataset:
     """Figures of one graph run with many values, ``dm.sweep("ur10_fast", {"dynamics.Gamma": [1, 10, 100]})``.
@@ -59,7 +63,7 @@ def sweep(
         Labels ``block.signal`` of which the least, the largest, the last value and the RMS over the last eighth are
         kept, beside the tracking error.
     limits
-        By label, or ``error``: when the absolute value first left it, in the signal's unit.
+        By label, or ``error``: when the absolute value first left it, a number in the signal's unit or a text with one.
     engine
         See `Graph.run`.
 
@@ -84,9 +88,12 @@ def sweep(
     if design == "list" and len(set(lengths.values())) > 1:
         told = ", ".join(f"{label} {length}" for label, length in lengths.items())
         raise ValueFault(f"values: expected as many of each in a list, found {told}")
-    wanted = Wanted(tuple(signals), dict(limits or {}))
+    _apart(tried)
+    wanted = _wanted(base, signals, limits)
     shape = tuple(lengths.values()) if design == "grid" else (max(lengths.values(), default=1),)
-    indices = np.indices(shape).reshape(len(shape), int(np.prod(shape)))
+    if (runs := math.prod(shape)) > MOST_RUNS:
+        raise ValueFault(f"values: expected at most {MOST_RUNS} runs, found {runs}; take fewer, or a study")
+    indices = np.indices(shape).reshape(len(shape), runs)
     places = dict(zip(tried, indices if design == "grid" else [indices[0]] * len(tried), strict=True))
     numbers = {label: column for label in tried if (column := _column(base, label, tried[label])) is not None}
     try:
@@ -96,6 +103,46 @@ def sweep(
     raise_all(list(found.faults.values())[:MOST_FAULTS])
     names = list(tried) if design == "grid" else [RUN]
     return _dataset(base, found, names, shape, {label: _axis(base, label, several) for label, several in tried.items()})
+
+
+def _apart(labels: Iterable[str]) -> None:
+    """Raise `ValueFault` where one parameter stands under two names: one of them would win unseen."""
+    found = dict[str, str]()
+    for label in labels:
+        name = label.strip().removeprefix("blocks.")
+        if name in found:
+            raise ValueFault(f"values: {found[name]} and {label} are the same parameter; leave one out")
+        found[name] = label
+
+
+def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | str] | None) -> Wanted:
+    """What is measured, limits as numbers. Names that there are not are told by `Batch.of`."""
+    labels = [signals] if isinstance(signals, str) else signals
+    labels = list(labels) if isinstance(labels, Iterable) else [labels]
+    for label in labels:
+        if not isinstance(label, str):
+            raise ValueFault(f'signals: expected names such as ["servo.u"], found {shorten(repr(label), 30)}')
+    if not isinstance(limits, Mapping | None):
+        raise ValueFault(f'limits: expected numbers by name, {{"error": 0.01}}, found {shorten(repr(limits), 30)}')
+    loop, found, faults = base.diagram.loop, dict[str, float](), list[DmframeError]()
+    units = {signal.label: signal.unit for signal in loop.outputs}
+    units |= {variable.label: variable.unit for variable in loop.variables}
+    goal = goal_of(loop)
+    units |= {} if goal is None else {ERROR: units[goal.actual]}
+    for label, value in (limits or {}).items():
+        number = value.item() if isinstance(value, np.generic) else value
+        try:
+            found[label] = to_unit(number, units.get(label, ""))
+        except DmframeError as error:
+            if label in units:
+                faults.append(type(error)(f"limits.{label}: {error.text}"))
+            else:
+                found[label] = np.inf
+            continue
+        if found[label] < 0:
+            faults.append(ValueFault(f"limits.{label}: expected a number of at least 0, found {found[label]:g}"))
+    raise_all(faults)
+    return Wanted(tuple(labels), found)
 
 
 def _column(base: Graph, label: str, several: Sequence[Any]) -> np.ndarray | None:

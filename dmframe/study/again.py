@@ -14,6 +14,7 @@ from dmframe.files import write_text, writing
 from dmframe.graph import load
 from dmframe.results.resolved import companions
 from dmframe.study.plan import Study
+from dmframe.study.results import Results
 from dmframe.study.store import RUNS, polars
 
 ROUNDING: Final = 1e-9
@@ -94,15 +95,15 @@ def again(study: Study, run: int, place: Path, into: Path, *, force: bool = Fals
     done = load(target).run(progress=False)
     figures = study.row_of(done.recording, graph)
     units = {column.name: column.unit for column in study.measures}
-    row = _row(place, run, list(figures))
+    row = _row(study, place, run, list(figures))
     return Again(run, point, sample, target, place, figures, row, {name: units.get(name, "") for name in figures})
 
 
-def _row(place: Path, run: int, names: list[str]) -> Mapping[str, Any] | None:
+def _row(study: Study, place: Path, run: int, names: list[str]) -> Mapping[str, Any] | None:
     if not any((place / RUNS).glob("*.parquet")):
         return None
-    library = polars()
-    found = library.scan_parquet(place / RUNS / "*.parquet").filter(library.col("run") == run).select(names).collect()
+    column = polars().col
+    found = Results(place, study).frame.filter(column("run") == run).select(names).collect()
     return dict(found.row(0, named=True)) if len(found) else None
 
 

@@ -49,6 +49,14 @@ class Design:
         """True where more samples leave those that there are as they are."""
         return self.method != "latin_hypercube" or not self.names
 
+    def __post_init__(self) -> None:
+        if self.method == "latin_hypercube" and self.samples * len(self.names) > MOST_LATIN:
+            raise ValueFault(
+                f"sample.runs: expected at most {MOST_LATIN // len(self.names)} with latin_hypercube, which is made as "
+                f"a whole, found {self.samples}; take sobol, or random",
+                path=("sample", "runs"),
+            )
+
     def points(self, first: int, stop: int) -> np.ndarray:
         """(stop - first, dimensions), each number between 0 and 1 without the ends.
 
@@ -66,6 +74,10 @@ class Design:
         if self.method == "sobol":
             return _sobol(self.seed, len(self.names), first, stop)
         return _latin(self.seed, len(self.names), self.samples)[first:stop]
+
+
+MOST_LATIN: Final = 10**7
+"""Numbers of a Latin hypercube: it is made as a whole, in memory."""
 
 
 def _stream(seed: int, name: str, first: int, stop: int) -> np.ndarray:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any, Final
 
 from dmframe.errors import OutputError
+from dmframe.study.chunks import Extent
 from dmframe.study.computed import versions
 from dmframe.units import shorten
 
@@ -22,9 +24,10 @@ def read_lock(path: Path) -> dict[str, Any] | None:
         lock = json.loads((path / LOCK).read_text(encoding="utf-8"))
         if not {"key", "versions", "identity", "samples", "extents", "each", "types"} <= lock.keys():
             raise ValueError
+        _checked(lock)
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError):
         raise OutputError(
             f"{path / LOCK}: expected what a study has written, found something else; name another folder"
         ) from None
@@ -38,6 +41,17 @@ def begun_as(path: Path) -> str:
     except (OSError, ValueError, KeyError, TypeError):
         return ""
     return name if isinstance(name, str) else ""
+
+
+def _checked(lock: Mapping[str, Any]) -> None:
+    """Raise `ValueError` or `TypeError` where a part is no such part, whoever wrote it."""
+    extents, each = ([Extent(*numbers) for numbers in lock["extents"]], lock["each"] or ())
+    numbers = [lock["samples"], *each, *(number for extent in extents for number in astuple(extent))]
+    sizes = [*each, *(size for extent in extents for size in (extent.points, extent.samples))]
+    whole = all(type(number) is int for number in numbers) and all(size > 0 for size in sizes) and len(each) in (0, 2)
+    sections = [lock["identity"], lock["versions"], {} if lock["types"] is None else lock["types"]]
+    if not whole or not all(isinstance(section, dict) for section in sections):
+        raise ValueError
 
 
 def difference(lock: Mapping[str, Any], identity: Mapping[str, Any]) -> str:

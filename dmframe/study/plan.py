@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -155,7 +155,11 @@ class Study:
         """Where the samples lie; the same at each point."""
         section = self.file.sample
         names = tuple(name for factor in self.factors for name in factor.columns)
-        return Design(section.method, section.seed, names, section.runs)
+        try:
+            return Design(section.method, section.seed, names, section.runs)
+        except ValueFault as fault:
+            _raise_placed([fault], self.document)
+            raise
 
     @property
     def varied(self) -> tuple[Column, ...]:
@@ -179,6 +183,12 @@ class Study:
         for diagram in self._diagrams:
             for column in columns_of(diagram, self._wanted(diagram)):
                 found.setdefault(column.name, column)
+        section, known = self.file.measure, set[str]().union(*map(_units_of, self._diagrams))
+        faults = [
+            _unknown("signals", label, known - {ERROR}) for label in section.signals if label not in known - {ERROR}
+        ]
+        faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
+        _raise_placed(faults, self.document)
         return tuple(found.values())
 
     @cached_property
@@ -420,17 +430,8 @@ class Study:
 
     def _wanted(self, diagram: Diagram) -> Wanted:
         """What is measured of a loop: the asked signals that it has, limits in their units."""
-        section, loop = self.file.measure, diagram.loop
-        units = {signal.label: signal.unit for signal in loop.outputs}
-        units |= {variable.label: variable.unit for variable in loop.variables}
-        goal = goal_of(loop)
-        if goal is not None:
-            units[ERROR] = units[goal.actual]
-        several = len(self.axes) > 0
+        section, units = self.file.measure, _units_of(diagram)
         faults, limits = list[DmframeError](), dict[str, float]()
-        for label in section.signals:
-            if label not in units and not several:
-                faults.append(_unknown("signals", label, [key for key in units if key != ERROR]))
         for label, value in section.limits.items():
             if label in units:
                 try:
@@ -438,10 +439,8 @@ class Study:
                 except DmframeError as error:
                     text = f"measure.limits.{label}: {error.text}"
                     faults.append(type(error)(text, path=("measure", "limits", label)))
-            elif not several:
-                faults.append(_unknown("limits", label, units))
         _raise_placed(faults, self.document)
-        return wanted_of([label for label in section.signals if label in units], limits)
+        return wanted_of([label for label in section.signals if label in units and label != ERROR], limits)
 
     def __reduce__(self) -> Any:
         """Small: the file's data and the graphs' documents; a process that has it ready uses that."""
@@ -471,7 +470,16 @@ def _numbers_alone(label: str, axis: Axis) -> bool:
     return not label.startswith(("blocks.", "robot", "wires")) or label.count(".") > 1
 
 
-def _unknown(section: str, label: str, known: Sequence[str] | Mapping[str, Any]) -> DmframeError:
+def _units_of(diagram: Diagram) -> dict[str, str]:
+    """Of all that can be measured of a loop."""
+    loop = diagram.loop
+    units = {signal.label: signal.unit for signal in loop.outputs}
+    units |= {variable.label: variable.unit for variable in loop.variables}
+    goal = goal_of(loop)
+    return units if goal is None else units | {ERROR: units[goal.actual]}
+
+
+def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:
     return UnknownNameError(f"measure.{section}", "signal", label, known, path=("measure", section))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, final
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from dmframe.study.plan import Study
 
 RUNS: Final = "runs"
+ROW: Final = ("run", "point", "sample")
+"""Columns of whole numbers that say which run a row is."""
 STUDY: Final = "study"
 """The name of the study's file in its folder, without the ending."""
 FINAL: Final = "rms_final"
@@ -44,6 +46,8 @@ class Results:
 
     Raises
     ------
+    ValueFault
+        A file among its runs holds something else.
     MissingError
         There is no such folder, or none with runs; or polars is not installed.
     """
@@ -75,6 +79,10 @@ class Results:
         files = sorted(self.folder.joinpath(RUNS).glob("*.parquet"))
         if not files:
             raise MissingError(f"{self.folder}: expected runs in {RUNS}/, found none; run the study first")
+        for file in files:
+            told = file.stat()
+            if not _holds_runs(file, told.st_mtime_ns, told.st_size):
+                raise ValueFault(f"{file}: expected runs of a study, found something else; run the study again")
         table: pl.LazyFrame = polars.scan_parquet(files, missing_columns="insert", extra_columns="ignore")
         return table
 
@@ -247,6 +255,17 @@ def need_polars() -> Any:
     except ImportError:
         raise MissingError('studies keep their runs with polars; install it: pip install "dmframe[study]"') from None
     return polars
+
+
+@lru_cache(maxsize=2**17)
+def _holds_runs(file: Path, changed: int, size: int) -> bool:
+    """True for a file of rows; the time and the size tell it from what it was before."""
+    polars = need_polars()
+    try:
+        kinds = polars.read_parquet_schema(file)
+    except (OSError, polars.exceptions.PolarsError):
+        return False
+    return all(name in kinds and kinds[name].is_integer() for name in ROW)
 
 
 def _study_in(folder: Path) -> Study:

@@ -57,6 +57,12 @@ def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> N
     assert found["rms_final"].shape == shape
 
 
+def test_limits_may_have_units_and_one_signal_may_stand_alone() -> None:
+    one = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals="servo.u", limits={"error": "1 mrad"})
+    two = dm.sweep("pendulum", {"dynamics.Gamma": [1]}, until=0.1, signals=["servo.u"], limits={"error": 1e-3})
+    assert one.identical(two)
+
+
 @pytest.mark.parametrize(
     ("values", "options", "text"),
     [
@@ -67,6 +73,17 @@ def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> N
         ({"dynamics.Gamma": [1]}, {"design": "cube"}, "design: expected grid or list, found 'cube'"),
         ({"dynamics.Gamma": [1]}, {"signals": ["arm.w"]}, "signals: unknown signal"),
         ({"dynamics.Gamma": ["fast"]}, {}, "Gamma"),
+        ({"dynamics.Gamma": np.array(3)}, {}, "values dynamics.Gamma: expected a list of values"),
+        ({5: [1]}, {}, "values: expected values by name"),
+        ({"dynamics.Gamma": [1], "blocks.dynamics.Gamma": [2]}, {}, "are the same parameter; leave one out"),
+        ({"dynamics.Gamma": range(1, 10**5), "servo.K_P": range(1, 10**5)}, {}, "found 9999800001; take fewer"),
+        ({"dynamics.Gamma": [1]}, {"signals": 5}, 'signals: expected names such as ["servo.u"], found 5'),
+        ({"dynamics.Gamma": [1]}, {"signals": [["servo.u"]]}, "signals: expected names"),
+        ({"dynamics.Gamma": [1]}, {"limits": [1]}, "limits: expected numbers by name"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": "5 kg"}}, "limits.error: expected a quantity in rad"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": float("nan")}}, "limits.error: expected"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"error": -1}}, "limits.error: expected a number of at least 0"),
+        ({"dynamics.Gamma": [1]}, {"limits": {"eror": "1 mm"}}, "limits: unknown measured signal"),
     ],
 )
 def test_what_cannot_be_swept_is_told(values: Any, options: Any, text: str) -> None:

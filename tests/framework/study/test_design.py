@@ -73,3 +73,9 @@ def test_the_quantiles_are_those_of_scipy(spread: Spread, reference: stats.rv_co
 def test_samples_that_there_are_not_are_refused() -> None:
     with pytest.raises(ValueFault, match="from 0 to 10, found 5 to 11"):
         Design("random", 0, NAMES, 10).points(5, 11)
+
+
+def test_a_latin_hypercube_that_memory_does_not_hold_is_refused() -> None:
+    with pytest.raises(ValueFault, match=r"sample.runs: expected at most 5000000 with latin_hypercube"):
+        Design("latin_hypercube", 0, ("a", "b"), 10**9)
+    Design("sobol", 0, ("a", "b"), 10**9)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
+from dmframe.errors import DmframeError
 from dmframe.graph import load
 from dmframe.results.metrics import tracking_error
 from dmframe.study.grammar import study_schema
@@ -203,3 +204,19 @@ grid:
     for name, column in alone.items():
         assert np.array_equal(together[name], column, equal_nan=isinstance(column[0], float)), name
     assert len(set(together["rms_final"])) == 22
+
+
+def test_a_signal_that_no_closed_loop_has_is_told_with_a_grid_too(study: Make) -> None:
+    asked = "measure: {signals: [servo.nope, error], limits: {servo.u: 1 V, servo.v: 1}}"
+    for grid in ("", "grid: {dynamics.Gamma: [1, 10]}\n"):
+        with pytest.raises(DmframeError) as told:
+            study(f"{grid}{asked}\n").check()
+        faults = [str(fault) for fault in told.value.faults]
+        places = ["servo.nope", "error", "servo.v"]
+        assert len(faults) == len(places)
+        assert all("unknown signal" in fault and "study.yaml:" in fault for fault in faults)
+
+
+def test_a_signal_that_one_of_the_closed_loops_has_is_measured_there(study: Make) -> None:
+    cases = "known: {blocks.dynamics: {type: dynamic_compensator, Gamma: 1}}, other: {dynamics.Gamma: 2}"
+    study(f"grid: {{dynamics: {{{cases}}}}}\nmeasure: {{signals: [dynamics.tau_dc]}}\n").check()

@@ -491,3 +491,25 @@ def test_settings_are_called_by_what_differs_among_them() -> None:
 )
 def test_a_logarithmic_axis_has_plain_numbers(low: float, high: float, marks: list[float]) -> None:
     assert plain_marks(low, high) == marks
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda file: file.write_bytes(file.read_bytes()[:300]),
+        lambda file: pl.DataFrame({"a": [1.0]}).write_parquet(file),
+        lambda file: file.write_bytes(b""),
+    ],
+)
+def test_a_file_that_holds_no_runs_is_named(folder: Callable[..., Path], harm: Callable[[Path], None]) -> None:
+    place = folder()
+    assert Results(place).table.shape[0] == 2
+    harm(next(place.glob("runs/*.parquet")))
+    with pytest.raises(ValueFault, match=r"parquet: expected runs of a study, found something else"):
+        _ = Results(place).table
+
+
+def test_a_lock_that_is_a_list_does_not_name_the_study(folder: Callable[..., Path]) -> None:
+    place = folder()
+    (place / "study.lock.json").write_text("[]")
+    assert Results(place).name == place.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -191,3 +192,21 @@ def test_a_full_disk_is_one_sentence_and_costs_nothing_that_was_written(tmp_path
     with opened(out, StandIn(samples=3000), {}) as kept:
         assert before - 1 <= len(kept.done) <= before
         assert kept.notices == []
+
+
+@pytest.mark.parametrize(
+    ("part", "value"),
+    [
+        ("extents", [[1]]),
+        ("extents", [[0, 1, 0, 1, 0, 0]]),
+        ("each", 5),
+        ("samples", "x"),
+        ("identity", 5),
+        ("types", []),
+    ],
+)
+def test_a_lock_with_a_part_that_no_study_writes_is_told(out: Path, part: str, value: object) -> None:
+    held = json.loads((out / lock.LOCK).read_text())
+    (out / lock.LOCK).write_text(json.dumps(held | {part: value}))
+    with pytest.raises(OutputError, match="expected what a study has written"), opened(out, StandIn(), {}):
+        pass
