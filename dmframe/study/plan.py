@@ -179,16 +179,16 @@ class Study:
         DmframeError
             A graph that cannot be built, a signal that none of them has, a limit in a unit that does not fit.
         """
-        found = dict[str, Column]()
-        for diagram in self._diagrams:
-            for column in columns_of(diagram, self._wanted(diagram)):
-                found.setdefault(column.name, column)
         section, known = self.file.measure, set[str]().union(*map(_units_of, self._diagrams))
         faults = [
             _unknown("signals", label, known - {ERROR}) for label in section.signals if label not in known - {ERROR}
         ]
         faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
-        _raise_placed(faults, self.document)
+        _raise_placed([*faults, *(fault for each in self._diagrams for fault in self._limits(each)[1])], self.document)
+        found = dict[str, Column]()
+        for diagram in self._diagrams:
+            for column in columns_of(diagram, self._wanted(diagram)):
+                found.setdefault(column.name, column)
         return tuple(found.values())
 
     @cached_property
@@ -430,17 +430,22 @@ class Study:
 
     def _wanted(self, diagram: Diagram) -> Wanted:
         """What is measured of a loop: the asked signals that it has, limits in their units."""
-        section, units = self.file.measure, _units_of(diagram)
-        faults, limits = list[DmframeError](), dict[str, float]()
-        for label, value in section.limits.items():
+        units, (limits, faults) = _units_of(diagram), self._limits(diagram)
+        _raise_placed(faults, self.document)
+        signals = self.file.measure.signals
+        return wanted_of([label for label in signals if label in units and label != ERROR], limits)
+
+    def _limits(self, diagram: Diagram) -> tuple[dict[str, float], list[DmframeError]]:
+        """The limits of what a loop has, in its units; and the faults of those that do not fit."""
+        units, faults, limits = _units_of(diagram), list[DmframeError](), dict[str, float]()
+        for label, value in self.file.measure.limits.items():
             if label in units:
                 try:
                     limits[label] = to_unit(value, units[label])
                 except DmframeError as error:
                     text = f"measure.limits.{label}: {error.text}"
                     faults.append(type(error)(text, path=("measure", "limits", label)))
-        _raise_placed(faults, self.document)
-        return wanted_of([label for label in section.signals if label in units and label != ERROR], limits)
+        return limits, faults
 
     def __reduce__(self) -> Any:
         """Small: the file's data and the graphs' documents; a process that has it ready uses that."""

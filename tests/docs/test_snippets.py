@@ -25,6 +25,7 @@ from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
 from dmframe.config.experiment import experiment_of
+from dmframe.study import proof
 
 ROOT = Path(__file__).parents[2]
 COURSE = ROOT / "docs" / "course"  # notebooks, which test_course.py runs
@@ -56,6 +57,7 @@ def snippets(page: Path) -> list[tuple[int, str, str]]:
 def test_every_snippet_does_what_the_page_says(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(proof, "MOST", 1)  # of a study's settings one is decided; no page prints more of it
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     shared = Page(tmp_path)
     for line, language, text in snippets(page):

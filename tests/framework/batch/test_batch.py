@@ -163,8 +163,8 @@ def test_blocks_of_runs_and_threads_make_no_difference(monkeypatch: pytest.Monke
 def test_a_run_that_cannot_be_is_a_fault_of_its_own() -> None:
     found = batch("pendulum", 0.1, "auto").measure({"dynamics.Gamma": [1.0, -1.0, np.nan, 2.0]})
     assert {run: str(fault) for run, fault in found.faults.items()} == {
-        1: "dynamic_compensator.Gamma: expected a number > 0, found -1.0",
-        2: "dynamic_compensator.Gamma: expected a plain number, found nan: the number must be finite",
+        1: "dynamics.Gamma: expected a number > 0, found -1.0",
+        2: "dynamics.Gamma: expected a plain number, found nan: the number must be finite",
     }
     assert found.error is not None
     assert np.isnan(found.error.last[1, 0])

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from dmframe import plotting
+from dmframe.study import report, tune_page
 from dmframe.study.plan import Study, load_study
 
 ARM = """\
@@ -36,6 +38,19 @@ def arm(tmp_path: Path) -> Path:
     path = tmp_path / "arm.yaml"
     path.write_text(ARM, encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, which takes most of a report's time: for tests that read its words alone."""
+
+    def files_of(figure: object, name: str, about: str) -> dict[str, bytes]:
+        return {f"{name}.png": b"", f"{name}.svg": b"<svg></svg>"}
+
+    monkeypatch.setattr(plotting, "settle", lambda figure: None)
+    for module in (plotting, report):
+        monkeypatch.setattr(module, "files_of", files_of)
+    monkeypatch.setattr(tune_page, "figure_svg", lambda figure: "<svg></svg>")
 
 
 @pytest.fixture

@@ -129,7 +129,14 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
 )
 def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apart: bool) -> None:
     found = study(sample, "arm2_joint")
-    told = Told(cast(Findings, SimpleNamespace(points=found.points)), (), tuple(proofs_of(found, [""])), True, (), ())
+    told = Told(
+        cast(Findings, SimpleNamespace(points=found.points, results=SimpleNamespace(study=found))),
+        (),
+        tuple(proofs_of(found, [""])),
+        True,
+        (),
+        (),
+    )
     assert says in _proof_in_short(told)
     assert ("Not in the box, since no parameter of the loop: `inverse.w_I`" in _proof_in_short(told)) == apart
     parts = repr(list(basis.proof(told)))

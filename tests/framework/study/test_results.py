@@ -165,6 +165,7 @@ def test_of_a_least_the_smallest_is_the_worst(folder: Callable[..., Path]) -> No
     assert found.worst_runs("arm.q.least")[0] // 2 == int(np.argmax(found.study.drawn(0, 200)["servo.K_D"]))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_worst_run_runs_again_exactly_as_it_did(tmp_path: Path) -> None:
     text = text_of(runs=8, report="measure: {signals: [arm.q]}\nreport: {worst: {rms_final: 2}}")
     (tmp_path / "study.yaml").write_text(text, encoding="utf-8")
@@ -200,6 +201,7 @@ def test_the_page_begins_with_the_answer(page: Callable[..., tuple[Path, str]]) 
     assert "Clopper" in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_of_one_point_the_answer_is_the_one_sided_limit(folder: Callable[..., Path]) -> None:
     said = words(write_report(folder(text=text_of(runs=299, grid="grid: {dynamics.Gamma: [1]}\n")), proofs=False))
     assert "Of 299 robots none diverged : the probability of divergence is at most 1 %, at 95 % confidence." in said
@@ -251,6 +253,7 @@ def test_the_page_names_what_diverged_and_what_decides_it(page: Callable[..., tu
     }
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("method", ["sobol", "latin_hypercube"])
 def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path], method: str) -> None:
     place = folder(breaking, text_of(runs=64, method=method))
@@ -263,6 +266,7 @@ def test_no_interval_is_printed_where_none_is_valid(folder: Callable[..., Path],
     assert Results(place).table["low"].null_count() == 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_page_of_single_runs_speaks_of_no_probability(folder: Callable[..., Path]) -> None:
     text = re.sub(r"sample:\n(?:  .*\n)+", "", text_of())
     place = folder(lambda *_: {"rms_final": [1e-3]}, text)
@@ -272,6 +276,7 @@ def test_a_page_of_single_runs_speaks_of_no_probability(folder: Callable[..., Pa
     assert "confidence" not in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_runs_that_are_missing_and_runs_that_failed_are_told(folder: Callable[..., Path]) -> None:
     def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray]) -> dict[str, Any]:
         told = steady(study, point, drawn)["rms_final"]
@@ -427,9 +432,8 @@ def test_what_is_not_there_is_told_with_the_remedy(
         results_module.need_polars()
 
 
-def test_an_older_reports_worst_runs_and_figures_go(folder: Callable[..., Path]) -> None:
-    place = folder(breaking)
-    write_report(place, proofs=False)
+def test_an_older_reports_worst_runs_and_figures_go(page: Callable[..., tuple[Path, str]]) -> None:
+    place, _ = page(breaking)
     place.joinpath("figures", "old.png").write_bytes(b"")
     place.joinpath("worst_9.yaml").write_text("", encoding="utf-8")
     first = place.joinpath("report.html").read_bytes()

@@ -9,17 +9,46 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import final
 
 import pytest
 from stand_in_study import StandIn
 from study_processes import environment, frame, written
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.study import computed, lock
+from dmframe.study import computed, execute, lock
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, compute
+from dmframe.study.computed import Computed, Failed, compute
 from dmframe.study.execute import run_study
 from dmframe.study.store import opened
+
+
+@final
+class Here:
+    """Workers in this process: what is tested is what the folder asks of them."""
+
+    count = 1
+
+    def __init__(self, study: StandIn, _: int | None) -> None:
+        self._study, self._waiting = study, list[Chunk]()
+
+    def submit(self, chunk: Chunk) -> None:
+        self._waiting.append(chunk)
+
+    def ended(self, timeout: float) -> tuple[Chunk, Computed | Failed] | None:
+        chunk = self._waiting.pop()
+        return chunk, compute(self._study, chunk)
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(execute, "Pool", Here)
 
 
 @pytest.fixture
@@ -63,6 +92,7 @@ def one_bit(file: Path) -> None:
     file.write_bytes(content)
 
 
+@pytest.mark.usefixtures("here")
 @pytest.mark.parametrize("harm", [truncated, emptied, another, one_bit])
 def test_a_damaged_file_is_noticed_and_computed_again(out: Path, harm: Callable[[Path], None]) -> None:
     before = frame(out)
@@ -92,6 +122,7 @@ def test_a_folder_whose_first_process_was_ended_as_it_began_can_be_used(tmp_path
     assert len(frame(tmp_path)) == 120
 
 
+@pytest.mark.usefixtures("here")
 def test_a_line_that_was_cut_off_loses_its_chunk_alone(out: Path) -> None:
     lines = (out / "chunks.jsonl").read_text()
     (out / "chunks.jsonl").write_text(lines[:-30])

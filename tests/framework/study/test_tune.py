@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import math
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from dmframe.analysis.period import linearised_period
 from dmframe.cli.tune import tune_study
 from dmframe.errors import DmframeError, OutputError
 from dmframe.graph import load
+from dmframe.report import Verification
 from dmframe.study import candidate as candidates
 from dmframe.study.design import Spread
 from dmframe.study.front import Trial, dominates, front_of
@@ -210,9 +212,15 @@ def test_another_search_in_the_folder_is_refused_with_the_difference(study: Make
     assert tuning(study, PLANTS + GAINS + "  trials: 7\n").search(tmp_path, 2) == 2
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_checks_proves_and_writes_what_it_found(
-    study: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    study: Make, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    def write_report(path: Path, found: Sequence[Verification]) -> None:
+        path.write_text(" ".join(each.headline for each in found), encoding="utf-8")
+
+    # the real one, with its figures and periods, is run by the page docs/how_to/tuning.md
+    monkeypatch.setattr("dmframe.report.write.write_report", write_report)
     study(PLANTS + GAINS)
     out = tmp_path / "out"
     status = tune_study(str(tmp_path / "study.yaml"), out=out, trials=4, overrides=(), jobs=1, as_json=True)
@@ -225,6 +233,7 @@ def test_the_command_checks_proves_and_writes_what_it_found(
     assert best["fresh"][name] != best["searched"][name]
     assert own["searched"][name] >= best["searched"][name]
     assert best["proof"].startswith("proved")
+    assert (out / "certificate.html").read_text(encoding="utf-8") == best["proof"]
     assert status == (1 if best["longer"][name] > own["longer"][name] else 0)
     graph = load(out / "tuned.yaml")
     assert graph.blocks["dynamics"].Gamma == best["values"]["dynamics.Gamma"]  # type: ignore[attr-defined]
@@ -273,6 +282,7 @@ def test_a_best_value_beside_an_end_is_told(spread: Spread, value: float, end: f
     assert near_end(value, spread) == end
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_values_that_are_worse_over_longer_runs_are_told(study: Make, tmp_path: Path) -> None:
     found = tuning(study, PLANTS + GAINS.replace("worst rms_final", "[worst rms_final, median effort]"))
     found.search(tmp_path, 3)
@@ -344,12 +354,14 @@ def test_two_processes_share_one_search(study: Make, arm: Path) -> None:
     code = (
         "import pathlib as p, dmframe.study.tune as t; t.load_tuning('study.yaml', threads=1).search(p.Path('out'), 6)"
     )
-    both = [
-        subprocess.Popen([sys.executable, "-c", code], cwd=arm.parent, stderr=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    ended = [each.communicate(timeout=120) for each in both]
-    assert all(each.returncode == 0 for each in both), ended
-    trials = tuning(study, PLANTS + GAINS).trials(arm.parent / "out")
+    other = subprocess.Popen([sys.executable, "-c", code], cwd=arm.parent, stderr=subprocess.PIPE, text=True)
+    found, out = tuning(study, PLANTS + GAINS), arm.parent / "out"
+    while other.poll() is None and not (out / JOURNAL).exists():  # until the other, which starts anew, has begun
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            other.wait(0.05)
+    found.search(out, 6)
+    _, told = other.communicate(timeout=120)
+    assert other.returncode == 0, told
+    trials = found.trials(out)
     assert sorted(each.number for each in trials) == list(range(len(trials)))
     assert 6 <= len(trials) <= 7, "each looks before it tries"
