@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import dmframe as dm
-from dmframe.graph.progress import Bars
 from dmframe.port import Side
 from dmframe.study.proof import proofs_of
 from dmframe.units import plain
@@ -73,19 +72,8 @@ def table(rows: list[dict[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def main(words: list[str]) -> None:
-    """Run, write the table, fill the page."""
-    runs = int(words[0]) if words else RUNS
-    names = list(dm.graphs())
-    with Bars() as bars:
-        bar = bars.of("controllers", len(names))
-        rows = []
-        for done, name in enumerate(names, start=1):
-            if (
-                study_of(name, runs)["sample"].keys() & VARIED.keys()
-            ):  # of some the torque is commanded, without friction
-                rows.append(row_of(name, runs))
-            bar(done)
+def write(rows: list[dict[str, Any]]) -> None:
+    """The table, beside the page and in it."""
     with TABLE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, HEADS)
         writer.writeheader()
@@ -94,6 +82,15 @@ def main(words: list[str]) -> None:
         text = table(list(csv.DictReader(file)))
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     PAGE.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.partition(END)[2]}", encoding="utf-8")
+
+
+def main(words: list[str]) -> None:
+    """Run one graph after the other; the table grows with each."""
+    runs, rows = int(words[0]) if words else RUNS, list[dict[str, Any]]()
+    for name in dm.graphs():
+        if study_of(name, runs)["sample"].keys() & VARIED.keys():  # others have neither
+            rows.append(row_of(name, runs))
+            write(rows)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
 import sys
 from contextlib import suppress
 
@@ -13,6 +12,12 @@ import pytest
 from dmframe.copies import shared
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="no copies elsewhere")
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if no other test had left a thread in this process: with one there are no copies."""
+    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 1)
 
 
 @pytest.mark.parametrize("cores", [1, 2, 3, 8])
@@ -26,23 +31,16 @@ def test_every_job_is_done_once_by_this_process_or_a_copy(cores: int, monkeypatc
 
 @LINUX
 def test_the_copy_works_while_this_process_does_something_else() -> None:
-    """In a process of its own: this one may hold threads of other tests, and then there are no copies."""
-    code = """
-import os
-from dmframe.copies import shared
+    reader, writer = os.pipe()
 
-reader, writer = os.pipe()
+    def tell() -> int:
+        os.write(writer, b"x")
+        return os.getpid()
 
-def tell():
-    os.write(writer, b"x")
-    return os.getpid()
-
-with shared([tell, tell]) as finished:
-    if len(os.sched_getaffinity(0)) > 1:
-        assert os.read(reader, 1) == b"x"  # before anybody asked
-        assert finished()[0] != os.getpid()
-"""
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    with shared([tell, tell]) as finished:
+        if len(os.sched_getaffinity(0)) > 1:
+            assert os.read(reader, 1) == b"x"  # before anybody asked
+            assert finished()[0] != os.getpid()
 
 
 def test_a_job_that_fails_is_told_whoever_did_it() -> None:
@@ -81,6 +79,12 @@ def test_a_copy_whose_results_nobody_asks_for_is_ended() -> None:
         raise ZeroDivisionError
     with pytest.raises(ProcessLookupError):
         os.kill(copy, 0)
+
+
+def test_a_process_with_other_threads_has_no_copies(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.copies.threading.active_count", lambda: 2)
+    with shared([os.getpid, os.getpid]) as finished:
+        assert finished() == [os.getpid()] * 2
 
 
 def test_on_one_core_everything_is_done_here(monkeypatch: pytest.MonkeyPatch) -> None:
