@@ -143,6 +143,8 @@ class Sizes:
         """What the last `probe` took."""
         count = extent.samples if self._along == "samples" else extent.points
         fitting = max(int(self.work * count / max(seconds, 1e-9)), 1)
+        if self._along == "samples" and seconds < self.work * count:  # a worker that has just begun prepares, too
+            fitting = max(fitting, FIRST)
         if self._timed and seconds >= LEAST:  # the first of all compiles, too
             self._settle(fitting)
         else:
