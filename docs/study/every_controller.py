@@ -75,7 +75,7 @@ def table(rows: list[dict[str, str]]) -> str:
 def write(rows: list[dict[str, Any]]) -> None:
     """The table, beside the page and in it."""
     with TABLE.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, HEADS)
+        writer = csv.DictWriter(file, HEADS, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
     with TABLE.open(encoding="utf-8", newline="") as file:
