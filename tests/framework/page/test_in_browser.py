@@ -77,6 +77,9 @@ WATCH = """(() => {
   look();
 })()"""
 
+FRAME = "new Promise((done) => requestAnimationFrame(() => done([...tops])))"
+"""Where the slider has been, when the next picture has been drawn."""
+
 
 def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) -> list[float]:
     """Where a slider stands while it is dragged to where the verdict is shorter, and to where it is longer."""
@@ -86,10 +89,11 @@ def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) ->
     tab.value(WATCH)
     tab.held(K_C, 0.5, 0.02)
     tab.until(f"{HEADLINE}.includes('does not apply')")
+    tab.value(FRAME)
     tab.mouse("moves", *tab.spot(K_C, 0.6))
     tab.until(f"{HEADLINE} === 'Proved at these values'")
     tab.let_go()
-    tops: list[float] = tab.value("new Promise((done) => requestAnimationFrame(() => done([...tops])))")
+    tops: list[float] = tab.value(FRAME)
     tab.sized(None)
     return tops
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 from typing import Any, Final
@@ -267,18 +268,18 @@ def whole(codes: Sequence[int]) -> Any:
     return ca.Function("f", [x, y], [ca.vertcat(*(FUNCTIONS[code](x, y) for code in codes))])
 
 
-def in_c(codes: Sequence[int]) -> np.ndarray:
+def in_c(codes: Sequence[int], dialect: c.Dialect = c.ONE) -> np.ndarray:
     """A column for each point."""
     entry = (
-        '__attribute__((visibility("default"))) void dm_all(const double *x, const double *y, double *r) '
+        '__attribute__((visibility("default"))) void dm_rows(const double *x, const double *y, double *r) '
         "{ dm_f(x, y, r); }\n"
     )
-    library = load(shipped("arithmetic.h") + c.written(whole(codes)) + "\n" + entry).library
+    library = load("".join(map(shipped, dialect.arithmetic)) + c.written(whole(codes), dialect) + "\n" + entry).library
     assert library is not None
     columns = []
     for x, y in POINTS:
         given, result = [np.array([value]) for value in (x, y)], np.zeros(len(codes))
-        library.dm_all(*map(address, given), address(result))
+        library.dm_rows(*map(address, given), address(result))
         columns.append(result)
     return np.array(columns).T
 
@@ -287,18 +288,18 @@ IN_C: Final = [code for code in CODES if code != ca.OP_ERFINV]
 
 
 def test_each_rule_gives_in_c_what_casadi_gives() -> None:
-    assert sorted(c.RULES) == IN_C
+    assert sorted(c.ONE.rules) == sorted(c.LANES.rules) == IN_C
     expected = np.array([whole(IN_C)(x, y).full()[:, 0] for x, y in POINTS]).T
     np.testing.assert_allclose(in_c(IN_C), expected, rtol=4e-16, atol=0)
     with pytest.raises(EngineError, match=f"f holds CasADi's instruction {ca.OP_ERFINV}, which cannot be written as C"):
         c.written(FUNCTIONS[ca.OP_ERFINV])
 
 
-def test_wrong_rules_in_c_are_caught(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_rules_in_c_are_caught() -> None:
     expected = np.array([whole(IN_C)(x, y).full()[:, 0] for x, y in POINTS]).T
-    wrong = {code: c.RULES[another(c.RULES, code)] for code in IN_C}
-    monkeypatch.setattr(c, "RULES", wrong)
-    found = in_c(IN_C)
+    named = {code: OPERATIONS[code].name for code in IN_C}
+    wrong = {name: c.ONE.forms[named[another(dict(c.ONE.rules), code)]] for code, name in named.items()}
+    found = in_c(IN_C, replace(c.ONE, forms=wrong))
     same = np.isclose(found, expected, rtol=1e-13, atol=0, equal_nan=True).all(axis=1)
     assert [OPERATIONS[code].name for code, alike in zip(IN_C, same, strict=True) if alike] == []
 
