@@ -2,7 +2,7 @@ r"""Symmetric linear systems in field operations only, so that exact arithmetic 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -16,20 +16,24 @@ from dmframe.naming import operation
 @final
 @dataclass(frozen=True)
 class Inverted:
-    """A symmetric matrix that has been inverted, and the pivots by which it was: all divisors of `solve_spd`."""
+    """A symmetric matrix that has been inverted, and its factors; the pivots are all divisors of `solve_spd`."""
 
     matrix: Any
+    factor: Any
     pivots: tuple[Any, ...]
 
 
-_inverted: ContextVar[list[Inverted] | None] = ContextVar("inverted", default=None)
+_inverted: ContextVar[tuple[list[Inverted], Sequence[Inverted]] | None] = ContextVar("inverted", default=None)
 
 
 @contextmanager
-def inverting() -> Iterator[list[Inverted]]:
-    """Collect the matrices that are inverted meanwhile: each has to stay positive definite."""
+def inverting(before: Sequence[Inverted] = ()) -> Iterator[list[Inverted]]:
+    """Collect the matrices that are inverted meanwhile: each has to stay positive definite.
+
+    The factors of one that is the same as one of `before` are not computed again.
+    """
     found = list[Inverted]()
-    token = _inverted.set(found)
+    token = _inverted.set((found, before))
     try:
         yield found
     finally:
@@ -71,10 +75,7 @@ def solve_spd(A: Any, b: Any) -> Any:
         Only the lower triangle is read.
     b : SX (n, columns)
     """
-    L, d = ldl(A)
-    inverted = _inverted.get()
-    if inverted is not None:
-        inverted.append(Inverted(A, tuple(d)))
+    L, d = _factors(A)
     n = A.shape[0]
     x = ca.SX(b)
     for i in range(n):
@@ -86,6 +87,19 @@ def solve_spd(A: Any, b: Any) -> Any:
         for j in range(i + 1, n):
             x[i, :] -= L[j, i] * x[j, :]
     return x
+
+
+def _factors(A: Any) -> tuple[Any, Sequence[Any]]:
+    found, before = _inverted.get() or ([], ())
+    known = next((item for item in before if nodes(item.matrix) == nodes(A)), None) if before else None
+    L, d = ldl(A) if known is None else (known.factor, known.pivots)
+    found.append(Inverted(A, L, tuple(d)))
+    return L, d
+
+
+def nodes(A: Any) -> tuple[Any, ...]:
+    """What an SX is made of: equal for two that are the same expression, node by node."""
+    return A.shape, tuple(A.sparsity().find()), tuple(item.element_hash() for item in A.nonzeros())
 
 
 def square(gain: Any) -> Any:

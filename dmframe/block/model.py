@@ -17,7 +17,7 @@ from dmframe.block.sizes import Sizes
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.certificate import SX
 from dmframe.errors import BlockError, nearest
-from dmframe.linalg import Inverted, inverting
+from dmframe.linalg import Inverted, inverting, nodes
 from dmframe.parameter import specs
 from dmframe.port import Adapted, Port, State
 
@@ -123,7 +123,8 @@ def model_block(
     signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled)
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
-    _check_steady(name, equations, stated_by(name, block, signals, sizes))
+    with inverting(inverted):
+        _check_steady(name, equations, stated_by(name, block, signals, sizes))
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -161,9 +162,7 @@ class _Recalled:
 
 
 def _identity(value: Any) -> Any:
-    if not isinstance(value, ca.SX):
-        return id(value)
-    return (value.shape, tuple(value.sparsity().find()), tuple(item.element_hash() for item in value.nonzeros()))
+    return nodes(value) if isinstance(value, ca.SX) else id(value)
 
 
 def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, Signals], sizes: Sizes) -> Equations:
@@ -187,6 +186,10 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
 def _check_steady(name: str, first: Equations, second: Equations) -> None:
     """The equations are a function of their arguments: what is proved must be what runs."""
     pairs = ((first.outputs, second.outputs), (first.rates, second.rates), (first.next, second.next))
+    if all(once.keys() == again.keys() for once, again in pairs) and same_expressions(
+        first.expressions, [again[key] for once, again in pairs for key in once]
+    ):
+        return
     for kind, (once, again) in zip(("output", "rate", "next value"), pairs, strict=True):
         for key in {**once, **again}:
             if key not in once or key not in again or not same_expression(once[key], again[key]):
