@@ -34,6 +34,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         controller=tuple(sides[Side.CONTROLLER]),
         plant=tuple(sorted(sides[Side.PLANT], key=lambda variable: variable.next is None)),
         trajectories=tuple(resolver.trajectories.values()),
+        ahead=tuple(resolver.ahead.values()),
         noises=tuple(Noise(".".join(end), leaf, drawn[end]) for end, leaf in resolver.drawn.items()),
         crossings=_crossings(resolver),
         projections=tuple(resolver.projections.values()),
