@@ -92,6 +92,8 @@ class State:
 
     Parameters
     ----------
+    recorded
+        It stands in a run's results unless the log names other signals. A long memory that nobody looks at need not.
     sampled
         It keeps its value between samples, and `Equations.next` says what it is at the next one. Without it the state
         moves in continuous time, as `Equations.rates` says.
@@ -113,6 +115,7 @@ class State:
     gain: str = ""
     optional: bool = False
     sampled: bool = False
+    recorded: bool = True
 
 
 DISTRIBUTIONS = ("normal", "uniform")

@@ -22,7 +22,7 @@ class Variable:
     """A state of the closed loop; `shape` in letters, as declared.
 
     `rate` is its time derivative, zero of a sampled state between samples; `next` a sampled state's value one sample
-    later, before it is projected, and None in continuous time.
+    later, before it is projected, and None in continuous time. Results hold it where it is `recorded` or asked for.
     """
 
     block: str
@@ -32,6 +32,7 @@ class Variable:
     symbol: SX
     rate: SX
     next: SX | None = None
+    recorded: bool = True
 
     @property
     def label(self) -> str:
