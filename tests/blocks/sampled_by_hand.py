@@ -1,13 +1,12 @@
 """The sampled law, its servo and its robot once more, in plain NumPy and Pinocchio, sharing no equation with dmframe.
 
 Sample j goes from j T to (j + 1) T with the command u_j held; v_j is the mean velocity in it. Averaged over the sample
-the servo says y_j = u_j - v_j = psi_j' theta, row by row, with unknown constants theta = (k_P, k_I, constant, w a, w B,
-w D). An estimator learns theta from positions and commands alone, and the command of a sample inverts the same relation.
+the servo says y_j = u_j - v_j = psi_j' theta, row by row, with unknown constants theta = (k_P, k_I, constant, w a,
+w B, w D). An estimator learns theta from positions and commands alone, and the command of a sample inverts the relation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,8 +15,22 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Path = Callable[[float], Array]
 V_0 = 0.005  # [rad/s] of Coulomb friction, tanh(v / V_0)
+
+
+@dataclass(frozen=True)
+class Circle:
+    """The path, in the plane of the first two axes."""
+
+    center: tuple[float, float, float]
+    radius: float
+    rate: float
+
+    def __call__(self, t: float) -> Array:
+        return self.center + self.radius * np.array([np.sin(self.rate * t), np.cos(self.rate * t), 0])
+
+    def velocity(self, t: float) -> Array:
+        return self.rate * self.radius * np.array([np.cos(self.rate * t), -np.sin(self.rate * t), 0])
 
 
 @dataclass
@@ -87,7 +100,7 @@ class Arm:
 class Plant:
     """Robot and the maker's servo, at rest at first, its integrator holding gravity; RK4 in steps of `step`.
 
-    PID: u = -K_D (dq - dq_c) - K_P (q - q_c) - K_I int (q - q_c); PI: the same with K_I = 0, whose K_P holds gravity by q_c.
+    PID: u = -K_D (dq - dq_c) - K_P (q - q_c) - K_I int (q - q_c); PI: with K_I = 0, and q_c so that K_P holds gravity.
     """
 
     arm: Arm
@@ -126,7 +139,7 @@ class Plant:
 
 @dataclass(frozen=True)
 class Known:
-    """What the law holds true at a tick: poses now, and of the sample before it row, command's excess, both filtered."""
+    """What the law holds true at a tick: where all is now; the last sample's psi and y, and both filtered, h and g."""
 
     q: Array
     c: Array  # own target position
@@ -155,7 +168,7 @@ class SampledLaw:
     damping: float = 0.0  # [m] of the Jacobian's inverse
     u_max: float = 3.0
     margin: float = 0.05  # mu of the guard
-    start: tuple[float, float] = (2.0, 0.2)  # of k_P and k_I
+    start: tuple[float, float] = (1.8, 1.2)  # of k_P and k_I
     known: Known = field(init=False)
     theta: Array = field(init=False)
     guarded: int = 0
@@ -176,6 +189,7 @@ class SampledLaw:
         self.ring: list[tuple[Array, Array, Array]] = []  # rows, commands' excess, and which joints learn, newest first
         self.sent = [zero] * self.delay  # commands of the samples to come
         self.plan = (q, zero)  # the last command's planned middle and velocity
+        self.planned = [zero] * self.delay  # velocities meant by the commands sent
         psi = self._columns(zero, zero, self.arm.gravity(q), zero)
         h = np.zeros_like(psi)
         h[:, self.constant] = 1
@@ -216,7 +230,7 @@ class SampledLaw:
         return np.array(found + at.y - keep * at.g - np.sum((at.psi - keep * at.h) * others, axis=1))
 
     def learn(self, h: Array, g: Array, free: Array) -> None:
-        """Projection onto the newest row, the stored ones from new to old, the newest again; not where u was clipped."""
+        """Projection onto the newest row, those stored from new to old, the newest again; not where u was clipped."""
         newest = (h, g, free)
         for rows, excess, learns in [newest, *self.ring, newest]:
             error = excess - np.sum(rows * self.theta, axis=1)
@@ -236,9 +250,9 @@ class SampledLaw:
         T = self.T
         return np.array(1 + T * self.theta[:, 0] / 2 + (T * T * self.theta[:, 1] / 4 if self.pid else 0))
 
-    def predict(self, at: Known, u: Array) -> Array:
-        """The mean velocity under a command given: F(v) = u in four damped Newton steps."""
-        v, S = at.v.copy(), self.inertia(at.q)
+    def predict(self, at: Known, u: Array, v: Array) -> Array:
+        """The mean velocity under a command given that was meant for v: F(v) = u in four damped Newton steps."""
+        S = self.inertia(at.q)
         for _ in range(4):
             wrong = u - v - self.excess(at, u, v, (at.m, at.v))
             friction = self.theta[:, -2] + self.theta[:, -1] / V_0  # at rest, where it is steepest
@@ -265,26 +279,53 @@ class SampledLaw:
         self.plan = (at.q + self.T * v / 2, v)
         return np.clip(u, -self.u_max, self.u_max)
 
-    def tick(self, k: int, q: Array, path: Path) -> Array:
+    def tick(self, k: int, q: Array, path: Circle) -> Array:
         """The command of sample k, computed `delay` samples before: measured, learnt, looked ahead, planned."""
         if k > 0:
             u = self.sent.pop(0)
+            self.planned.pop(0)
             self.known = self.after(self.known, u, q)
             self.learn(self.known.h, self.known.g, np.abs(u) < self.u_max)
         ahead = self.known
-        for u in self.sent:
-            ahead = self.after(ahead, u, ahead.q + self.T * self.predict(ahead, u))
+        for u, v in zip(self.sent, self.planned, strict=True):
+            ahead = self.after(ahead, u, ahead.q + self.T * self.predict(ahead, u, v))
         t = (k + self.delay) * self.T
         self.v_des = self.goal(ahead.q, path(t), path(t + self.T))
         self.sent.append(self.command(ahead, self.v_des))
+        self.planned.append(self.v_des)
         return self.sent[0]
 
 
-def circle(center: list[float], radius: float, rate: float) -> Path:
-    return lambda t: np.add(center, [radius * np.sin(rate * t), radius * np.cos(rate * t), 0])
+@dataclass
+class Observer(SampledLaw):
+    """The special case of one column, the constant, and nu = 0: the excess of the last sample is that of the next."""
+
+    def learn(self, h: Array, g: Array, free: Array) -> None:
+        self.theta = np.where(free, self.known.y, self.theta[:, 0])[:, None]
+
+    def begin(self, q: Array) -> None:
+        super().begin(q)
+        self.theta = np.zeros((q.size, 1))
+
+    def predict(self, at: Known, u: Array, v: Array) -> Array:
+        return np.array(u - self.theta[:, 0])
+
+    def command(self, at: Known, v: Array) -> Array:
+        return np.clip(v + self.theta[:, 0], -self.u_max, self.u_max)
 
 
-def closed_loop(law: SampledLaw, plant: Plant, path: Path, ticks: int, encoder: float = 0.0) -> dict[str, Array]:
+@dataclass
+class Kinematic(SampledLaw):
+    """The baseline: J^-1 dx_d - gamma J' (x - x_d), commanded as it is and a delay ignored."""
+
+    def tick(self, k: int, q: Array, path: Circle) -> Array:
+        J, error = self.arm.jacobian(q), self.arm.position(q) - path(k * self.T)
+        self.v_des = np.linalg.solve(J, path.velocity(k * self.T)) - self.gamma * J.T @ error
+        self.sent.append(self.v_des)
+        return self.sent.pop(0)
+
+
+def closed_loop(law: SampledLaw, plant: Plant, path: Circle, ticks: int, encoder: float = 0.0) -> dict[str, Array]:
     """What is seen at every tick: q as it is, x - x_d, u as applied from then on, v_des and theta as just learnt."""
     seen: dict[str, list[Array]] = {name: [] for name in ("q", "error", "u", "v_des", "theta")}
     q = plant.q
