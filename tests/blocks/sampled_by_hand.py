@@ -2,7 +2,7 @@
 
 Sample j goes from j T to (j + 1) T with the command u_j held; v_j is the mean velocity in it. Averaged over the sample
 the servo says y_j = u_j - v_j = psi_j' theta, row by row, with unknown constants theta = (k_P, k_I, constant, w a,
-w B, w D). An estimator learns theta from positions and commands alone, and the command of a sample inverts the relation.
+w B, w D). An estimator learns theta from positions and commands alone, and a sample's command inverts the relation.
 """
 
 from __future__ import annotations
