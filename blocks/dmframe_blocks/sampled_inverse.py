@@ -131,6 +131,7 @@ class SampledInverse(AbstractBlock):
         State("plans", "n d", "rad/s", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
         State("count", sampled=True),
+        State("turn", sampled=True, optional=True),
     )
 
     servo: Literal["pid", "pi"] = "pid"
@@ -183,11 +184,13 @@ class SampledInverse(AbstractBlock):
         h, g = (named("h", psi - x.psi_slow), named("g", y - x.y_slow)) if self.filtered else (psi, y)
 
         learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
-        row, goal, late = self._meant(x, p, averaged.of_joint(learns) * h, learns * g)
+        row, goal, kept = self._meant(x, p, averaged.of_joint(learns) * h, learns * g)
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
         q_t, z = x.q_t + T * u_applied, x.z + T * (middle - x.q_t - T * u_applied / 2)
+        if self.stride > 1:
+            kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
         start, slow, next_slow = Start(u.q, q_t, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
             psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
@@ -208,7 +211,7 @@ class SampledInverse(AbstractBlock):
                 "theta": theta_new,
                 "rows": self._stored(x, p, x.rows, row),
                 "goals": self._stored(x, p, x.goals, goal),
-                **late,
+                **kept,
                 **next_slow,
                 "q_before": u.q,
                 "q_t": q_t,
@@ -243,9 +246,9 @@ class SampledInverse(AbstractBlock):
         return mean, named("mean_goal", (goal + averaged.total(x.late_goals)) / number), late
 
     def _stored(self, x: Signals, p: Signals, rows: SX, new: SX) -> SX:
-        """The rows with a new one, each time that it is the turn of one."""
+        """The rows with a new one, each time that its turn has come."""
         pushed = self._averaged(p).pushed(rows, new)
-        return pushed if self.stride == 1 else ca.if_else(ca.fmod(x.count, self.stride) == 0, pushed, rows)
+        return pushed if self.stride == 1 else ca.if_else(x.turn < 1, pushed, rows)
 
     def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
         """Theta after a new row, the stored ones, and the new one again, in its box."""
