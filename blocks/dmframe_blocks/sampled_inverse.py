@@ -28,7 +28,7 @@ class SampledInverse(AbstractBlock):
 
     Averaged over a sample from kT to (k+1)T with the command u held, servo and robot are linear in constants of each
     joint, from measured positions alone. With v = (q(k+1) - q(k))/T, the middle pose m = q + T v/2, the servo's target
-    q_t, e = m - q_t - T u/2 and z the sum of T e over the samples before:
+    target, e = m - target - T u/2 and z the sum of T e over the samples before:
 
         y = u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
 
@@ -103,7 +103,7 @@ class SampledInverse(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (12) and (32), read over a sample.
+    [WangTAC2020]_, whose inverses of both servos it reads over a sample.
     """
 
     uses_robot: ClassVar[bool] = True
@@ -123,7 +123,7 @@ class SampledInverse(AbstractBlock):
         State("psi_slow", "c", sampled=True, optional=True, recorded=False),
         State("y_slow", "n", "rad/s", sampled=True, optional=True),
         State("q_before", "n", "rad", sampled=True),
-        State("q_t", "n", "rad", sampled=True),
+        State("target", "n", "rad", sampled=True),
         State("z", "n", "rad s", sampled=True),
         State("m_before", "n", "rad", sampled=True),
         State("v_before", "n", "rad/s", sampled=True),
@@ -170,7 +170,7 @@ class SampledInverse(AbstractBlock):
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, as if nothing had been commanded in the sample before."""
         averaged, still = self._averaged(p), 0 * u.q
-        begins = {"q_before": u.q, "q_t": u.q, "m_before": u.q, "m_planned": u.q}
+        begins = {"q_before": u.q, "target": u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
@@ -179,19 +179,19 @@ class SampledInverse(AbstractBlock):
         """What the last sample was, what is learnt from it, where the command will act, and the command."""
         averaged, T = self._averaged(p), u.T
         u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.q_t, x.z, x.m_before, x.v_before), v, u_applied, T))
-        y = named("y", u_applied - v)
-        h, g = (named("h", psi - x.psi_slow), named("g", y - x.y_slow)) if self.filtered else (psi, y)
+        psi = named("psi", self._psi(p, Start(x.q_before, x.target, x.z, x.m_before, x.v_before), v, u_applied, T))
+        y = named("y_row", u_applied - v)
+        h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
 
         learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
         row, goal, kept = self._meant(x, p, averaged.of_joint(learns) * h, learns * g)
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
-        q_t, z = x.q_t + T * u_applied, x.z + T * (middle - x.q_t - T * u_applied / 2)
+        target, z = x.target + T * u_applied, x.z + T * (middle - x.target - T * u_applied / 2)
         if self.stride > 1:
             kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
-        start, slow, next_slow = Start(u.q, q_t, z, middle, v), 0 * y, dict[str, SX]()
+        start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
             psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
             y_slow = named("y_next", x.y_slow + T / p.tau * (y - x.y_slow))
@@ -214,7 +214,7 @@ class SampledInverse(AbstractBlock):
                 **kept,
                 **next_slow,
                 "q_before": u.q,
-                "q_t": q_t,
+                "target": target,
                 "z": z,
                 "m_before": middle,
                 "v_before": v,
@@ -231,7 +231,7 @@ class SampledInverse(AbstractBlock):
     def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
         """The row of a sample with average velocity v under a command; `momentum` 0 leaves that's change out."""
         robot, m = p.robot, start.q + T * v / 2
-        e = m - start.q_t - T * command / 2
+        e = m - start.target - T * command / 2
         change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
         Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
         return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
@@ -255,7 +255,7 @@ class SampledInverse(AbstractBlock):
         averaged, w = self._averaged(p), p.w_0
         sizes = averaged.kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
         box = averaged.kinds(p.k_P_box, p.k_I_box, p.offset_box, w * p.inertia_box, w * p.friction_box)
-        return averaged.learnt(x.theta, h, g, x.rows, x.goals, named("Gamma", sizes * sizes), p.nu, named("box", box))
+        return averaged.learnt(x.theta, h, g, x.rows, x.goals, named("sizes", sizes * sizes), p.nu, named("box", box))
 
     def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
         """S = w M(q)/T as theta has it: how the answer rises with the velocity, by inertia."""
@@ -279,9 +279,9 @@ class SampledInverse(AbstractBlock):
         if self.filtered:
             slow = named(f"slow_{k}", slow + T / p.tau * (left(v) + averaged.offset(theta) - slow))
         middle = named(f"m_{k}", start.q + T * v / 2)
-        z = named(f"z_{k}", start.z + T * (middle - start.q_t - T * command / 2))
-        q_t = named(f"q_t_{k}", start.q_t + T * command)
-        return Start(named(f"q_{k}", start.q + T * v), q_t, z, middle, v), slow
+        z = named(f"z_{k}", start.z + T * (middle - start.target - T * command / 2))
+        target = named(f"target_{k}", start.target + T * command)
+        return Start(named(f"q_{k}", start.q + T * v), target, z, middle, v), slow
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command under which dq_r is what theta predicts, momentum from plan to plan, within its bounds."""
