@@ -290,3 +290,103 @@ Stored = Square | Gathered
 """A term of which V is made; a square alone is also positive."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class NormalisedSteps:
+    r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
+
+    For row after row (h, y), one joint or output j a line, with the floor :math:`\nu > 0` and the diagonal gain
+    :math:`\Gamma > 0`:
+
+    .. math:: \varepsilon_j = y_j - h_j^\top \theta_j, \quad n_j = \nu + h_j^\top \Gamma_j h_j, \quad
+        \theta_j \leftarrow \theta_j + \Gamma_j h_j \varepsilon_j / n_j
+
+    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
+    :math:`\tilde\theta^\top \Gamma^{-1} \tilde\theta` by exactly
+
+    .. math:: - (h^\top \tilde\theta)^2 / n - \nu \varepsilon^2 / n^2 + \eta^2 / n
+
+    whatever the rows are: the first two are never positive, and the third is what the data have that no
+    :math:`\theta_{true}` explains.
+
+    Parameters
+    ----------
+    estimate
+        The state's name.
+    theta, true, gain
+        (n, p); p parameters of each of n outputs.
+    floor
+        A scalar of parameters.
+    rows
+        Pairs of h (n, p) and y (n), in their order.
+    box
+        Nothing, or the least and the greatest values, (n, p) each, into which the last step is put back: it comes no
+        farther from a true value that lies in between.
+    """
+
+    estimate: str
+    theta: SX
+    true: SX
+    gain: SX
+    floor: SX
+    rows: tuple[tuple[SX, SX], ...]
+    box: tuple[SX, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        rows = (piece for row in self.rows for piece in row)
+        return self.theta, self.true, self.gain, self.floor, *rows, *self.box
+
+    def with_pieces(self, pieces: Sequence[SX]) -> NormalisedSteps:
+        """The same steps of other expressions."""
+        theta, true, gain, floor, *rest = pieces
+        count = 2 * len(self.rows)
+        rows = tuple(zip(rest[:count:2], rest[1:count:2], strict=True))
+        return NormalisedSteps(self.estimate, theta, true, gain, floor, rows, tuple(rest[count:]))
+
+    @property
+    def storage(self) -> Square:
+        r""":math:`|\theta - \theta_{true}|^2` weighed with the inverse of the gain."""
+        return Square(ca.vec(self.theta - self.true), 1 / ca.vec(self.gain))
+
+    @property
+    def after(self) -> SX:
+        """The estimate behind the last row, (n, p), before it is put back into the box."""
+        return self._taken()[0]
+
+    @property
+    def held(self) -> SX:
+        """The estimate at the next sample."""
+        return self.after if not self.box else ca.fmin(ca.fmax(self.after, self.box[0]), self.box[1])
+
+    @property
+    def decrease(self) -> SX:
+        r"""The sum of :math:`(h^\top \tilde\theta)^2 / n + \nu \varepsilon^2 / n^2`, never negative."""
+        return self._taken()[1]
+
+    @property
+    def residual(self) -> SX:
+        r"""The sum of :math:`\eta^2 / n`, never negative."""
+        return self._taken()[2]
+
+    def _taken(self) -> tuple[SX, SX, SX]:
+        theta, lost, gained = self.theta, ca.SX(0), ca.SX(0)
+        for h, y in self.rows:
+            size = self.floor + ca.sum2(h * h * self.gain)
+            missed, error = y - ca.sum2(h * theta), ca.sum2(h * (theta - self.true))
+            lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
+            gained += ca.sum1((missed + error) ** 2 / size)
+            theta = stepped(theta, h, y, self.gain, self.floor)
+        return theta, lost, gained
+
+
+def stepped(theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
+    r"""One step of `NormalisedSteps`: :math:`\theta + \Gamma h \varepsilon / (\nu + h^\top \Gamma h)`, (n, p)."""
+    share = (y - ca.sum2(h * theta)) / (floor + ca.sum2(h * h * gain))
+    return theta + gain * h * ca.repmat(share, 1, h.shape[1])

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from dmframe import notebook
 from dmframe.block.faults import parameter_faults
 from dmframe.block.names import type_name
-from dmframe.certificate import SX, Certificate, Condition, Square
+from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
@@ -162,8 +162,12 @@ class AbstractBlock(BaseModel):
         del u, p, truth
         return {}
 
-    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """Storage, dissipation and supply; None for a block that can run but not be proved."""
+    def certificate(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
+        """Storage, dissipation and supply; of a block in sampled time, what it stores, loses and gains from sample to
+        sample; None for a block that can run but not be proved.
+        """
         del u, x, p, truth
         return None
 
@@ -180,7 +184,9 @@ class AbstractBlock(BaseModel):
         """The same of the starts."""
         return self.start(u, p, truth)
 
-    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+    def composed_certificate(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
         """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
         stated = self.certificate(u, x, p, truth)
         return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated
