@@ -27,8 +27,6 @@ ROBOTS = {
             "tool": "ee_link",
         },
     ),
-    "ur10": ("ur10", {}),
-    "panda": ("panda", {}),
     "xarm7": ("xarm7", {}),
 }
 LOOPS = [(task, servo) for task in ("task", "joint") for servo in ("PI", "PID")]
