@@ -22,12 +22,12 @@ from dmframe.exact import zero_test
 from dmframe.robot.library import load
 
 PROVABLE = {
-    "PI": ["kinematics", "task_tracking", "regressor", "dynamic_compensator", "pi_inverse", "pi_servo", "manipulator"],
-    "PID": ["pid_inverse", "pid_servo"],
-    "joint PI": ["joint_tracking"],
+    "PI": ["kinematics", "task_tracking"],
+    "joint PI": ["joint_tracking", "regressor", "dynamic_compensator", "pi_inverse", "pi_servo", "manipulator"],
+    "joint PID": ["pid_inverse", "pid_servo"],
 }
 LIES = [(kind, loop, how) for loop, kinds in PROVABLE.items() for kind in kinds for how in ("storage", "dissipation")]
-LIES.append(("dynamic_compensator", "PI", "supply"))
+LIES.append(("dynamic_compensator", "joint PI", "supply"))
 
 
 def loop(which: str) -> Loop:
