@@ -220,7 +220,7 @@ class Kept:
     Parameters
     ----------
     state
-        The state's name; a matrix of the newest's rows, with a whole number of times its columns.
+        The state's name: a matrix that is filled with matrices like the newest, one below or one beside the other.
     newest
         What is stored at this sample.
     """
@@ -230,6 +230,18 @@ class Kept:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    def pushed(self, state: SX) -> SX:
+        """What the state becomes."""
+        rows, columns = self.newest.shape
+        if columns == state.shape[1]:
+            return ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
+        return ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
+
+    def fits(self, state: SX) -> bool:
+        """The state holds a whole number of these."""
+        sizes = list(zip(self.newest.shape, state.shape, strict=True))
+        return any(a == b for a, b in sizes) and all(a and b % a == 0 for a, b in sizes)
 
 
 @final

@@ -101,20 +101,19 @@ class SampledClaim:
         """The sampled states, by label."""
         return {v.label: v.symbol for v in self.base.loop.stepped if v.next is not None}
 
-    def moved(self, expression: SX, onto: Mapping[str, SX] | None = None) -> SX:
-        """An expression of sampled states one sample later; `onto` stands for what some of them become."""
-        values = {**self.next, **(onto or {})}
+    def moved(self, expression: SX) -> SX:
+        """An expression of sampled states one sample later."""
         used = symbols_in([expression])
         labels = [label for label, symbol in self.symbols.items() if used & symbols_in([symbol])]
         if not labels:
             return expression
-        old, new = stack(self.symbols[label] for label in labels), stack(values[label] for label in labels)
+        old, new = stack(self.symbols[label] for label in labels), stack(self.next[label] for label in labels)
         return ca.substitute([expression], [old], [new])[0]
 
     def change(self, part: SampledPart) -> SX:
-        """V(next) - V of one block, before estimates are put back into their boxes."""
-        onto = {f"{part.block}.{item.estimate}": item.after for item in part.steps if item.box}
-        return self.moved(part.V, onto) - part.V
+        """V(next) - V of one block, but for what boxes take away from it."""
+        own = total([term.value for term in part.storage]) / 2
+        return self.moved(own) - own + total([item.change for item in part.steps]) / 2
 
     def equalities(self) -> list[Equality]:
         """All that has to vanish identically, block by block."""
@@ -127,13 +126,11 @@ class SampledClaim:
         if part.stored:
             yield Equality(part.block, "V(next) - V", change + part.lost - part.gained, scale)
         for item in part.steps:
-            if item.box:
-                becomes = self.next[f"{part.block}.{item.estimate}"]
-                yield _equal(part.block, f"what {item.estimate} becomes", becomes, item.held)
+            becomes = self.next[f"{part.block}.{item.estimate}"]
+            yield _equal(part.block, f"what {item.estimate} becomes", becomes, item.held)
         for memory in part.kept:
             label = f"{part.block}.{memory.state}"
-            width = memory.newest.shape[1]
-            pushed = ca.horzcat(memory.newest, self.symbols[label][:, :-width])
+            pushed = memory.pushed(self.symbols[label])
             yield _equal(part.block, f"what {memory.state} keeps", self.next[label], pushed)
         for relation in part.relations:
             rate = self.along_the_plant(relation.momentum)
@@ -283,26 +280,28 @@ def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:
             yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
             return
     for item in part.steps:
-        shape = ca.SX(item.theta).shape
+        size = ca.SX(item.theta).numel()
         wanted = [("theta", item.theta), ("true", item.true), ("gain", item.gain)]
         wanted += [(f"row {place}", h) for place, (h, _) in enumerate(item.rows)]
         wanted += [("end of the box", end) for end in item.box]
         for what, piece in wanted:
-            if ca.SX(piece).shape != shape:
-                yield f"the steps of {item.estimate}: expected a {what} of {_size(shape)}, found {_size(piece.shape)}"
-        if any(y.shape != (shape[0], 1) for _, y in item.rows):
-            yield f"the steps of {item.estimate}: expected {shape[0]} measured numbers a row, found others"
+            if ca.SX(piece).shape != (size, 1):
+                yield f"the steps of {item.estimate}: expected a {what} of {size} x 1, found {_size(piece.shape)}"
+        if sum(item.parts) != size or min(item.parts, default=0) < 1:
+            yield f"the steps of {item.estimate}: expected parts that make up {size} parameters, found {item.parts}"
+        if any(y.shape != (len(item.parts), 1) for _, y in item.rows):
+            yield f"the steps of {item.estimate}: expected {len(item.parts)} measured numbers a row, found others"
         if not ca.SX(item.floor).is_scalar():
             yield f"the steps of {item.estimate}: expected one floor, found {_size(item.floor.shape)}"
         if len(item.box) not in (0, 2):
             yield f"the steps of {item.estimate}: expected a box of two ends, found {len(item.box)}"
-        state = ca.vec(own[item.estimate])
-        if state.numel() != item.theta.numel() or not ca.is_equal(ca.vec(item.theta), state, 2):
+        state = own[item.estimate]
+        if state.shape != item.theta.shape or not ca.is_equal(item.theta, state, 2):
             yield f"the steps of {item.estimate} start from something else than that state"
     for memory in part.kept:
-        rows, columns = own[memory.state].shape
-        if memory.newest.shape[0] != rows or columns % memory.newest.shape[1]:
-            yield (f"{memory.state} is {rows} x {columns}, which is no whole number of {_size(memory.newest.shape)}")
+        if not memory.fits(own[memory.state]):
+            shape, one = own[memory.state].shape, memory.newest.shape
+            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
     for term in (*part.storage, *part.decrease, *part.residual):
         vector, weight = map(ca.SX, term.pieces)
         if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):
