@@ -73,9 +73,9 @@ def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
     return _field(Spec(shape, unit, ">= 0"), default)
 
 
-def Interval(shape: str = "", unit: str = "") -> Any:
-    """A box ``[lower, upper]`` for a state of this shape; left out, the state is not bounded."""
-    return _field(Spec(shape, unit, "", "box"), None)
+def Interval(shape: str = "", unit: str = "", *, default: Any = None) -> Any:
+    """A box ``[lower, upper]`` for a state of this shape; left out without a default, the state is not bounded."""
+    return _field(Spec(shape, unit, "", "box"), default)
 
 
 def Around(shape: str = "", unit: str = "") -> Any:

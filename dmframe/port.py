@@ -65,6 +65,9 @@ class Port:
     drawn
         Of an input that nobody drives, the distribution from which each sample draws it anew: ``normal`` (mean 0,
         variance 1) or ``uniform`` (from -1 to 1), every element by itself. The run's seed decides the numbers.
+    ahead_of, ahead
+        The input of the same block that this one is, `ahead` whole samples later. Nobody needs to drive such an input:
+        the other one has to be a source's signal, whose future is known. A block that reads it runs on a clock alone.
     """
 
     name: str
@@ -75,6 +78,8 @@ class Port:
     optional: bool = False
     full_rank: bool = False
     drawn: str = ""
+    ahead_of: str = ""
+    ahead: int = 1
 
 
 @final
@@ -87,6 +92,8 @@ class State:
 
     Parameters
     ----------
+    recorded
+        It stands in a run's results unless the log names other signals. A long memory that nobody looks at need not.
     sampled
         It keeps its value between samples, and `Equations.next` says what it is at the next one. Without it the state
         moves in continuous time, as `Equations.rates` says.
@@ -108,6 +115,7 @@ class State:
     gain: str = ""
     optional: bool = False
     sampled: bool = False
+    recorded: bool = True
 
 
 DISTRIBUTIONS = ("normal", "uniform")

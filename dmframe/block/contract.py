@@ -25,7 +25,7 @@ _LISTS: Final[Mapping[str, type[Port | State | Adapted]]] = {
     "truth": Port,
     "estimates": Adapted,
 }
-_KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "Access": Access}
+_KINDS: Final[Mapping[str, type]] = {"str": str, "bool": bool, "int": int, "Access": Access}
 """What the fields of a port, a state and a parameter hold, by their annotations."""
 
 
@@ -79,7 +79,7 @@ def _misfit(item: Any, of: str) -> Iterator[str]:
     for each in fields(item):
         value, kind = getattr(item, each.name), _KINDS[str(each.type)]
         if not isinstance(value, kind):
-            expected = "a text" if kind is str else f"of type {kind.__name__}"
+            expected = {str: "a text", int: "a whole number"}.get(kind, f"of type {kind.__name__}")
             yield f"expected the {each.name} {of} to be {expected}, found {_short(value)}"
 
 
@@ -128,10 +128,34 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the output {port.name} is drawn; an input is, from which outputs may follow"
         elif port.drawn and port.drawn not in DISTRIBUTIONS:
             yield f"the input {port.name} is drawn from {port.drawn}, unknown; {nearest(port.drawn, DISTRIBUTIONS)}"
+    yield from _ahead_breaches(block)
     yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
     yield from _estimate_breaches(block)
+
+
+def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """Ports that are another one some samples later, and cannot be."""
+    inputs = {port.name: port for port in block.inputs}
+    for port in (*block.inputs, *block.outputs):
+        of = port.ahead_of
+        if not of:
+            continue
+        if port not in block.inputs:
+            yield f"the output {port.name} is {of} some samples later; an input is, which a source's future drives"
+        elif of not in inputs:
+            yield f"the input {port.name} is declared {of} some samples later, unknown; {nearest(of, inputs)}"
+        elif inputs[of].ahead_of:
+            yield f"the input {port.name} is {of} some samples later, which looks ahead itself; count from what is now"
+        elif block.side is Side.PLANT:
+            yield f"the input {port.name} looks ahead, and a plant has no foresight; read {of}, or state a controller"
+        elif port.ahead < 1:
+            yield f"the input {port.name} is {of} {port.ahead} samples later; expected 1 or more"
+        elif port.drawn or port.derivative_of:
+            yield f"the input {port.name} looks ahead, and is drawn or a derivative too; choose one"
+        elif (inputs[of].shape, inputs[of].unit) != (port.shape, port.unit):
+            yield f"the input {port.name} is {of} some samples later, and has another shape or unit"
 
 
 def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:

@@ -22,7 +22,7 @@ class Variable:
     """A state of the closed loop; `shape` in letters, as declared.
 
     `rate` is its time derivative, zero of a sampled state between samples; `next` a sampled state's value one sample
-    later, before it is projected, and None in continuous time.
+    later, before it is projected, and None in continuous time. Results hold it where it is `recorded` or asked for.
     """
 
     block: str
@@ -32,6 +32,7 @@ class Variable:
     symbol: SX
     rate: SX
     next: SX | None = None
+    recorded: bool = True
 
     @property
     def label(self) -> str:
@@ -102,6 +103,8 @@ class ClosedLoop:
         t, and the sampling period T where a block reads it.
     controller, plant
         The states; of the plant's, the sampled ones first.
+    ahead
+        What trajectories are whole samples later, as functions of t and T.
     noises
         What each sample draws anew.
     """
@@ -111,6 +114,7 @@ class ClosedLoop:
     controller: tuple[Variable, ...]
     plant: tuple[Variable, ...]
     trajectories: tuple[Leaf, ...]
+    ahead: tuple[Leaf, ...]
     noises: tuple[Noise, ...]
     crossings: tuple[Leaf, ...]
     projections: tuple[Projection, ...]
@@ -178,6 +182,8 @@ class ClosedLoop:
     @property
     def clocked(self) -> str:
         """Why it runs on a clock alone, as a clause; empty for a loop that runs in continuous time too."""
+        if self.ahead:
+            return f"a block looks ahead at {self.ahead[0].name}, T the sampling period"
         for variable in self.variables:
             if variable.next is not None:
                 return f"{variable.label} is a sampled state"
@@ -197,11 +203,11 @@ class ClosedLoop:
         return stack(noise.symbol for noise in self.noises)
 
     def joined(self, expressions: Sequence[SX]) -> list[SX]:
-        """Expressions with measured and commanded signals replaced by what they are."""
-        return _put(expressions, self._crossed)
+        """Expressions with measured, commanded and future signals replaced by what they are."""
+        return _put(_put(expressions, self._crossed), columns(self.ahead))
 
     def on_path(self, expression: SX) -> SX:
-        """An expression with the trajectories replaced by what they are as functions of time."""
+        """An expression with the trajectories, and what they are later, replaced by functions of time."""
         return _put([expression], self._path)[0]
 
     def standing(self, t: float) -> ClosedLoop:
@@ -209,7 +215,12 @@ class ClosedLoop:
         outputs = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
         meanings = [leaf.expression if leaf.name in outputs else 0 * leaf.expression for leaf in self.trajectories]
         at = ca.substitute(meanings, [self.time], [ca.SX(t)]) if meanings else []
-        return replace(self, trajectories=tuple(map(Leaf.standing_for, self.trajectories, at)))
+        still = {leaf.name: value for leaf, value in zip(self.trajectories, at, strict=True)}
+        return replace(
+            self,
+            trajectories=tuple(map(Leaf.standing_for, self.trajectories, at)),
+            ahead=tuple(leaf.standing_for(still[leaf.name.partition("(")[0]]) for leaf in self.ahead),
+        )
 
     def projected(self, expressions: Sequence[SX], *, joined: bool = True) -> list[SX]:
         """Expressions with each projection's correction as its law says: it stops a rate that leads out of the set.
@@ -264,7 +275,7 @@ class ClosedLoop:
 
     @cached_property
     def _path(self) -> tuple[SX, SX]:
-        return columns(self.trajectories)
+        return columns((*self.trajectories, *self.ahead))
 
 
 def _put(expressions: Sequence[SX], pair: tuple[SX, SX]) -> list[SX]:

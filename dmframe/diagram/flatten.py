@@ -22,7 +22,8 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         for state in (state for state in model.block.states if state.name in model.states):
             rate, after = resolver.rate(name, state.name), resolver.next(name, state.name)
             leaf = model.states[state.name]
-            sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, leaf, rate, after))
+            moves = leaf, rate, after, state.recorded
+            sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, *moves))
         for port in model.block.outputs:
             if port.name in model.equations.outputs:
                 expression = _output(resolver, model, port.name)
@@ -34,6 +35,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         controller=tuple(sides[Side.CONTROLLER]),
         plant=tuple(sorted(sides[Side.PLANT], key=lambda variable: variable.next is None)),
         trajectories=tuple(resolver.trajectories.values()),
+        ahead=tuple(resolver.ahead.values()),
         noises=tuple(Noise(".".join(end), leaf, drawn[end]) for end, leaf in resolver.drawn.items()),
         crossings=_crossings(resolver),
         projections=tuple(resolver.projections.values()),

@@ -17,7 +17,7 @@ import casadi as ca
 from dmframe.block.model import BlockModel, symbol, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.projection import Ball, Box, Projection
-from dmframe.diagram.wiring import Derived, Drawn, End, Period, Source, Time, Wire
+from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
 from dmframe.port import Access, Side
@@ -46,6 +46,7 @@ class Resolver:
         self.models, self.sources = models, sources
         self.time, self.period = ca.SX.sym("t"), ca.SX.sym("T")
         self.drawn = dict[End, SX]()
+        self.ahead = dict[tuple[str, str, int], Leaf]()
         self.trajectories = dict[tuple[str, str, int], Leaf]()
         self.crossings = dict[End, Leaf]()
         self.projections = dict[End, Projection]()
@@ -96,12 +97,26 @@ class Resolver:
                 return self.drawn.setdefault((block, port), symbol(f"{block}.{port}", model.inputs[port].shape))
             case Wire():
                 return self._across(source, model.block.side)
+            case Ahead(of, samples):
+                return self._later(self.sources[block, of], samples).symbol
             case Derived():
                 with self._entered(f"{block}.{port}") as free:
                     held = self.input(block, source.of)
                     return self.derivative(held, f"{block}.{port}") if free else _unknown((block, port), held)
             case _:
                 return ca.SX.zeros(*model.inputs[port].shape)
+
+    def _later(self, source: Source, samples: int) -> Leaf:
+        """A source's output whole samples later, as a leaf."""
+        if not isinstance(source, Wire):  # `wire_blocks` refuses it
+            raise TypeError(source)
+        key = (source.block, source.port, samples)
+        if key not in self.ahead:
+            now = self.output(source.block, source.port)
+            (later,) = ca.substitute([now], [self.time], [self.time + samples * self.period])
+            name = f"{source.block}.{source.port}(t + {'' if samples == 1 else samples}T)"
+            self.ahead[key] = Leaf(name, Side.SOURCE, symbol(name, now.shape), later)
+        return self.ahead[key]
 
     def expand(self, block: str, expression: SX) -> SX:
         """An expression in a block's own symbols, its inputs replaced by what drives them."""
@@ -127,6 +142,10 @@ class Resolver:
     def _refuse_steps(self, used: set[int], wanted_by: str) -> None:
         """What moves in steps has no time derivative."""
         drawn = (".".join(end) for end, leaf in self.drawn.items() if used & symbols_in([leaf]))
+        for leaf in self.ahead.values():
+            if used & symbols_in([leaf.symbol]):
+                text = f"{wanted_by} is a time derivative of what looks ahead at {leaf.name}; take differences"
+                self._tell_once(DerivativeError(text, path=("blocks", wanted_by.partition(".")[0])))
         steps = [
             f"{name}.{state}"
             for name, model in self.models.items()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import final
 
@@ -53,11 +53,20 @@ class Drawn:
 
 @final
 @dataclass(frozen=True)
+class Ahead:
+    """The input is another input of its block, whole samples later."""
+
+    of: str
+    samples: int
+
+
+@final
+@dataclass(frozen=True)
 class Zero:
     """The optional input that nobody drives."""
 
 
-Source = Wire | Derived | Time | Period | Drawn | Zero
+Source = Wire | Derived | Time | Period | Drawn | Ahead | Zero
 Outputs = Mapping[str, Mapping[str, Port]]
 
 
@@ -78,7 +87,24 @@ def wire_blocks(
                 faults.append(found)
             else:
                 sources[end] = found
-    return sources, faults
+    return sources, [*faults, *_unforeseen(blocks, sources)]
+
+
+def _unforeseen(blocks: Mapping[str, AbstractBlock], sources: Mapping[End, Source]) -> Iterator[WiringError]:
+    """Inputs that look ahead at a signal whose future nobody knows."""
+    for (name, port), source in sources.items():
+        if not isinstance(source, Ahead):
+            continue
+        now = sources.get((name, source.of))
+        if now is None or (isinstance(now, Wire) and blocks[now.block].side is Side.SOURCE):
+            continue
+        found = f"{now.block}.{now.port}" if isinstance(now, Wire) else "no other block's"
+        samples = "a sample" if source.samples == 1 else f"{source.samples} samples"
+        yield WiringError(
+            f"{name}.{port}: expected {name}.{source.of}, which it is {samples} later, to be the signal of a source, "
+            f"found {found}; only the future of a function of time is known",
+            path=("blocks", name),
+        )
 
 
 def _explicit(
@@ -105,6 +131,8 @@ def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
         return Period()
     if port.drawn:
         return Drawn()
+    if port.ahead_of:
+        return Ahead(port.ahead_of, port.ahead)
     found = [Wire(other, port.name) for other, ports in outputs.items() if other != name and port.name in ports]
     if len(found) == 1:
         return found[0]

@@ -192,7 +192,7 @@ def _some(spec: Spec) -> Any:
 
 def _sizes(block: AbstractBlock, chain: SerialChain | None) -> Sizes:
     sizes = Sizes()
-    bound = {**_SIZES, **({} if chain is None else block.sizes(chain))}
+    bound = {**_SIZES, **block.sizes(chain)}
     for letter, size in bound.items():
         sizes.bind(letter, size, "this page")
     return sizes

@@ -22,6 +22,7 @@ from dmframe.errors import BlockError
 from dmframe.formula.points import Draw, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
 from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
+from dmframe.port import PERIOD
 
 
 @final
@@ -138,8 +139,12 @@ class Reading:
         return _as_kind(stated, signs.as_kind) if isinstance(stated, Certificate) else None
 
     def values(self, signs: Signs, seed: int) -> dict[str, Any]:
-        """Random numbers for the names of a reading (see `Draw`); parameters are above zero, the robot's its own."""
+        """Random numbers for the names of a reading (see `Draw`), the robot's its own.
+
+        Parameters are above zero, and so is the sampling period.
+        """
         draw, positive = Draw(seed), {*self.model.parameters, *self.model.starts}
+        positive |= {port.name for port in self.model.block.inputs if port == PERIOD}
         found = dict[str, Any]()
         for name, symbol in signs.names.items():
             bare = name.replace(START, "_0").removesuffix(GIVEN)

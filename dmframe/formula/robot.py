@@ -19,6 +19,9 @@ SIGNS: Final[Mapping[str, str]] = {
     "kinematic_regressor": "Y_k",
     "position_regressor": "W_k",
     "regressor": "Y_inertia",
+    "momentum_regressor": "Y_momentum",
+    "kinetic_regressor": "Y_kinetic",
+    "gravity_regressor": "Y_gravity",
     "mass_matrix": "M",
     "coriolis": "C",
     "gravity_torque": "g_full",
@@ -189,6 +192,18 @@ class ReadRobot:
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
         """The regressor of the torque of this motion, without friction, in ten inertial parameters a link."""
         return self._call("regressor", q=q, dq=dq, dq_ref=dq_ref, ddq_ref=ddq_ref)
+
+    def momentum_regressor(self, q: Any, dq: Any) -> Any:
+        """The regressor of the joints' momentum M(`q`) `dq`, in ten inertial parameters a link."""
+        return self._call("momentum_regressor", q=q, dq=dq)
+
+    def kinetic_regressor(self, q: Any, dq: Any) -> Any:
+        """The regressor of the slope of the kinetic energy in `q`, in ten inertial parameters a link."""
+        return self._call("kinetic_regressor", q=q, dq=dq)
+
+    def gravity_regressor(self, q: Any) -> Any:
+        """The regressor of the torque of gravity, in ten inertial parameters a link."""
+        return self._call("gravity_regressor", q=q)
 
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
         """The mass matrix; of other inertial parameters where a second argument gives them."""

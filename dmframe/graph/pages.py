@@ -12,7 +12,7 @@ from dmframe.block.prose import about, prose
 from dmframe.columns import columns, page_width, width
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
-from dmframe.diagram.wiring import Derived, Drawn, Period, Source, Time, Wire
+from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, Wire
 from dmframe.formula import Line
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.docstring import check_docstring
@@ -69,8 +69,14 @@ def source_text(source: Source, name: str) -> str:
             return "the sampling period"
         case Drawn():
             return "drawn anew at each sample"
+        case Ahead(of, samples):
+            return f"{name}.{of}, {_samples(samples)} later"
         case _:
             return "0 (nobody drives it)"
+
+
+def _samples(count: int) -> str:
+    return "a sample" if count == 1 else f"{count} samples"
 
 
 def _names(names: Iterable[str]) -> str:
@@ -180,6 +186,7 @@ def _port(port: Port) -> tuple[str, ...]:
     said = [] if port.access is Access.INTERNAL else [port.access.value]
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
     said += [f"drawn anew at each sample, {port.drawn}"] * bool(port.drawn)
+    said += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
     return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)
 
 

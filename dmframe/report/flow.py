@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, final
 
 from dmframe.diagram import Diagram
-from dmframe.diagram.wiring import Derived, Drawn, End, Period, Time, Wire, Zero
+from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Time, Wire, Zero
 from dmframe.port import ANY, Access, Side
 
 SIDES: Final = (Side.SOURCE, Side.CONTROLLER, Side.PLANT)
@@ -19,8 +19,8 @@ SIDES: Final = (Side.SOURCE, Side.CONTROLLER, Side.PLANT)
 class Taken:
     """An input: the block and the output that drive it, empty where no block does, and `how` it comes by its value.
 
-    `how` is ``measured``, ``commanded``, ``wired``, ``derivative``, ``time``, ``period``, ``drawn`` or ``zero``; a
-    derivative is that of the input `signal`.
+    `how` is ``measured``, ``commanded``, ``wired``, ``derivative``, ``time``, ``period``, ``drawn``, ``ahead`` or
+    ``zero``; a derivative is that of the input `signal`.
     """
 
     name: str
@@ -90,6 +90,9 @@ def _taken(diagram: Diagram, name: str, port: str, unit: str) -> Taken:
             return Taken(port, unit, "period")
         case Drawn():
             return Taken(port, unit, "drawn")
+        case Ahead(of):
+            source = diagram.sources[name, of]
+            return Taken(port, unit, "ahead", source.block if isinstance(source, Wire) else "")
         case Zero():
             return Taken(port, unit, "zero")
 

@@ -20,6 +20,7 @@ FROM: Final = {
     "time": "the time {names}",
     "period": "the sampling period {names}",
     "drawn": "{names}, drawn anew at each sample",
+    "ahead": "{names}, which {block} will say at samples to come",
 }
 """How an input comes by its value, in words."""
 

@@ -216,6 +216,26 @@ class SymbolicRobot:
         r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's slope in the inertia."""
         return ca.jacobian(self.inverse_dynamics(q, dq, dq_ref, ddq_ref), self.inertia)
 
+    def momentum_regressor(self, q: Any, dq: Any) -> Any:
+        r"""Y_p(q, dq) of the joints' momentum :math:`M(q) \dot q = Y_p a`, SX (n, 10 n)."""
+        at, along, still = ca.SX.sym("q", self.n), ca.SX.sym("dq", self.n), ca.SX(self.n, 1)
+        momentum = self.inverse_dynamics(at, still, still, along, gravity_share=0)
+        return ca.substitute([ca.jacobian(momentum, self.inertia)], [at, along], [ca.densify(q), ca.densify(dq)])[0]
+
+    def kinetic_regressor(self, q: Any, dq: Any) -> Any:
+        r"""Y_c(q, dq) of :math:`\partial_q (\tfrac12 \dot q^\top M(q) \dot q) = C(q, \dot q)^\top \dot q = Y_c a`,
+        SX (n, 10 n), the torque by which the momentum changes beside the torques that act: :math:`\dot M = C + C^\top`.
+        """
+        at, along, still = ca.SX.sym("q", self.n), ca.SX.sym("dq", self.n), ca.SX(self.n, 1)
+        energy = ca.dot(along, self.inverse_dynamics(at, still, still, along, gravity_share=0)) / 2
+        slope = ca.jacobian(ca.gradient(energy, at), self.inertia)
+        return ca.substitute([slope], [at, along], [ca.densify(q), ca.densify(dq)])[0]
+
+    def gravity_regressor(self, q: Any) -> Any:
+        """Y_g(q) of g(q) = Y_g a, SX (n, 10 n)."""
+        at = ca.SX.sym("q", self.n)
+        return ca.substitute([ca.jacobian(self.gravity_torque(at), self.inertia)], [at], [ca.densify(q)])[0]
+
     def mass_matrix(self, q: Any, inertia: Any = None) -> Any:
         r"""M(q), SX (n, n), by composite bodies; symmetric by construction.
 

@@ -31,8 +31,8 @@ class Log:
         The time between instants that are kept [s], rounded to whole ticks. None: every tick, or, where that were more
         than `PLENTY` numbers, as often as these allow.
     signals
-        Labels ``block.signal`` of states and outputs; None for all. A trajectory and what should follow it are kept
-        always, for the error.
+        Labels ``block.signal`` of states and outputs; None for all but states that are not `recorded`. A trajectory and
+        what should follow it are kept always, for the error.
     """
 
     every: float | None = None
@@ -78,11 +78,12 @@ def keeping(
     """
     variables = diagram.loop.variables
     items: list[Variable | Signal] = [*variables, *recorded, *matrices]
-    wanted = {variable.label for variable in variables} | {signal.label for signal in recorded}
+    known = {variable.label for variable in variables} | {signal.label for signal in recorded}
+    wanted = known - {variable.label for variable in variables if not variable.recorded}
     if log.signals is not None:
-        strangers = [name for name in dict.fromkeys(log.signals) if name not in wanted]
+        strangers = [name for name in dict.fromkeys(log.signals) if name not in known]
         path = ("log", "signals")
-        raise_all([UnknownNameError("log.signals", "signal", name, wanted, path=path) for name in strangers])
+        raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in diagram.loop.followed for label in pair[:2])}
     wanted |= {matrix.label for matrix in matrices}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0

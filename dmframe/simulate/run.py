@@ -366,7 +366,7 @@ def _recorded(diagram: Diagram) -> list[Signal]:
     """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
-    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.crossings))
+    leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
     moving = stack([loop.time, loop.drawn, loop.state, *leaves])
     return [
         signal

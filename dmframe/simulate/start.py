@@ -310,7 +310,8 @@ def _goal(loop: ClosedLoop, wanted: Any) -> Any:
 def _stated(diagram: Diagram, expression: Any, known: Sequence[Variable]) -> Any:
     """(t, p, known states as one column, what is drawn, T) -> what a block says."""
     loop = diagram.loop
-    leaves, meanings = columns(list(diagram.resolver.trajectories.values()))  # one may be read by this start alone
+    resolver = diagram.resolver
+    leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some for this start alone
     (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
     inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
     return ca.Function("at_start", inputs, [ca.vec(joined)])

@@ -372,3 +372,36 @@ def test_the_kinematic_regressors_are_pinocchios_slopes_in_the_translations(name
     W_k, Y_k = np.split(np.array(slopes).T, 2)
     close(evaluate(robot, robot.position_regressor, q), W_k, tolerance=1e-6)
     close(evaluate(robot, robot.kinematic_regressor, q, psi), Y_k, tolerance=1e-6)
+
+
+def test_the_momentum_and_its_regressor_are_pinocchios(chain):
+    robot, model = SymbolicRobot(chain), chain.model
+    for q, dq in zip(points(chain.n), points(chain.n, 1), strict=True):
+        momentum = evaluate(robot, lambda q, dq: robot.momentum_regressor(q, dq) @ robot.inertia, q, dq)
+        M = pin.crba(model, model.createData(), pin_configuration(chain, q))
+        close(momentum, (np.triu(M) + np.triu(M, 1).T) @ dq)
+        zero = np.zeros(chain.n)
+        still, moved = (oracle_regressor(chain, q, zero, zero, v) for v in (zero, dq))
+        close(evaluate(robot, robot.momentum_regressor, q, dq), moved - still)
+
+
+def test_the_kinetic_regressor_is_the_slope_of_pinocchios_kinetic_energy(chain):
+    robot, model, step = SymbolicRobot(chain), chain.model, 1e-6
+
+    def energy(q, dq):
+        return pin.computeKineticEnergy(model, model.createData(), pin_configuration(chain, q), dq)
+
+    for q, dq in zip(points(chain.n), points(chain.n, 1), strict=True):
+        found = evaluate(robot, lambda q, dq: robot.kinetic_regressor(q, dq) @ robot.inertia, q, dq)
+        slope = [(energy(q + d, dq) - energy(q - d, dq)) / (2 * step) for d in step * np.eye(chain.n)]
+        close(found, np.array(slope), 1e-7)
+        zero = np.zeros(chain.n)
+        transposed = evaluate(robot, lambda q, dq: robot.coriolis(q, dq).T @ dq, q, dq)
+        close(found, transposed)  # C'dq, of Christoffel's C
+        assert np.allclose(evaluate(robot, robot.kinetic_regressor, q, zero), 0)
+
+
+def test_the_gravity_regressor_is_pinocchios(chain):
+    robot, zero = SymbolicRobot(chain), np.zeros(chain.n)
+    for q in points(chain.n):
+        close(evaluate(robot, robot.gravity_regressor, q), oracle_regressor(chain, q, zero, zero, zero))

@@ -1,0 +1,274 @@
+"""A closed position servo read over one sample: linear in constants of each joint.
+
+Averaged over a sample of length T with the command u held, each joint of a robot behind a PID position servo obeys
+
+    u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
+
+but for what averages of functions differ from functions of averages: v is the average velocity, m the middle pose, e
+the error of the target in the middle, z the sum of T e over the samples before, and Y_p, Y_c, Y_g the joint's rows of
+the regressors. theta holds K_P/K_D, K_I/K_D, an offset, w times the inertial parameters, and w times the friction, with
+w = 1/(K K_D). Of a PI velocity servo, e is the integral itself: (e, 1, ...), K_I/K_P, an offset, and w = 1/(K K_P).
+
+Rows and parameters of all joints stand one below the other, in one column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
+from typing import Any, Final, NamedTuple, final
+
+import casadi as ca
+
+from dmframe.linalg import ldl
+from dmframe.naming import Expression, operation
+from dmframe.port import Element
+from dmframe.robot.chain import SerialChain
+from dmframe.robot.parameters import DynamicParameters, Friction
+from dmframe.robot.symbolic import SymbolicRobot
+
+SERVO: Final = {"pid": ("k_P", "k_I", "offset"), "pi": ("k_I", "offset")}
+"""The constants of a joint's servo that a sample shows: over its velocity gain, K_P and K_I of a PID servo."""
+
+STEEPEST: Final = 4
+"""|w M/T| above which the momentum's change is left out of a command."""
+
+_UNITS: Final = {"k_P": "1/s", "k_I": "1/s^2", "offset": "rad/s"}
+_FRICTION: Final[dict[Friction, str]] = {"viscous": "B", "coulomb": "D"}
+
+
+@lru_cache(maxsize=8)
+def averaged_servo(chain: SerialChain, servo: str, friction: frozenset[Friction]) -> AveragedServo:
+    """The relation of a robot, one object for all who ask."""
+    return AveragedServo(chain, servo, friction)
+
+
+class Start(NamedTuple):
+    """Where a sample starts: pose, target, sum of the errors; middle pose and average velocity of the sample before."""
+
+    q: Any
+    q_t: Any
+    z: Any
+    m_before: Any
+    v_before: Any
+
+
+def _used(chain: SerialChain) -> Sequence[Sequence[int]]:
+    """For each joint the inertial parameters that its torque can hold; a column of zeros would learn nothing."""
+    robot, q, dq = SymbolicRobot(chain), ca.SX.sym("q", chain.n), ca.SX.sym("dq", chain.n)
+    parts = robot.momentum_regressor(q, dq), robot.kinetic_regressor(q, dq), robot.gravity_regressor(q)
+    pattern = ca.densify(sum(ca.DM(part.sparsity(), 1) for part in parts)).full()
+    return [[k for k, entry in enumerate(row) if entry] for row in pattern]
+
+
+@final
+class AveragedServo:
+    """What the columns are, and the operations on them, each of which prints as one sign.
+
+    Attributes
+    ----------
+    joints
+        The part of the column that belongs to each joint.
+    size
+        How many numbers the column holds.
+    elements
+        Their names and units, of theta: k_P1, k_I1, offset1, w1_m_1, ..., w1_B, w1_D, k_P2, ...
+    """
+
+    def __init__(self, chain: SerialChain, servo: str, friction: frozenset[Friction]) -> None:
+        self.chain, self.servo, self.friction = chain, SERVO[servo], [kind for kind in _FRICTION if kind in friction]
+        self._used = _used(chain)
+        self.joints, self.elements = list[slice](), list[Element]()
+        inertial = DynamicParameters(chain).elements
+        for i, used in enumerate(self._used, start=1):
+            first = len(self.elements)
+            self.elements += [Element(f"{name}{i}", _UNITS[name]) for name in self.servo]
+            self.elements += [Element(f"w{i}_{inertial[k].name}") for k in used]
+            self.elements += [Element(f"w{i}_{_FRICTION[kind]}") for kind in self.friction]
+            self.joints.append(slice(first, len(self.elements)))
+        self.size = len(self.elements)
+
+    @cached_property
+    def row(self) -> Callable[..., Expression]:
+        """The operation that makes a row of its parts."""
+
+        @operation
+        def row(e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any) -> Any:
+            """The rows of all joints in one column, of what each joint has."""
+            return self._row(e, sum_e, one, Y, v, phi)
+
+        return row
+
+    @cached_property
+    def answer(self) -> Callable[..., Expression]:
+        """The operation psi' theta."""
+
+        @operation
+        def answer(psi: Any, theta: Any) -> Any:
+            """The product of row and parameters, joint by joint."""
+            return self._sums(psi * theta)
+
+        return answer
+
+    @cached_property
+    def of_joint(self) -> Callable[..., Expression]:
+        """The operation that gives each element the value of its joint."""
+
+        @operation
+        def of_joint(a: Any) -> Any:
+            """For each element of a row the value of its joint."""
+            return self._each(a)
+
+        return of_joint
+
+    @cached_property
+    def changing(self) -> Callable[..., Expression]:
+        """The operation that leaves the constant out of a row."""
+
+        @operation
+        def changing(psi: Any) -> Any:
+            """The row without its constants."""
+            return psi * self._placed(1, 1, 0, 1, 1)
+
+        return changing
+
+    @cached_property
+    def kinds(self) -> Callable[..., Expression]:
+        """The operation that gives each element the value of its kind."""
+
+        @operation
+        def kinds(k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
+            """For each element of a row the value, or the interval, of its kind."""
+            return self._placed(k_P, k_I, offset, inertia, friction)
+
+        return kinds
+
+    @cached_property
+    def learnt(self) -> Callable[..., Expression]:
+        """The operation that learns from rows."""
+
+        @operation
+        def learnt(theta: Any, h: Any, g: Any, rows: Any, goals: Any, Gamma: Any, nu: Any, box: Any) -> Any:
+            """What the rows teach, one by one: h, the stored ones, and h again; each time put back into the box."""
+            stored = [(rows[k, :].T, goals[k, :].T) for k in range(rows.shape[0])]
+            for seen, wanted in ((h, g), *stored, (h, g)):
+                theta = self.projected(theta, seen, wanted, Gamma, nu)
+                theta = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1])
+            return theta
+
+        return learnt
+
+    def projected(self, theta: Any, h: Any, g: Any, Gamma: Any, nu: Any) -> Any:
+        """Theta + Gamma h (g - h' theta)/(nu + h' Gamma h), joint by joint: what one row teaches."""
+        epsilon = g - self._sums(h * theta)
+        return theta + Gamma * h * self._each(epsilon / (nu + self._sums(h * Gamma * h)))
+
+    @cached_property
+    def pushed(self) -> Callable[..., Expression]:
+        """The operation that stores a row."""
+
+        @operation
+        def pushed(rows: Any, new: Any) -> Any:
+            """The rows with a new one before them, and without the last."""
+            return ca.vertcat(new.T, rows[:-1, :])
+
+        return pushed
+
+    @cached_property
+    def share(self) -> Callable[..., Expression]:
+        """The operation that says what a command takes from the row."""
+
+        @operation
+        def share(theta: Any, T: Any) -> Any:
+            """By how much the answer falls with the command: k_P T/2 + k_I T^2/4, with a PI servo k_I T/2."""
+            return self._share(theta, T)
+
+        return share
+
+    @cached_property
+    def inertia(self) -> Callable[..., Expression]:
+        """The operation that makes w M of the momenta of unit velocities."""
+
+        @operation
+        def inertia(theta: Any, momenta: Any) -> Any:
+            """The matrix whose row i is what the parameters of joint i answer to the momenta of unit velocities."""
+            n, still = self.chain.n, ca.SX.zeros(self.chain.n)
+            units = ca.horzsplit(momenta, momenta.shape[1] // n)
+            rows = (self._row(still, still, still, Y, still, still) for Y in units)
+            return ca.horzcat(*(self._sums(psi * theta) for psi in rows))
+
+        return inertia
+
+    @cached_property
+    def safe(self) -> Callable[..., Expression]:
+        """The operation that says whether a command may plan with the momentum."""
+
+        @operation
+        def safe(S: Any, margin: Any) -> Any:
+            """Whether (1/2 - margin) I + S is positive definite in its symmetric part, and S at most 4 in norm."""
+            _, pivots = ldl(ca.DM.eye(self.chain.n) * (0.5 - margin) + (S + S.T) / 2)
+            fine = ca.sumsqr(S) <= STEEPEST**2
+            for pivot in pivots:
+                fine = ca.logic_and(fine, pivot > 0)
+            return fine
+
+        return safe
+
+    @cached_property
+    def offset(self) -> Callable[..., Expression]:
+        """The operation that picks the offsets."""
+
+        @operation
+        def offset(theta: Any) -> Any:
+            """The offset of each joint."""
+            return theta[self._places("offset")]
+
+        return offset
+
+    @cached_property
+    def damping(self) -> Callable[..., Expression]:
+        """The operation that says how the answer rises with the velocity, but for inertia."""
+
+        @operation
+        def damping(theta: Any, v: Any, v_0: Any, T: Any) -> Any:
+            """The slope of the answer in v, but for inertia; of Coulomb friction as a chord, which is steep at rest."""
+            slope = self._share(theta, T)
+            for back, kind in enumerate(reversed(self.friction), start=1):
+                element = theta[[part.stop - back for part in self.joints]]
+                slope += element if kind == "viscous" else element / ca.sqrt(v_0 * v_0 + v * v)
+            return slope
+
+        return damping
+
+    def _row(self, e: Any, sum_e: Any, one: Any, Y: Any, v: Any, phi: Any) -> Any:
+        servo, friction = {"k_P": e, "k_I": sum_e, "offset": one}, {"viscous": v, "coulomb": phi}
+        if "k_P" not in self.servo:
+            servo["k_I"] = e
+        parts = list[Any]()
+        for i, used in enumerate(self._used):
+            parts += [servo[name][i] for name in self.servo]
+            parts += [Y[i, k] for k in used]
+            parts += [friction[kind][i] for kind in self.friction]
+        return ca.vertcat(*parts)
+
+    def _share(self, theta: Any, T: Any) -> Any:
+        k_I = theta[self._places("k_I")]
+        return k_I * T / 2 if "k_P" not in self.servo else theta[self._places("k_P")] * T / 2 + k_I * T * T / 4
+
+    def _places(self, name: str) -> list[int]:
+        return [part.start + self.servo.index(name) for part in self.joints]
+
+    def _sums(self, products: Any) -> Any:
+        return ca.vertcat(*(ca.sum1(products[part]) for part in self.joints))
+
+    def _each(self, values: Any) -> Any:
+        pairs = enumerate(self.joints)
+        return ca.vertcat(*(ca.repmat(values[i], part.stop - part.start, 1) for i, part in pairs))
+
+    def _placed(self, k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
+        """One below the other; a column holds a value for each joint, a row an interval for all."""
+        servo, parts = {"k_P": k_P, "k_I": k_I, "offset": offset}, list[Any]()
+        for i, used in enumerate(self._used):
+            values = [*(servo[name] for name in self.servo), *[inertia] * len(used), *[friction] * len(self.friction)]
+            parts += [value[i] if getattr(value, "shape", (1, 1))[0] > 1 else value for value in values]
+        return ca.vertcat(*parts)

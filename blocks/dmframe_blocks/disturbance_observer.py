@@ -1,0 +1,84 @@
+"""Disturbance observer of a velocity servo: the baseline that needs no model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.naming import named
+from dmframe.parameter import Diagonal, Positive
+from dmframe.port import PERIOD, Access, Port, State
+from dmframe.terms import clip
+
+
+@final
+class DisturbanceObserver(AbstractBlock):
+    r"""Adds to the command what the joints fell short of it in the last sample that is over.
+
+    .. math::
+
+        y         &= u_{applied} - (q - q_{before}) / T                  \tag{1} \\
+        \dot q_c  &= \mathrm{clip}(\dot q_r + y, u_{max})               \tag{2} \\
+        q_{start} &= q, \quad q_{before}^+ = q                           \tag{3}
+
+    It is the regression of `sampled_inverse` with one column, the constant 1, and no memory: what the commands and the
+    joints' average velocities differ by is taken for a disturbance that stays as it is for a sample. It knows neither
+    servo nor robot, and learns nothing. :math:`u_{applied}`, the first of `queue`, is the command that acted.
+
+    A command acts `delay` samples later. The robot is then taken to be where the commands until then lead it, the
+    disturbance staying as it is, so that :math:`q_{start}` gains :math:`T (u - y)` for each of them.
+
+    Parameters
+    ----------
+    delay : 0, 1 or 2
+        Whole samples from a command to its effect. It must be right: told none where there is one, it diverges.
+    u_max : diagonal (n,), rad/s, > 0
+        The largest command.
+
+    Notes
+    -----
+    Not for: a delay that is unknown, or a robot whose accelerations change much within a sample.
+
+    References
+    ----------
+    [YoucefToumiIto1990]_, time delay control, for commands of velocity.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"), PERIOD)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("q_start", "n", "rad"),
+        Port("y", "n", "rad/s"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("q_before", "n", "rad", sampled=True),
+        State("queue", "n d", "rad/s", sampled=True),
+    )
+
+    delay: Literal[0, 1, 2] = 0
+    u_max: Diagonal = Positive("n", "rad/s", default=3.0)
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """D commands act now or wait."""
+        return {"d": self.delay + 1}
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest."""
+        return {"q_before": u.q}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (3)."""
+        u_applied, waiting = named("u_applied", x.queue[:, 0]), x.queue[:, 1:]
+        y = u_applied - (u.q - x.q_before) / u.T
+        dq_c = clip(u.dq_r + y, p.u_max)
+        q_start = u.q
+        for k in range(self.delay):
+            q_start = q_start + u.T * (waiting[:, k] - y)
+        return Equations(
+            outputs={"dq_c": dq_c, "q_start": q_start, "y": y},
+            next={"q_before": u.q, "queue": ca.horzcat(waiting, dq_c)},
+        )

@@ -1,0 +1,265 @@
+"""Adaptive inverse of a position servo, over one sample."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+from pydantic import Field
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.linalg import solve_spd
+from dmframe.naming import named
+from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Scalar
+from dmframe.port import PERIOD, Access, Element, Port, State
+from dmframe.robot.parameters import Friction
+from dmframe.terms import clip
+from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
+
+_PREDICTING = 4
+"""Newton's steps with which the average velocity of a sample is predicted whose command is known."""
+
+
+@final
+class SampledInverse(AbstractBlock):
+    r"""Learns over samples how a closed servo answers, and commands what makes it move as asked.
+
+    Averaged over a sample from kT to (k+1)T with the command u held, servo and robot are linear in constants of each
+    joint, from measured positions alone. With v = (q(k+1) - q(k))/T, the middle pose m = q + T v/2, the servo's target
+    q_t, e = m - q_t - T u/2 and z the sum of T e over the samples before:
+
+        y = u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
+
+    theta = (K_P/K_D, K_I/K_D, offset, w a, w B, w D), w = 1/(K K_D). It is the inverse of `pid_inverse` with equality,
+    so theta follows by regression, whatever moved the robot; no plant stands in the loop of the adaptation. Of a PI
+    servo the row is (e, 1, ...), theta (K_I/K_P, offset, ...), w = 1/(K K_P).
+
+    *Rows.* With `filtered`, what both sides have been over the time tau is taken from them, except from the 1:
+    h = psi - L psi and g = y - L y, L y(k+1) = (1 - T/tau) L y(k) + T/tau y(k). So a target that is known but for a
+    constant is as good, and z may drift.
+
+    *Estimate.* For the new row, the stored ones from new to old, and the new one once more,
+
+        theta = theta + Gamma h (g - h' theta)/(nu + h' Gamma h)
+
+    then each element is put back into its box. With theta in the box the sum of the squared errors, weighed by the
+    inverse of Gamma, rises in no step by more than eta^2/(nu + h' Gamma h), eta being what averages of functions lose
+    against functions of averages, whatever the command, the period and the gain.
+
+    *Command.* u makes the predicted error of the coming sample zero, if its average velocity is dq_r:
+
+        u = (dq_r + psi(dq_r, u = 0)' theta + L (y - psi' theta))/(1 + k_P T/2 + k_I T^2/4)
+
+    its momentum changing from the last planned velocity to this one. Where w M/T is no safe slope, the momentum stays
+    out: the symmetric part of 1 + w M/T - (1/2 + margin) is to be positive definite, and |w M/T| at most 4.
+
+    *Delay.* A command acts `delay` samples later. The samples until then, whose commands are known, are predicted one
+    by one from the same relation; q_start is where the robot then is.
+
+    A joint whose command was clipped at u_max learns nothing from that sample.
+
+    Parameters
+    ----------
+    servo : pid or pi
+        What the maker's servo is: PID of positions, or PI of velocities.
+    friction : list of viscous, coulomb
+        Friction with a column for each joint.
+    delay : 0, 1 or 2
+        Whole samples from a command to its effect. It must be right.
+    replay : number, > 0
+        How many samples are kept and learnt from again.
+    filtered : true or false
+        Learn from changes within tau. Without it an error of the target, even constant, grows in z.
+    tau : scalar, s, > 0
+        The time over which what is slow counts as a disturbance, and not as something to learn.
+    nu : scalar, rad^2/s^2, > 0
+        Below this share of h' Gamma h a row teaches little. Larger is quieter and slower.
+    w_0 : scalar, rad/(N m s), > 0
+        A guess of 1/(K K_D), right to a factor of ten: by it the elements of theta count alike.
+    k_P, k_I : (n,), 1/s, 1/s^2, > 0
+        Where these two elements start; all others start at zero.
+    k_P_size, k_I_size : scalar, 1/s, 1/s^2, > 0
+        How far from their start these elements may well be: Gamma holds the squares.
+    offset_size, inertia_size, friction_size : scalar, N m, kg m^2, N m s/rad, > 0
+        The same of the offset, of w a, and of w B and w D, over w_0.
+    k_P_box, k_I_box, offset_box : interval, 1/s, 1/s^2, rad/s
+        Where these elements are known to be.
+    inertia_box, friction_box : interval, kg m^2, N m s/rad
+        The same of w a and w B, w D, over w_0.
+    u_max : diagonal (n,), rad/s, > 0
+        The largest command.
+    margin : scalar, >= 0
+        Of the slope above 1/2.
+
+    Notes
+    -----
+    Not for: a servo that is not linear, elastic joints, or a delay that changes.
+
+    References
+    ----------
+    [WangTAC2020]_ eqs. (12) and (32), read over a sample.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"), PERIOD)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", Access.COMMANDED),
+        Port("q_start", "n", "rad"),
+        Port("epsilon", "n", "rad/s"),
+        Port("guarded"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("theta", "c", sampled=True),
+        State("rows", "W c", sampled=True, recorded=False),
+        State("goals", "W n", "rad/s", sampled=True, recorded=False),
+        State("psi_slow", "c", sampled=True, optional=True, recorded=False),
+        State("y_slow", "n", "rad/s", sampled=True, optional=True),
+        State("q_before", "n", "rad", sampled=True),
+        State("q_t", "n", "rad", sampled=True),
+        State("z", "n", "rad s", sampled=True),
+        State("m_before", "n", "rad", sampled=True),
+        State("v_before", "n", "rad/s", sampled=True),
+        State("m_planned", "n", "rad", sampled=True),
+        State("plans", "n d", "rad/s", sampled=True),
+        State("queue", "n d", "rad/s", sampled=True),
+        State("begun", sampled=True),
+    )
+
+    servo: Literal["pid", "pi"] = "pid"
+    friction: tuple[Friction, ...] = ("viscous", "coulomb")
+    delay: Literal[0, 1, 2] = 0
+    replay: int = Field(20, ge=1)
+    filtered: bool = True
+    tau: Scalar = Positive("", "s", default=2.0)
+    nu: Scalar = Positive("", "rad^2/s^2", default=1e-5)
+    w_0: Scalar = Positive("", "rad/(N m s)")
+    k_P: Diagonal = Positive("n", "1/s", default=1.8)
+    k_I: Diagonal = Positive("n", "1/s^2", default=1.2)
+    k_P_size: Scalar = Positive("", "1/s", default=1.0)
+    k_I_size: Scalar = Positive("", "1/s^2", default=1.0)
+    offset_size: Scalar = Positive("", "N m", default=30.0)
+    inertia_size: Scalar = Positive("", "kg m^2", default=5.0)
+    friction_size: Scalar = Positive("", "N m s/rad", default=5.0)
+    k_P_box: Box = Interval("", "1/s", default=(0.2, 6.0))
+    k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0))
+    offset_box: Box = Interval("", "rad/s", default=(-1.0, 1.0))
+    inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0))
+    friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0))
+    u_max: Diagonal = Positive("n", "rad/s", default=3.0)
+    margin: Scalar = NonNegative(default=0.05)
+
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        """c: the parameters of all joints."""
+        return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        """W rows are stored; d commands act now or wait."""
+        return {**super().sizes(robot), "W": self.replay, "d": self.delay + 1}
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest, as if nothing had been commanded in the sample before."""
+        averaged, still = self._averaged(p), 0 * u.q
+        begins = {"q_before": u.q, "q_t": u.q, "m_before": u.q, "m_planned": u.q}
+        if self.filtered:
+            begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
+        return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """What the last sample was, what is learnt from it, where the command will act, and the command."""
+        averaged, T = self._averaged(p), u.T
+        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / T)
+        psi = named("psi", self._psi(p, Start(x.q_before, x.q_t, x.z, x.m_before, x.v_before), v, u_applied, T))
+        y = named("y", u_applied - v)
+        h, g = (named("h", psi - x.psi_slow), named("g", y - x.y_slow)) if self.filtered else (psi, y)
+
+        learns = named("learns", x.begun * (ca.fabs(u_applied) < p.u_max))
+        row, goal = averaged.of_joint(learns) * h, learns * g
+        theta_new = named("theta_new", self._updated(x, p, row, goal))
+
+        middle = x.q_before + T * v / 2
+        q_t, z = x.q_t + T * u_applied, x.z + T * (middle - x.q_t - T * u_applied / 2)
+        start, slow, next_slow = Start(u.q, q_t, z, middle, v), 0 * y, dict[str, SX]()
+        if self.filtered:
+            psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
+            y_slow = named("y_next", x.y_slow + T / p.tau * (y - x.y_slow))
+            slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
+        for k in range(1, self.delay + 1):
+            start, slow = self._predicted(k, x, p, theta_new, start, slow, T)
+        safe = averaged.safe(self._slope(p, theta_new, start.q, T), p.margin)
+        dq_c = self._command(u, x, p, theta_new, start, slow, safe)
+        return Equations(
+            outputs={
+                "dq_c": dq_c,
+                "q_start": start.q,
+                "epsilon": g - averaged.answer(h, x.theta),
+                "guarded": 1 - safe,
+            },
+            next={
+                "theta": theta_new,
+                "rows": averaged.pushed(x.rows, row),
+                "goals": averaged.pushed(x.goals, goal),
+                **next_slow,
+                "q_before": u.q,
+                "q_t": q_t,
+                "z": z,
+                "m_before": middle,
+                "v_before": v,
+                "m_planned": start.q + T * u.dq_r / 2,
+                "plans": ca.horzcat(x.plans[:, 1:], u.dq_r),
+                "queue": ca.horzcat(x.queue[:, 1:], dq_c),
+                "begun": 1,
+            },
+        )
+
+    def _averaged(self, p: Signals) -> AveragedServo:
+        return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction))
+
+    def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
+        """The row of a sample with average velocity v under a command; `momentum` 0 leaves that's change out."""
+        robot, m = p.robot, start.q + T * v / 2
+        e = m - start.q_t - T * command / 2
+        change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
+        Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
+        return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+
+    def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
+        """Theta after a new row, the stored ones, and the new one again, in its box."""
+        averaged, w = self._averaged(p), p.w_0
+        sizes = averaged.kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
+        box = averaged.kinds(p.k_P_box, p.k_I_box, p.offset_box, w * p.inertia_box, w * p.friction_box)
+        return averaged.learnt(x.theta, h, g, x.rows, x.goals, named("Gamma", sizes * sizes), p.nu, named("box", box))
+
+    def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
+        """S = w M(q)/T as theta has it: how the answer rises with the velocity, by inertia."""
+        robot, units = p.robot, ca.horzsplit(ca.DM.eye(p.robot.n))
+        momenta = ca.horzcat(*(robot.momentum_regressor(q, unit) for unit in units))
+        return self._averaged(p).inertia(theta, momenta) / T
+
+    def _predicted(self, k: int, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, T: SX) -> tuple[Start, SX]:
+        """Where sample k from now starts, and what is slow then, after one whose command is known."""
+        averaged, robot, command, v = self._averaged(p), p.robot, x.queue[:, k], x.plans[:, k]
+        S = named(f"S_{k}", self._slope(p, theta, start.q, T))
+        safe = named(f"safe_{k}", averaged.safe(S, p.margin))
+        rises = named(f"rise_{k}", ca.DM.eye(robot.n) + safe * (S + S.T) / 2)
+
+        def left(v: SX) -> SX:
+            return command - v - averaged.answer(self._psi(p, start, v, command, T, momentum=safe), theta)
+
+        for i in range(1, _PREDICTING + 1):
+            damped = rises + ca.diag(averaged.damping(theta, v, robot.friction_velocity, T))
+            v = named(f"v_{k}_{i}", v + solve_spd(damped, left(v) - slow))
+        if self.filtered:
+            slow = named(f"slow_{k}", slow + T / p.tau * (left(v) + averaged.offset(theta) - slow))
+        middle = named(f"m_{k}", start.q + T * v / 2)
+        z = named(f"z_{k}", start.z + T * (middle - start.q_t - T * command / 2))
+        q_t = named(f"q_t_{k}", start.q_t + T * command)
+        return Start(named(f"q_{k}", start.q + T * v), q_t, z, middle, v), slow
+
+    def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
+        """The command under which dq_r is what theta predicts, momentum from plan to plan, within its bounds."""
+        averaged, planned = self._averaged(p), start._replace(m_before=x.m_planned, v_before=x.plans[:, -1])
+        psi_c = named("psi_c", self._psi(p, planned, u.dq_r, 0 * u.dq_r, u.T, momentum=safe))
+        wanted = u.dq_r + averaged.answer(psi_c, theta) + slow
+        return clip(wanted / (1 + averaged.share(theta, u.T)), p.u_max)

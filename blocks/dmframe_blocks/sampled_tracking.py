@@ -1,0 +1,111 @@
+"""Reference for tracking in the task space over one sample, kinematics known."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal, Self, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.linalg import solve_spd
+from dmframe.naming import named
+from dmframe.parameter import NonNegative, Positive, Scalar
+from dmframe.port import PERIOD, Port
+
+
+@final
+class SampledTracking(AbstractBlock):
+    r"""Joint velocity whose average over a sample takes the tool to where its path will be.
+
+    The sample to be commanded starts at the pose :math:`q_{start}`. The tool is to be at :math:`x_{goal}` at its end.
+    The error :math:`\Delta x = f(q_{start}) - x_d` is led back by the transpose of the Jacobian or, with Lambda, by its
+    inverse:
+
+    .. math::
+
+        x_{goal} &= x_{d,1} + \Delta x - T \gamma J(q_{start}) J(q_{start})^\top \Delta x   \tag{1} \\
+        x_{goal} &= x_{d,1} + (1 - T \Lambda) \Delta x                                     \tag{2}
+
+    and the velocity that takes it there, :math:`f(q_{start} + T \dot q_r) = x_{goal}`, is found by two of Newton's
+    steps, with :math:`q_0 = q_{start} + T \dot q_{null}` and :math:`q_1 = q_{start} + T v_1`:
+
+    .. math::
+
+        v_1      &= \dot q_{null} + J(q_0)^\top (J(q_0) J(q_0)^\top + \mathrm{damping}^2 I)^{-1}
+                    (x_{goal} - f(q_0)) / T   \tag{3} \\
+        \dot q_r &= v_1 + J(q_1)^\top (J(q_1) J(q_1)^\top + \mathrm{damping}^2 I)^{-1}
+                    (x_{goal} - f(q_1)) / T   \tag{4}
+
+    So, where the robot moves as it is asked, the error falls from sample to sample by :math:`1 - T \gamma \sigma^2` in
+    the directions of the singular values, or by :math:`1 - T \Lambda`: the path's own motion leaves nothing to it.
+
+    A command that acts `delay` samples late is for the sample that starts so much later: give the same to whoever
+    predicts q_start. A redundant robot may move by dq_null as far as its tool does not notice.
+
+    Parameters
+    ----------
+    gamma : scalar, rad^2/(m^2 s), > 0
+        Task gain of the error led back by J'. T gamma must stay below 2 over the largest squared singular value of J.
+    Lambda : scalar, 1/s, > 0
+        Task gain of the error led back by the inverse of J, in place of gamma. T Lambda must stay below 2.
+    damping : scalar, m/rad, >= 0
+        d: near a singular pose the joints stay slow, and the tool leaves its path.
+    delay : 0, 1 or 2
+        Whole samples from a command to its effect.
+
+    Notes
+    -----
+    Not for: kinematics that are uncertain, or a signal x_d whose future is unknown.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (30), read over a sample.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q_start", "n", "rad"),
+        Port("x_d", "m", "m"),
+        Port("x_d_1", "m", "m", ahead_of="x_d"),
+        Port("x_d_2", "m", "m", ahead_of="x_d", ahead=2),
+        Port("x_d_3", "m", "m", ahead_of="x_d", ahead=3),
+        Port("dq_null", "n", "rad/s", optional=True),
+        PERIOD,
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+
+    gamma: Scalar | None = Positive("", "rad^2/(m^2 s)", default=None)
+    Lambda: Scalar | None = Positive("", "1/s", default=None)
+    damping: Scalar = NonNegative("", "m/rad", default=0.01)
+    delay: Literal[0, 1, 2] = 0
+
+    @model_validator(mode="after")
+    def _one_gain(self) -> Self:
+        if (self.gamma is None) == (self.Lambda is None):
+            found = "neither" if self.gamma is None else "both"
+            raise ValueError(f"expected one of gamma, by J', and Lambda, by the inverse of J, found {found}")
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (4)."""
+        x_goal = named("x_goal", self._goal(u, p))
+        v_1 = named("v_1", self._newton(u, p, x_goal, u.dq_null))
+        return Equations(outputs={"dq_r": self._newton(u, p, x_goal, v_1)})
+
+    def _newton(self, u: Signals, p: Signals, x_goal: SX, v: SX) -> SX:
+        """(3) and (4): a better average velocity than v for the sample that is to end at x_goal."""
+        q = u.q_start + u.T * v
+        J = p.robot.jacobian(q)
+        damped = J @ J.T + p.damping * p.damping * ca.DM.eye(p.robot.m)
+        return v + J.T @ solve_spd(damped, (x_goal - p.robot.position(q)) / u.T)
+
+    def _goal(self, u: Signals, p: Signals) -> SX:
+        """(1) or (2), counted from the sample on which the command acts."""
+        path = (u.x_d, u.x_d_1, u.x_d_2, u.x_d_3)
+        x_err = p.robot.position(u.q_start) - path[self.delay]
+        if "Lambda" in p:
+            return path[self.delay + 1] + (1 - u.T * p.Lambda) * x_err
+        J = p.robot.jacobian(u.q_start)
+        return path[self.delay + 1] + x_err - u.T * p.gamma * (J @ (J.T @ x_err))

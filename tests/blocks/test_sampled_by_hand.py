@@ -1,0 +1,102 @@
+"""The sampled law by hand is held against what another prototype printed, and against mechanics without regressors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from sampled_by_hand import Arm, Array, Circle, Kinematic, Known, Observer, Plant, SampledLaw, closed_loop
+
+from dmframe.robot.library import find_robot
+
+START, PATH, T = np.array([2.023732, -1.174227, 1.336627]), Circle((-0.45, 0.45, 0.5), 0.1, 0.5), 0.09
+K_D, K_P, K_I = np.array([800.0, 800, 400]), np.array([1760.0, 1760, 880]), np.array([560.0, 560, 280])
+STEP = 2 * np.pi / 2**17  # [rad] of the encoder
+
+
+def ur10() -> Arm:
+    hold = {"wrist_1_joint": 0.0, "wrist_2_joint": -np.pi / 2, "wrist_3_joint": 0.0}
+    return Arm.load(str(find_robot("ur10").urdf), "ee_link", hold, [5, 5, 2], [8, 8, 4])
+
+
+def inertial(arm: Arm) -> Array:
+    return np.concatenate([link.toDynamicParameters() for link in list(arm.model.inertias)[1:]])
+
+
+def test_the_columns_are_those_of_the_inertia_matrix_of_coriolis_and_of_gravity() -> None:
+    arm, q, v = ur10(), np.array([0.3, -1.0, 0.7]), np.array([0.4, 0.5, -0.7])
+    M, C = pin.crba(arm.model, arm.data, q), pin.computeCoriolisMatrix(arm.model, arm.data, q, v)
+    M = np.triu(M) + np.triu(M, 1).T
+    np.testing.assert_allclose(arm.momentum(q, v) @ inertial(arm), M @ v, atol=1e-12)
+    np.testing.assert_allclose(arm.slope_of_energy(q, v) @ inertial(arm), C.T @ v, atol=1e-12)
+    assert np.max(np.abs(arm.slope_of_energy(q, v) @ inertial(arm) - C @ v)) > 0.01  # C is not its transpose
+    np.testing.assert_allclose(arm.gravity(q) @ inertial(arm), arm.gravity_torque(q), atol=1e-12)
+
+
+@dataclass
+class Knowing(SampledLaw):
+    """It has the true parameters, learns none, and keeps how wrong they are."""
+
+    wrong: list[Array] = field(default_factory=list)
+    mutant: str = ""
+
+    def learn(self, h: Array, g: Array, free: Array) -> None:
+        self.wrong.append(g - np.sum(h * self.theta, axis=1))
+
+    def begin(self, q: Array) -> None:
+        super().begin(q)
+        a, w = inertial(self.arm), 1 / K_D
+        held = -self.arm.gravity_torque(q)
+        columns = [K_P / K_D, K_I / K_D, w * held, np.outer(w, a), w * self.arm.B, w * self.arm.D]
+        self.theta = np.column_stack(columns)
+
+    def row(self, at: Known, u: Array, v: Array, before: Any) -> Array:
+        psi = super().row(at, u, v, before)
+        m = at.q + self.T * v / 2
+        if self.mutant == "C'v":
+            psi[:, 3:-2] += 2 * self.arm.slope_of_energy(m, v)
+        elif self.mutant == "gravity":
+            psi[:, 3:-2] -= self.arm.gravity(m)
+        elif self.mutant == "momentum":
+            psi[:, 3:-2] -= (self.arm.momentum(m, v) - self.arm.momentum(at.m, at.v)) / self.T
+        elif self.mutant == "z":
+            psi[:, 1] = 0
+        elif self.mutant == "explicit e":
+            psi[:, 0] += self.T * u / 2
+        return psi
+
+
+@pytest.mark.parametrize(
+    ("mutant", "least", "most"),
+    [("", 0, 5e-6), *((mutant, 1.5e-5, 1) for mutant in ("C'v", "gravity", "momentum", "z", "explicit e"))],
+)
+def test_the_servo_averaged_over_a_sample_is_linear_in_its_true_constants(
+    mutant: str, least: float, most: float
+) -> None:
+    law = Knowing(ur10(), 0.02, tau=None, mutant=mutant)
+    closed_loop(law, Plant(law.arm, START, K_D, K_P, K_I, step=2e-3), PATH, 60)
+    assert least <= np.max(np.abs(law.wrong[20:])) < most  # [rad/s], the start's quick transient apart
+
+
+@pytest.mark.parametrize(
+    ("law", "keys", "quoted"),
+    [(SampledLaw, {"tau": None}, 0.72), (Observer, {}, 0.29), (Kinematic, {}, 5.02)],
+    ids=["sampled law", "observer", "kinematic"],
+)
+def test_the_first_seconds_are_those_of_a_prototype_written_apart(
+    law: type[SampledLaw], keys: dict[str, Any], quoted: float
+) -> None:
+    arm = ur10()
+    seen = closed_loop(law(arm, T, **keys), Plant(arm, START, K_D, K_P, K_I, step=2e-3), PATH, 139)
+    assert 1e3 * np.sqrt(np.mean(np.sum(seen["error"] ** 2, axis=1))) == pytest.approx(quoted, abs=0.011)
+
+
+def test_a_delay_and_an_encoder_s_steps_are_borne_and_a_wrong_start_of_the_servo_s_target_forgotten() -> None:
+    arm = ur10()
+    law = SampledLaw(arm, T, delay=1)
+    seen = closed_loop(law, Plant(arm, START, K_D, K_P, K_I, offset=0.01, step=2e-3), PATH, 300, STEP)
+    assert 1e3 * np.max(np.linalg.norm(seen["error"][250:], axis=1)) < 1.0
+    assert not law.guarded
