@@ -168,7 +168,7 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     parts = tuple(_part(diagram, name, item) for name, item in claiming.items())
     base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
     sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
-    moved = diagram.loop.joined([variable.next for variable in sampled])
+    moved = diagram.loop.crossed([variable.next for variable in sampled])
     becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}
     claim = SampledClaim(base, parts, silent, becomes)
     for part in parts:
@@ -220,7 +220,7 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
     loop = diagram.loop
 
     def joined(pieces: Sequence[SX]) -> list[SX]:
-        return loop.joined([ca.SX(piece) for piece in pieces])
+        return loop.crossed([ca.SX(piece) for piece in pieces])
 
     def squares(terms: Sequence[Square]) -> tuple[Square, ...]:
         return tuple(term.with_pieces(joined(term.pieces)) for term in terms)
@@ -239,7 +239,7 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
         tuple(item.with_pieces(joined(item.pieces)) for item in stated.steps),
         tuple(Kept(item.state, joined([item.newest])[0]) for item in stated.kept),
         tuple(Relation(of_the_plant(item.momentum), of_the_plant(item.rest)) for item in stated.relations),
-        tuple(loop.joined([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
+        tuple(loop.crossed([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
         {key: ca.SX(value) for key, value in stated.constants.items()},
     )
 

@@ -81,8 +81,9 @@ def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
 
 
 def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:
-    """The sampling period, what is drawn at a sample, and what is commanded there."""
+    """The sampling period, what trajectories are later, what is drawn at a sample, and what is commanded there."""
     yield Group("T", "period", loop.period)
+    yield from (Group(leaf.name, "trajectory", leaf.symbol) for leaf in loop.ahead)
     yield from (Group(noise.label, "noise", noise.symbol) for noise in loop.noises)
     yield from (Group(f"{leaf.name}, as commanded", "command", leaf.symbol) for leaf in loop.commanded)
 

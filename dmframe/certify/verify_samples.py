@@ -171,7 +171,7 @@ def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
             yield Assumption(f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH)
     if claim.silent:
         yield Assumption(
-            f"nothing of {', '.join(claim.silent)}, of which this proof says nothing: it holds whatever they command",
+            f"of {', '.join(claim.silent)} this proof says nothing: it holds whatever is commanded",
             "the claim's own symbols",
         )
     yield Assumption(

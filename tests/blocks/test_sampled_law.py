@@ -14,7 +14,6 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError
 from dmframe.port import Port, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks._averaged_servo import averaged_servo
