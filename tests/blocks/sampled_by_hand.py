@@ -161,6 +161,8 @@ class SampledLaw:
     w_0: float = 1 / 800
     tau: float | None = 2.0  # [s] of the filter; None: unfiltered
     stored: int = 20  # W
+    average: int = 1  # L, rows of which the mean is learnt: several on fast clocks
+    stride: int = 1  # the ring keeps the means of every so many ticks
     nu: float = 1e-5
     delay: int = 0
     pid: bool = True
@@ -187,6 +189,8 @@ class SampledLaw:
         self.theta = np.zeros((n, size.size))
         self.theta[:, :servo] = self.start[:servo]
         self.ring: list[tuple[Array, Array, Array]] = []  # rows, commands' excess, and which joints learn, newest first
+        self.recent: list[tuple[Array, Array, Array]] = []
+        self.learnt = 0
         self.sent = [zero] * self.delay  # commands of the samples to come
         self.plan = (q, zero)  # the last command's planned middle and velocity
         self.planned = [zero] * self.delay  # velocities meant by the commands sent
@@ -231,13 +235,17 @@ class SampledLaw:
 
     def learn(self, h: Array, g: Array, free: Array) -> None:
         """Projection onto the newest row, those stored from new to old, the newest again; not where u was clipped."""
-        newest = (h, g, free)
-        for rows, excess, learns in [newest, *self.ring, newest]:
-            error = excess - np.sum(rows * self.theta, axis=1)
-            size = self.nu + np.sum(rows**2 * self.Gamma, axis=1)
-            step = self.Gamma * rows * (error / size)[:, None]
+        self.recent = [(h, g, free), *self.recent][: self.average]
+        rows, excesses, frees = zip(*self.recent, strict=True)
+        newest = (np.mean(rows, axis=0), np.mean(excesses, axis=0), np.all(frees, axis=0))
+        for row, excess, learns in [newest, *self.ring, newest]:
+            error = excess - np.sum(row * self.theta, axis=1)
+            size = self.nu + np.sum(row**2 * self.Gamma, axis=1)
+            step = self.Gamma * row * (error / size)[:, None]
             self.theta = np.clip(self.theta + learns[:, None] * step, self.lower, self.upper)
-        self.ring = [newest, *self.ring][: self.stored]
+        self.learnt += 1
+        if self.learnt % self.stride == 0:
+            self.ring = [newest, *self.ring][: self.stored]
 
     def inertia(self, q: Array) -> Array:
         """S = w M / T as estimated."""

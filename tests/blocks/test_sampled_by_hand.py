@@ -94,9 +94,12 @@ def test_the_first_seconds_are_those_of_a_prototype_written_apart(
     assert 1e3 * np.sqrt(np.mean(np.sum(seen["error"] ** 2, axis=1))) == pytest.approx(quoted, abs=0.011)
 
 
-def test_a_delay_and_an_encoder_s_steps_are_borne_and_a_wrong_start_of_the_servo_s_target_forgotten() -> None:
-    arm = ur10()
-    law = SampledLaw(arm, T, delay=1)
-    seen = closed_loop(law, Plant(arm, START, K_D, K_P, K_I, offset=0.01, step=2e-3), PATH, 300, STEP)
-    assert 1e3 * np.max(np.linalg.norm(seen["error"][250:], axis=1)) < 1.0
+@pytest.mark.parametrize(("tau", "least", "most"), [(2.0, 0, 0.6), (None, 1.2, 20)], ids=["filtered", "not"])
+def test_only_the_filter_forgets_that_the_servo_began_at_another_target(
+    tau: float | None, least: float, most: float
+) -> None:
+    law = SampledLaw(ur10(), T, tau=tau, delay=1)
+    plant = Plant(law.arm, START, K_D, K_P, K_I, offset=0.01, step=2e-3)
+    seen = closed_loop(law, plant, PATH, 250, STEP)
+    assert least < 1e3 * np.max(np.linalg.norm(seen["error"][200:], axis=1)) < most
     assert not law.guarded
