@@ -65,6 +65,12 @@ class Port:
     drawn
         Of an input that nobody drives, the distribution from which each sample draws it anew: ``normal`` (mean 0,
         variance 1) or ``uniform`` (from -1 to 1), every element by itself. The run's seed decides the numbers.
+    instead_of
+        Of an output of a plant, the input of the same block in whose place it stands: whoever would read what drives
+        that input reads this output. A measured one stands there for controllers, any other for the plant. Of several
+        blocks that stand in for one signal each reads the one before it, in the order of the file.
+    told
+        Of an output that is zero as long as all is well, what a run says of it where it is not.
     """
 
     name: str
@@ -75,6 +81,8 @@ class Port:
     optional: bool = False
     full_rank: bool = False
     drawn: str = ""
+    instead_of: str = ""
+    told: str = ""
 
 
 @final
