@@ -10,7 +10,6 @@ from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import SX
-from dmframe.naming import named
 from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
 from dmframe.port import PERIOD, Access, Port, Side, State
 
@@ -24,13 +23,13 @@ class Encoder(AbstractBlock):
         q_m          &= \mathrm{step} \operatorname{floor}(q / \mathrm{step} + 1/2), \quad x_m = f(q_m)   \tag{1} \\
         \dot q_m     &= (q_m - q_{old}) / T, \quad q_{old}^+ = q_m   \tag{2}
 
-    With `noise`, what is rounded is :math:`q + \mathrm{noise}\, n`. The differences are those from one sample to the
-    next; with a `time_constant` they are filtered, with :math:`\beta = 1 - \exp(-T / \mathrm{time\_constant})` and
+    With `noise`, what is rounded is :math:`q + \mathrm{noise}\, \eta`. The differences are those from one sample to the
+    next; with a `time_constant` they are filtered, with :math:`c = \exp(-T / \mathrm{time\_constant})` and
     :math:`v_{old}` the result of one sample ago:
 
     .. math::
 
-        \dot q_m = (1 - \beta) v_{old} + \beta (q_m - q_{old}) / T   \tag{3}
+        \dot q_m = c\, v_{old} + (1 - c) (q_m - q_{old}) / T   \tag{3}
 
     A maker's own electronics take differences faster than a controller samples, over a `window`. What is read that long
     before is the rounded :math:`2 \zeta - q`, Pade's first approximation of it:
@@ -53,7 +52,7 @@ class Encoder(AbstractBlock):
         Time over which the maker takes the differences; without it, a sample.
     time_constant : scalar, s, > 0
         Of the filter of differences over a sample; without it they are not filtered.
-    tool : joints or direct
+    tool_from : encoders or sensor
         Where the tool's position comes from: the encoders, or a sensor of its own that is perfect.
 
     Notes
@@ -73,8 +72,8 @@ class Encoder(AbstractBlock):
         Port("dq", "n", "rad/s"),
         Port("x", "m", "m"),
         PERIOD,
-        Port("n", "n", drawn="normal"),
-        Port("n_old", "n", drawn="normal"),
+        Port("eta", "n", drawn="normal"),
+        Port("eta_old", "n", drawn="normal"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q_m", "n", "rad", Access.MEASURED, instead_of="q"),
@@ -91,7 +90,7 @@ class Encoder(AbstractBlock):
     noise: Diagonal | None = NonNegative("n", "rad", default=None)
     window: Scalar | None = Positive("", "s", default=None)
     time_constant: Scalar | None = Positive("", "s", default=None)
-    tool: Literal["joints", "direct"] = "joints"
+    tool_from: Literal["encoders", "sensor"] = "encoders"
 
     @model_validator(mode="after")
     def _one_way(self) -> Encoder:
@@ -101,25 +100,25 @@ class Encoder(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
-        read = self._read(u.q, u.n, p)
+        read = self._read(u.q, u.eta, p)
         outputs = {"q_m": read}
-        if self.tool == "joints":
+        if self.tool_from == "encoders":
             outputs["x_m"] = p.robot.position(read)
         if "window" in p:
-            before = self._read(2 * x.zeta - u.q, u.n_old, p)
+            before = self._read(2 * x.zeta - u.q, u.eta_old, p)
             velocity = (read - before) / p.window
             return Equations({**outputs, "dq_m": velocity}, rates={"zeta": 2 * (u.q - x.zeta) / p.window})
         difference = (read - x.q_old) / u.T
         if "time_constant" not in p:
             return Equations({**outputs, "dq_m": difference}, next={"q_old": read})
-        beta = named("beta", 1 - ca.exp(-u.T / p.time_constant))
-        velocity = (1 - beta) * x.v_old + beta * difference
+        c = ca.exp(-u.T / p.time_constant)
+        velocity = c * x.v_old + (1 - c) * difference
         return Equations({**outputs, "dq_m": velocity}, next={"q_old": read, "v_old": velocity})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, where it has been."""
-        return {"q_old": self._read(u.q, u.n, p), "v_old": 0 * u.q, "zeta": u.q}
+        return {"q_old": self._read(u.q, u.eta, p), "v_old": 0 * u.q, "zeta": u.q}
 
-    def _read(self, q: Any, n: Any, p: Signals) -> Any:
-        noisy = q + p.noise * n if "noise" in p else q
+    def _read(self, q: Any, eta: Any, p: Signals) -> Any:
+        noisy = q + p.noise * eta if "noise" in p else q
         return p.step * ca.floor(noisy / p.step + 0.5)

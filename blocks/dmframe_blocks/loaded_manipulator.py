@@ -17,7 +17,7 @@ from dmframe.port import TIME, Access, Port, Side, State
 
 @final
 class LoadedManipulator(AbstractBlock):
-    r"""The robot of `manipulator`, with a point mass at the tool that changes in steps.
+    r"""The robot, with a point mass at its tool that changes in steps.
 
     .. math::
 
@@ -33,8 +33,16 @@ class LoadedManipulator(AbstractBlock):
     payload_at : list, s
         When each of them is there, increasing; before the first there is none. With ``payload: [2, 0]`` and
         ``payload_at: [10, 20]``, 2 kg from 10 s to 20 s.
-    viscous, coulomb, K, maker_gravity, maker_viscous
-        As of `manipulator`.
+    viscous : diagonal (n,), N m s/rad, >= 0
+        Viscous friction of the joints' own.
+    coulomb : diagonal (n,), N m, >= 0
+        Coulomb friction, D.
+    K : diagonal (n,), N m/V, > 0
+        Torque a volt.
+    maker_gravity : scalar, >= 0
+        Share of the robot's own gravity that the maker's servo compensates.
+    maker_viscous : diagonal (n,), N m s/rad, >= 0
+        Viscous friction that the maker's servo compensates.
 
     Notes
     -----

@@ -18,7 +18,7 @@ class TorqueLimits(AbstractBlock):
     .. math::
 
         u_{lim}           &= K^{-1} \min(\max(K u, -\tau_{max}), \tau_{max})   \tag{1} \\
-        \mathrm{excess}   &= K (u - u_{lim})   \tag{2}
+        \tau_{excess}     &= K (u - u_{lim})   \tag{2}
 
     The limits :math:`\tau_{max}` are those of the robot's URDF, unless `torque` says others. It stands between servo
     and arm. The servo does not know: its integrator goes on, and winds up. A run tells where
@@ -43,7 +43,7 @@ class TorqueLimits(AbstractBlock):
     inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), Port("K", "n", "N m/V"))
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("u_lim", "n", "V", instead_of="u"),
-        Port("excess", "n", "N m", told="a motor's torque is beyond its limit, and cut off"),
+        Port("tau_excess", "n", "N m", told="a motor's torque is beyond its limit, and cut off"),
     )
 
     torque: Diagonal | None = Positive("n", "N m", default=None)
@@ -52,4 +52,4 @@ class TorqueLimits(AbstractBlock):
         """(1) and (2)."""
         torque = p.torque if "torque" in p else p.robot.effort_limits
         limited = ca.fmin(ca.fmax(u.K * u.u, -torque), torque) / u.K
-        return Equations({"u_lim": limited, "excess": u.K * (u.u - limited)})
+        return Equations({"u_lim": limited, "tau_excess": u.K * (u.u - limited)})
