@@ -177,5 +177,5 @@ def find_reality(name: str) -> Path:
     """The file of a packaged set."""
     known = realities()
     if name not in known:
-        raise UnknownNameError("reality", "set", name, [*known, "none"])
+        raise UnknownNameError(f"reality {name}", "set", name, [*known, "none"])
     return known[name]

@@ -48,7 +48,7 @@ FAMILIES: Final = {
     "commands": ("Commands", "Make of a reference and a torque what the robot's servo is told."),
     "between": (
         "Between controller and robot",
-        "What a signal passes on its way in reality: each stands in for what it reads, and a graph needs no wires for it.",
+        "What a signal passes on its way in reality: each stands in for what it reads, so a graph needs no wires.",
     ),
     "plant": ("Robot and servo", "The other side of the line: closed, and never read but for what is measured."),
 }

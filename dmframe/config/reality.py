@@ -91,13 +91,18 @@ def _wanted(asked: Node) -> Entries:
             faults.append(ValueFault(text, path=(KEY, name)))
         elif node.value is None:
             if found.pop(name, None) is None:
-                faults.append(_unknown(name, {**found, **block_modules()}))
+                text = f"{KEY}.{name}: null leaves out what a set has, and {_of(like)} has none"
+                faults.append(ValueFault(f"{text}; give its parameters, {{}} for none", path=(KEY, name)))
         else:
             below = found[name][1].value if name in found else {}
             merged = {**(below if isinstance(below, dict) else {}), **node.value}
             found[name] = (at, replace(node, value=merged))
     raise_all(faults)
     return found
+
+
+def _of(like: tuple[Node, Node] | None) -> str:
+    return f"{LIKE}: {like[1].value}" if like is not None else f"a graph without {LIKE}"
 
 
 def _set(name: str, path: tuple[str, ...]) -> Entries:
@@ -194,7 +199,7 @@ def _must(port: Any) -> bool:
 def _unknown(name: str, choices: Mapping[str, Any]) -> DmframeError:
     if name.rpartition(":")[0].endswith(".py"):
         return MissingError(f"{KEY}.{name}: a block of your own stands under blocks, in its place", path=(KEY, name))
-    return UnknownNameError(KEY, "block type", name, choices, path=(KEY,))
+    return UnknownNameError(f"{KEY}.{name}", "block type", name, choices, path=(KEY,))
 
 
 def names_reality(label: str) -> bool:

@@ -49,7 +49,7 @@ BETWEEN = """
   drive:    {type: torque_limits}
   stops:    {type: joint_stops}
 """
-LOADED = EXAMPLES["setpoint"].replace("{type: manipulator}", "{type: loaded_manipulator, payload: [1], payload_at: [1]}")
+LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
 
