@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.signal import lfilter, lsim
 
 import dmframe as dm
@@ -332,6 +333,33 @@ def test_without_a_load_it_is_the_manipulator() -> None:
     arm: Any = {**PLAIN["blocks"]["arm"]}  # type: ignore[index]
     never = run(arm={**arm, "type": "loaded_manipulator", "payload": [1.0], "payload_at": [9.0]})
     np.testing.assert_allclose(never["arm.q"], run()["arm.q"], atol=1e-12)
+
+
+def test_a_twisting_joint_is_that_of_an_integration_by_scipy() -> None:
+    data: Any = {**PLAIN, "duration": 0.2, "blocks": {**PLAIN["blocks"]}}  # type: ignore[dict-item]
+    data["blocks"]["arm"] = {"type": "manipulator", "viscous": [1, 0.5]}
+    data["blocks"]["gears"] = {"type": "elastic_joints", "stiffness": [3000, 900], "damping": [4, 2], "inertia": 0.2}
+    data["wires"] = {"servo.q": "gears.theta", "servo.dq": "gears.dtheta"}
+    found = dm.load(data, name="between").run(engine="interpreted").recording
+    chain, n = load_robot("arm2"), 2
+    model, numbers = chain.model, chain.model.createData()
+    k, d, K_P, K_I = (np.array(pair) for pair in ([3000, 900], [4, 2], [60, 30], [240, 120]))
+
+    def rate(_: float, y: Array, dq_c: Array) -> Array:
+        q, dq, theta, dtheta, i = y.reshape(5, n)
+        twist = k * (theta - q) + d * (dtheta - dq)
+        ddq = pin.aba(model, numbers, q, dq, twist - np.array([1, 0.5]) * dq)
+        u = -K_P * (dtheta - dq_c) - K_I * i
+        return np.concatenate([dq, ddq, dtheta, (u - twist) / 0.2, dtheta - dq_c])
+
+    q = np.array([0.7, 1.1])
+    g = pin.computeGeneralizedGravity(model, numbers, q).copy()
+    y = np.concatenate([q, 0 * q, q + g / k, 0 * q, -g / K_I])
+    for row in range(50):
+        np.testing.assert_allclose(found["arm.q"][row], y[:n], atol=2e-6)
+        np.testing.assert_allclose(found["gears.theta"][row], y[2 * n : 3 * n], atol=2e-6)
+        y = solve_ivp(rate, (0, T), y, args=(found["command.dq_c"][row],), rtol=1e-9, atol=1e-11).y[:, -1]
+    assert np.max(np.abs(found["gears.theta"] - found["arm.q"])) > 3e-3
 
 
 EVERYTHING: Blocks = {

@@ -48,6 +48,7 @@ BETWEEN = """
   friction: {type: friction_compensation, coulomb: 0.1}
   drive:    {type: torque_limits}
   stops:    {type: joint_stops}
+  gears:    {type: elastic_joints, stiffness: 4000, damping: 10, inertia: 0.1}
 """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
