@@ -394,6 +394,14 @@ def test_nothing_is_proved_of_it_and_the_reason_is_told() -> None:
     assert (found.outcome, found.reason.split(";")[0]) == ("not_applicable", "way.dq_c_line is a sampled state")
 
 
+def test_what_only_tells_leaves_a_proof_as_it_is() -> None:
+    plain = dm.load("pendulum")
+    told = plain.reality({"joint_stops": {}}).verify().verdict
+    assert (told.outcome, plain.verify().verdict.outcome) == ("proved", "proved")
+    pushed = plain.reality({"joint_stops": {"stiffness": 1000}}).verify().verdict
+    assert (pushed.outcome, "no certificate" in pushed.reason) == ("not_applicable", True)
+
+
 @pytest.mark.parametrize(
     ("block", "text"),
     [
