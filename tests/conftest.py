@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import gc
 import os
-from fnmatch import fnmatchcase
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
