@@ -20,7 +20,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdW")
+LETTERS = set("nmpkhcdWA")
 # the baseline has nothing to prove; a proof over samples is no certificate in continuous time
 UNPROVED = {"kinematic_command", "sampled_tracking", "sampled_inverse", "disturbance_observer"}
 
