@@ -26,6 +26,7 @@ from dmframe.terms import (
     Dissipated,
     Gathered,
     Lemma,
+    NormalisedSteps,
     NormSquare,
     Square,
     Stored,
@@ -211,6 +212,113 @@ class Certificate:
         )
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A sampled state that holds earlier samples: the newest in front, the others pushed back, the oldest forgotten.
+
+    Parameters
+    ----------
+    state
+        The state's name: a matrix that is filled with matrices like the newest, one below or one beside the other.
+    newest
+        What is stored at this sample.
+    when
+        Where it is zero nothing is stored, and the state stays as it is.
+    """
+
+    state: str
+    newest: SX
+    when: SX = 1
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def pushed(self, state: SX) -> SX:
+        """What the state becomes."""
+        rows, columns = self.newest.shape
+        if columns == state.shape[1]:
+            pushed = ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
+        else:
+            pushed = ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
+        return pushed if isinstance(self.when, int) else ca.if_else(self.when, pushed, state)
+
+    def fits(self, state: SX) -> bool:
+        """The state holds a whole number of these."""
+        sizes = list(zip(self.newest.shape, state.shape, strict=True))
+        return any(a == b for a, b in sizes) and all(a and b % a == 0 for a, b in sizes)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Relation:
+    r"""What holds at every instant of the plant's motion, whatever is commanded: :math:`\dot p + r = 0`.
+
+    Over a sample it gives, exactly, :math:`(p(t + T) - p(t)) / T + \langle r \rangle = 0`: what an estimator may
+    learn from, whose rows stand for these means.
+
+    Parameters
+    ----------
+    momentum
+        p, a column.
+    rest
+        r, a column.
+    """
+
+    momentum: SX
+    rest: SX
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@final
+@dataclass(frozen=True)
+class SampledCertificate:
+    r"""One block's part of a proof over samples: what V is, and what it does from one sample to the next.
+
+    .. math:: V^+ - V = - \tfrac12 \sum \mathrm{decrease} + \tfrac12 \sum \mathrm{residual}, \quad
+        V = \tfrac12 \sum \mathrm{storage}
+
+    identically, for all values of states, measurements, gains and the sampling period. V holds sampled states of the
+    block and parameters alone. What the `steps` store, lose and gain is counted with the rest.
+
+    Parameters
+    ----------
+    storage
+        V is *half* the sum of these terms.
+    decrease
+        What is lost from sample to sample, each term non-negative.
+    residual
+        What is gained.
+    steps
+        Estimates that take normalised steps.
+    kept
+        States that hold earlier samples.
+    relations
+        What the plant's motion obeys, on which the rows of the steps rest.
+    solved
+        Columns that are zero because the block has solved an equation for its output.
+    constants
+        Free symbols of what is true and constant, and that nobody knows, such as where a servo's integrator started.
+    truth
+        True values that other blocks' proofs read.
+    """
+
+    storage: tuple[Square, ...] = ()
+    decrease: tuple[Square, ...] = ()
+    residual: tuple[Square, ...] = ()
+    steps: tuple[NormalisedSteps, ...] = ()
+    kept: tuple[Kept, ...] = ()
+    relations: tuple[Relation, ...] = ()
+    solved: tuple[SX, ...] = ()
+    constants: Mapping[str, SX] = field(default_factory=dict)
+    truth: Mapping[str, SX] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
 __all__ = [
     "MONOTONE",
     "SX",
@@ -226,8 +334,12 @@ __all__ = [
     "Driven",
     "Gathered",
     "Inequality",
+    "Kept",
     "Lemma",
     "NormSquare",
+    "NormalisedSteps",
+    "Relation",
+    "SampledCertificate",
     "Square",
     "Stored",
     "TrueValue",

@@ -74,5 +74,5 @@ class PidServo(AbstractBlock):
         return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Its energy stands with the block that inverts it."""
-        return Certificate()
+        """Its energy stands with the block that inverts it; the command that it takes, with what came between."""
+        return Certificate(truth={"dq_s": u.dq_c})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, Literal, final
@@ -10,13 +9,14 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX, Certificate, Condition, Inequality
+from dmframe.certificate import SX, Certificate, Condition
 from dmframe.naming import operation
 from dmframe.parameter import NonNegative, Scalar
 from dmframe.port import Element, Port
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import INERTIAL, WEIGHING, DynamicParameters, Friction, Part
 from dmframe.robot.pseudo_inertia import natural_gain
+from dmframe_blocks._friction import columns_for
 
 
 @final
@@ -144,25 +144,10 @@ class Regressor(AbstractBlock):
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """Whatever friction the plant has, the regressor has a column for it."""
-        kinds = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
-        lacking = [kind for kind in kinds if kind[0] not in self.friction and kind[2] in truth]
-        return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
+        return columns_for(self.friction, truth)
 
     def _parameters(self, chain: SerialChain) -> DynamicParameters:
         return DynamicParameters(chain, self.friction, self.gravity == "apart", self.bias)
-
-
-def _column_for(key: str, name: str, true: SX) -> Inequality:
-    """No such friction, or a column for it."""
-    owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
-    return Inequality(
-        f"the plant has no {name} friction: {owners} is zero",
-        -true * true,
-        "eq. (5)",
-        strict=False,
-        otherwise=f"the plant has {name} friction ({owners}), and the regressor has no column for it: add {key} to "
-        "friction",
-    )
 
 
 @operation

@@ -9,14 +9,22 @@ import casadi as ca
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import SX
+from dmframe.certificate import (
+    SX,
+    Condition,
+    Kept,
+    NormalisedSteps,
+    Relation,
+    SampledCertificate,
+)
 from dmframe.linalg import solve_spd
 from dmframe.naming import named
 from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Scalar
-from dmframe.port import PERIOD, Access, Element, Port, State
+from dmframe.port import ANY, PERIOD, Access, Element, Port, State
 from dmframe.robot.parameters import Friction
 from dmframe.terms import clip
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
+from dmframe_blocks._friction import columns_for
 
 _PREDICTING = 4
 """Newton's steps with which the average velocity of a sample is predicted whose command is known."""
@@ -114,6 +122,19 @@ class SampledInverse(AbstractBlock):
         Port("epsilon", "n", "rad/s"),
         Port("guarded"),
     )
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("K", "n", "N m/V"),
+        Port("K_D", "n", "V s/rad"),
+        Port("K_P", "n", ANY),
+        Port("K_I", "n", ANY),
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+        Port("i", "n", ANY),
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("q_c", "n", "rad"),
+        Port("dq_s", "n", "rad/s"),
+    )
     states: ClassVar[tuple[State, ...]] = (
         State("theta", "c", sampled=True),
         State("rows", "W c", sampled=True, recorded=False),
@@ -178,13 +199,8 @@ class SampledInverse(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """What the last sample was, what is learnt from it, where the command will act, and the command."""
         averaged, T = self._averaged(p), u.T
-        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.target, x.z, x.m_before, x.v_before), v, u_applied, T))
-        y = named("y_row", u_applied - v)
-        h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
-
-        learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
-        row, goal, kept = self._meant(x, p, averaged.of_joint(learns) * h, learns * g)
+        u_applied, v, psi, y, h, g = self._sample(u, x, p)
+        row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
@@ -225,6 +241,61 @@ class SampledInverse(AbstractBlock):
             },
         )
 
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+        """What the estimate's error does from sample to sample, and what servo and robot obey in between."""
+        averaged, robot = self._averaged(p), p.robot
+        u_applied, _, _, _, h, g = self._sample(u, x, p)
+        new, aim = self._lesson(x, p, u_applied, h, g)
+        row, goal, kept = self._meant(x, p, new, aim)
+        stored = [(x.rows[k, :].T, x.goals[k, :].T) for k in range(self.replay)]
+        pid = self.servo == "pid"
+        gain = truth.K_D if pid else truth.K_P
+        w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
+        k_P, k_I = truth.K_P / gain, truth.K_I / gain
+        B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
+        true = averaged.row(k_P if pid else k_I, k_I, offset, w @ robot.inertia.T, w * B, w * D)
+        steps = NormalisedSteps(
+            "theta",
+            x.theta,
+            true,
+            self._gamma(p),
+            tuple(part.stop - part.start for part in averaged.joints),
+            p.nu,
+            ((row, goal), *stored, (row, goal)),
+            tuple(ca.horzsplit(self._box(p))),
+        )
+        i = truth.i - offset / k_I
+        Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
+        one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
+        rest = averaged.row(truth.q - truth.q_c if pid else i, i, one, Y, truth.dq, phi)
+        moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
+        return SampledCertificate(
+            steps=(steps,),
+            kept=(
+                *(Kept(name, item.T, self._turn(x)) for name, item in (("rows", row), ("goals", goal))),
+                *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
+            ),
+            relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
+            constants={"offset": offset},
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """Whatever friction the plant has, the rows have a column for it."""
+        return columns_for(self.friction, truth)
+
+    def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
+        """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
+        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / u.T)
+        psi = named("psi", self._psi(p, Start(x.q_before, x.target, x.z, x.m_before, x.v_before), v, u_applied, u.T))
+        y = named("y_row", u_applied - v)
+        h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
+        return u_applied, v, psi, y, h, g
+
+    def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
+        """What is learnt from h and g: nothing where the command was clipped."""
+        learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
+        return self._averaged(p).of_joint(learns) * h, learns * g
+
     def _averaged(self, p: Signals) -> AveragedServo:
         return averaged_servo(p.robot.chain, self.servo, frozenset(self.friction))
 
@@ -248,14 +319,27 @@ class SampledInverse(AbstractBlock):
     def _stored(self, x: Signals, p: Signals, rows: SX, new: SX) -> SX:
         """The rows with a new one, each time that its turn has come."""
         pushed = self._averaged(p).pushed(rows, new)
-        return pushed if self.stride == 1 else ca.if_else(x.turn < 1, pushed, rows)
+        return pushed if self.stride == 1 else ca.if_else(self._turn(x), pushed, rows)
+
+    def _turn(self, x: Signals) -> SX:
+        """True at each sample whose row is stored."""
+        return 1 if self.stride == 1 else x.turn < 1
 
     def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
         """Theta after a new row, the stored ones, and the new one again, in its box."""
-        averaged, w = self._averaged(p), p.w_0
-        sizes = averaged.kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
-        box = averaged.kinds(p.k_P_box, p.k_I_box, p.offset_box, w * p.inertia_box, w * p.friction_box)
-        return averaged.learnt(x.theta, h, g, x.rows, x.goals, named("sizes", sizes * sizes), p.nu, named("box", box))
+        learnt, Gamma, box = self._averaged(p).learnt, named("sizes", self._gamma(p)), named("box", self._box(p))
+        return learnt(x.theta, h, g, x.rows, x.goals, Gamma, p.nu, box)
+
+    def _gamma(self, p: Signals) -> SX:
+        """The squares of how far each element may be from its start."""
+        kinds, w = self._averaged(p).kinds, p.w_0
+        sizes = kinds(p.k_P_size, p.k_I_size, w * p.offset_size, w * p.inertia_size, w * p.friction_size)
+        return sizes * sizes
+
+    def _box(self, p: Signals) -> SX:
+        """The least and the greatest of each element."""
+        w = p.w_0
+        return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w * p.inertia_box, w * p.friction_box)
 
     def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
         """S = w M(q)/T as theta has it: how the answer rises with the velocity, by inertia."""

@@ -118,18 +118,23 @@ class Linear:
 
     def sampled_poles(self, period: float) -> Complex:
         """Eigenvalues of `sampled`, without those at one, largest first."""
-        # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
-        Phi = self.sampled(period)
-        if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
+        found = self._multipliers(period)
+        if found is None:
             raise EngineError(f"linearise: the transition over a tick of {period:g} s overflows; take a faster clock")
-        found = np.linalg.eigvals(self._others.T @ Phi @ self._others)
         return np.asarray(found[np.argsort(-np.abs(found))], dtype=complex)
 
     def spectral_radius(self, period: float) -> float:
         """The largest modulus of `sampled_poles`, infinite where they overflow; below 1 the loop comes to rest."""
-        if not np.max(np.abs(self.sampled(period)), initial=0.0) < MOST:
-            return float("inf")
-        return float(np.max(np.abs(self.sampled_poles(period)), initial=0.0))
+        found = self._multipliers(period)
+        return float("inf") if found is None else float(np.max(np.abs(found), initial=0.0))
+
+    def _multipliers(self, period: float) -> Complex | None:
+        """Eigenvalues of `sampled`, without those at one; None where the transition overflows."""
+        Phi = self.sampled(period)
+        if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
+            return None
+        # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
+        return np.asarray(np.linalg.eigvals(self._others.T @ Phi @ self._others), dtype=complex)
 
 
 def linearise(

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from dmframe.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
 from dmframe.block.names import type_name
-from dmframe.certificate import SX, Certificate, TrueValue
+from dmframe.certificate import SX, Certificate, SampledCertificate, TrueValue
 from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
 from dmframe.linalg import metric, times
 from dmframe.naming import named, reading
@@ -122,7 +122,9 @@ class AdaptingBlock(AbstractBlock):
         return {**said, **self._nominal(u, p)}
 
     @final
-    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+    def composed_certificate(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
         """The plain certificate, with the squares of the estimates, and with what the options spend and leave."""
         plain = self.certificate(u, x, p, truth)
         if not isinstance(plain, Certificate):

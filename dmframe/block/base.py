@@ -6,7 +6,7 @@ From the one statement come the simulation, the generated code, the certificate,
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, final
@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from dmframe import notebook
 from dmframe.block.faults import parameter_faults
 from dmframe.block.names import type_name
-from dmframe.certificate import SX, Certificate, Condition, Square
+from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import Adapted, Element, Port, Side, State
+from dmframe.port import PERIOD, TIME, Adapted, Element, Port, Side, State
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -162,8 +162,12 @@ class AbstractBlock(BaseModel):
         del u, p, truth
         return {}
 
-    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
-        """Storage, dissipation and supply; None for a block that can run but not be proved."""
+    def certificate(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
+        """Storage, dissipation and supply; of a block in sampled time, what it stores, loses and gains from sample to
+        sample; None for a block that can run but not be proved.
+        """
         del u, x, p, truth
         return None
 
@@ -180,7 +184,9 @@ class AbstractBlock(BaseModel):
         """The same of the starts."""
         return self.start(u, p, truth)
 
-    def composed_certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+    def composed_certificate(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
         """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
         stated = self.certificate(u, x, p, truth)
         return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated
@@ -219,6 +225,15 @@ class AbstractBlock(BaseModel):
         return notebook.heading(type_name(type(self)), (self.__doc__ or "").split("\n")[0]) + notebook.table(
             rows, ("parameter", "value", "unit")
         )
+
+    @classmethod
+    def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
+        """The parameters with which a graph's key ``reality`` puts the block in, where the graph leaves them open.
+
+        None where it has no place in a graph whose blocks hand out these signals.
+        """
+        needed = (port for port in cls.inputs if not (port.optional or port.drawn or port in (TIME, PERIOD)))
+        return {} if all(port.name in signals for port in needed) else None
 
     @classmethod
     def contract(cls, where: str) -> list[DmframeError]:

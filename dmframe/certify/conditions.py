@@ -47,7 +47,7 @@ def conditions_of(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
 ) -> tuple[list[Checked], list[Assumption]]:
     """Everything that the theorem needs and that numbers can decide; and what is left to assume."""
-    checked, assumed = decide(list(_stated(claim)), numbers)
+    checked, assumed = decide(list(conditions_stated(claim)), numbers)
     checked += _weights(claim, numbers)
     checked += memory_starts(claim, numbers, start or {})
     assumed += dict.fromkeys(_memories(claim))
@@ -75,7 +75,7 @@ def decide(stated: Sequence[tuple[str, Condition]], numbers: Numbers) -> tuple[l
     return checked, assumed
 
 
-def _stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
+def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
     """The conditions that blocks state. Raises `NotApplicableError` where a block cannot state its own."""
     for name, block in claim.diagram.blocks.items():
         seen = view(claim.diagram, name, claim.truths)
@@ -104,7 +104,9 @@ def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:
 def remedies(claim: Claim, numbers: Numbers) -> list[str]:
     """What blocks say of conditions that fail and that their identity needs, such as a friction without a column."""
     try:
-        stated = [(name, item) for name, item in _stated(claim) if isinstance(item, Inequality) and item.otherwise]
+        stated = [
+            (name, item) for name, item in conditions_stated(claim) if isinstance(item, Inequality) and item.otherwise
+        ]
     except NotApplicableError:
         return []
     return [item.name for item in decide(stated, numbers)[0] if not item.holds]

@@ -28,7 +28,7 @@ ORDERS: Final = ("", "first ", "first two ", "first three ", "first four ", "fir
 def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
     """All that cannot be decided from the graph, in the order in which a theorem states it."""
     found = [
-        *_servo_and_robot(claim.diagram),
+        *of_the_plant(claim.diagram),
         *_known(claim.diagram),
         *_ranks(claim),
         *(item for name in claim.diagram.blocks for item in _divisors(claim, name)),
@@ -41,7 +41,8 @@ def hypotheses(claim: Claim, closure: Closure) -> list[Assumption]:
     return list(dict.fromkeys(found))
 
 
-def _servo_and_robot(diagram: Diagram) -> Iterator[Assumption]:
+def of_the_plant(diagram: Diagram) -> Iterator[Assumption]:
+    """The model of the servo and of the robot."""
     plant = [name for name, block in diagram.blocks.items() if block.side is Side.PLANT]
     if plant:
         text = f"the robot and its servo are what the graph says, rigid, with constant parameters: {', '.join(plant)}"

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import final
 
-from dmframe.certify.claim import Claim
-from dmframe.certify.identity import ATTEMPTS, Equality, equalities, residues
+from dmframe.certify.identity import ATTEMPTS, Equality, residues
 from dmframe.certify.symbols import Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime, sign_choices, zero_test
 
@@ -32,7 +31,7 @@ class Refutation:
         The exact point: residues modulo the prime of every symbol and of every function of them that the field does
         not have, ``"cos, sin of 123": (4, 5)``; and what the residual is there.
     says
-        What is not so: ``dV/dt`` of the diagram, or ``block: dS/dt``, ``block: sigma``.
+        What is not so: ``dV/dt`` of the diagram, or ``block: dS/dt``, ``block: sigma``, ``block: V(next) - V``.
     """
 
     blame: tuple[str, ...]
@@ -43,9 +42,9 @@ class Refutation:
     says: str = "dV/dt"
 
 
-def refute(claim: Claim, symbols: Symbols, *, seed: int) -> Refutation:
-    """Locate a failure."""
-    failing = [equality for equality in equalities(claim) if not _vanishes(equality, symbols, seed)]
+def refute(claimed: Sequence[Equality], symbols: Symbols, *, seed: int) -> Refutation:
+    """Locate a failure among what is claimed to vanish."""
+    failing = [equality for equality in claimed if not _vanishes(equality, symbols, seed)]
     blame = dict.fromkeys(equality.block for equality in failing if equality.block)
     first = failing[0]
     tape = Tape.from_function(symbols.function("residual", [first.expression]))
@@ -58,9 +57,9 @@ def refute(claim: Claim, symbols: Symbols, *, seed: int) -> Refutation:
     return Refutation(tuple(blame), signals, prime, point, residue, says)
 
 
-def replay(claim: Claim, symbols: Symbols, refutation: Refutation) -> int:
+def replay(claimed: Sequence[Equality], symbols: Symbols, refutation: Refutation) -> int:
     """What the residual is at a refutation's point, from the point alone."""
-    (equality,) = (e for e in equalities(claim) if (f"{e.block}: {e.says}" if e.block else e.says) == refutation.says)
+    (equality,) = (e for e in claimed if (f"{e.block}: {e.says}" if e.block else e.says) == refutation.says)
     given = dict(refutation.point)
     functions = {label: values for label, values in given.items() if " of " in label}
     trial = Trial(refutation.prime, random.Random(0), functions)

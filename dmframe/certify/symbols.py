@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -12,7 +12,7 @@ import casadi as ca
 
 from dmframe.certificate import SX
 from dmframe.certify.claim import Claim, NotApplicableError
-from dmframe.diagram import Diagram, Parameter
+from dmframe.diagram import ClosedLoop, Diagram, Parameter
 from dmframe.diagram.closed_loop import stack
 from dmframe.port import Side
 from dmframe.robot.rational import decimal
@@ -76,7 +76,16 @@ def symbols_of(claim: Claim, uncertain: Container[str] = ()) -> Symbols:
     ]
     kappa = [] if claim.kappa.is_constant() else [Group("kappa", "weight", claim.kappa)]
     time = Group("t", "time", loop.time)
-    return Symbols((time, *states, *trajectories, *corrections, *parameters, *kappa))
+    groups = (time, *states, *trajectories, *corrections, *parameters, *kappa)
+    return Symbols((*groups, *_of_a_clock(loop)) if loop.clocked else groups)
+
+
+def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:
+    """The sampling period, what trajectories are later, what is drawn at a sample, and what is commanded there."""
+    yield Group("T", "period", loop.period)
+    yield from (Group(leaf.name, "trajectory", leaf.symbol) for leaf in loop.ahead)
+    yield from (Group(noise.label, "noise", noise.symbol) for noise in loop.noises)
+    yield from (Group(f"{leaf.name}, as commanded", "command", leaf.symbol) for leaf in loop.commanded)
 
 
 def _of_source(diagram: Diagram, parameter: Parameter) -> bool:

@@ -21,9 +21,11 @@ from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
+from dmframe.certify.samples import SampledClaim
 from dmframe.certify.smoothness import smoothness
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
 from dmframe.certify.symbols import Symbols, symbols_of
+from dmframe.certify.verify_samples import prove_over_samples
 from dmframe.diagram import Diagram
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroTest
@@ -56,6 +58,8 @@ class Verdict:
         Equations of docstrings that could not be read, and so not be held to the code; they are printed nowhere.
     bounds
         What dV/dt may have above the dissipation, term by term; none for a claim without a bounded residual.
+    samples
+        What was claimed over samples, of a graph that runs on a clock alone.
     build, check
         Seconds spent on writing V and dV/dt, and on deciding.
     """
@@ -75,6 +79,7 @@ class Verdict:
     uncertain: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     bounds: tuple[Bound, ...] = ()
+    samples: SampledClaim | None = None
     build: float = 0.0
     check: float = 0.0
 
@@ -82,6 +87,8 @@ class Verdict:
     def headline(self) -> str:
         """The outcome in words, with what a proof does not reach."""
         words = self.outcome.replace("_", " ")
+        if self.outcome == "proved" and self.samples is not None:
+            words += " over samples, up to what its data leave unexplained; tracking is not part of it"
         if self.outcome == "proved" and self.bounds:
             grows = any(bound.times for bound in self.bounds)
             words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
@@ -156,6 +163,8 @@ def _verified(
     start: Mapping[str, Any],
     clock: _Clock,
 ) -> Verdict:
+    if diagram.loop.clocked:
+        return _over_samples(diagram, trials, seed, uncertain, clock)
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
     smooth, known = smoothness(diagram, claim), len(diagram.resolver.trajectories)
@@ -171,7 +180,7 @@ def _verified(
     if not test.zero and (reason := doubt(claim, symbols, seed)):
         return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
-        refutation = refute(claim, symbols, seed=seed)
+        refutation = refute(equalities(claim), symbols, seed=seed)
         lacking = remedies(claim, Numbers(claim, uncertain))
         return Verdict(
             "refuted", _blame(claim, refutation, lacking), claim, test, refutation, build=clock.build, check=clock.check
@@ -212,6 +221,29 @@ def _verified(
         notices=claim.notices,
         build=clock.build,
         check=clock.check,
+    )
+
+
+def _over_samples(
+    diagram: Diagram, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]], clock: _Clock
+) -> Verdict:
+    try:
+        found = prove_over_samples(diagram, trials=trials, seed=seed, uncertain=uncertain)
+    except ValueFault as error:
+        return Verdict("not_applicable", error.text, build=clock.build)
+    return Verdict(
+        found.outcome,
+        found.reason,
+        test=found.test,
+        refutation=found.refutation,
+        conditions=found.conditions,
+        assumptions=found.assumptions,
+        controls=found.controls,
+        statements=found.statements,
+        fixed=found.fixed,
+        uncertain=tuple(uncertain),
+        samples=found.claim,
+        build=clock.build,
     )
 
 

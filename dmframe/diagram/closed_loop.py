@@ -204,7 +204,11 @@ class ClosedLoop:
 
     def joined(self, expressions: Sequence[SX]) -> list[SX]:
         """Expressions with measured, commanded and future signals replaced by what they are."""
-        return _put(_put(expressions, self._crossed), columns(self.ahead))
+        return _put(self.crossed(expressions), columns(self.ahead))
+
+    def crossed(self, expressions: Sequence[SX]) -> list[SX]:
+        """The same with future signals left as leaves, as trajectories are."""
+        return _put(expressions, self._crossed)
 
     def on_path(self, expression: SX) -> SX:
         """An expression with the trajectories, and what they are later, replaced by functions of time."""

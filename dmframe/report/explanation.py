@@ -169,7 +169,7 @@ class Explanation:
         clock = self.experiment.file.clock
         meaning = unmarked(meaning_of(verdict, clock).sentence).replace(_RATE, "d/dt ")
         yield Said(meaning[:1].upper() + meaning[1:])
-        if clock is not None and verdict.outcome == "proved":
+        if clock is not None and verdict.outcome == "proved" and verdict.samples is None:
             yield Said(
                 f"The proof is one of continuous time: it does not say what a clock of {plain(clock, 's')} changes."
             )

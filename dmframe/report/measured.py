@@ -128,6 +128,8 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
 
 
 def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
+    if verdict.samples is not None:
+        return None, "$V$ holds true values that no run tells, and is not shown."
     if verdict.claim is None:
         return None, "Without a certificate there is no $V$ to show."
     if verdict.outcome == "refuted":

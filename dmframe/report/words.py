@@ -29,6 +29,8 @@ def meaning_of(verdict: Verdict, clock: float | None) -> Meaning:
 
 
 def _proved(verdict: Verdict, clock: float | None) -> Meaning:
+    if verdict.samples is not None:
+        return _proved_over_samples(verdict)
     sentence = _sentence_with_residual(verdict) if verdict.bounds else _sentence(verdict)
     means = (
         "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
@@ -38,6 +40,29 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
         f"The test can say no: {_controls(verdict)}",
     )
     return Meaning(verdict.headline.capitalize(), sentence, means, _limits(clock))
+
+
+def _proved_over_samples(verdict: Verdict) -> Meaning:
+    sentence = (
+        "from sample to sample, as a mathematical theorem, an energy-like function $V$ of the estimates' errors rises "
+        "by no more than what the measured data leave unexplained, whatever is commanded; that the robot follows its "
+        "path is not a part of this theorem."
+    )
+    means = (
+        "The proof is an identity: $V^+ - V$, on the very map that the simulator computes at each sample, equals "
+        "exactly minus a sum of terms none of which can be negative, plus squares of what the data leave unexplained.",
+        _decided(verdict),
+        "The identity holds for all values of the free symbols: every measurement, command, sampling period and delay, "
+        f"not only for those of this graph; {_where(verdict)}",
+        f"The test can say no: {_controls(verdict)}",
+    )
+    means_not = (
+        "How large that is which the data leave unexplained: it is there because means over a sample are taken at one "
+        "point of it, and grows with the period, with noise, and with what the plant has and the model has not.",
+        "That the robot follows its path, or stays near it: its velocities are assumed to stay bounded.",
+        "Anything beyond the model: whatever the assumptions exclude, such as flexible joints or a saturated motor.",
+    )
+    return Meaning(verdict.headline.capitalize(), sentence, means, means_not)
 
 
 def everywhere(verdict: Verdict) -> str:

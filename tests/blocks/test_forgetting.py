@@ -72,7 +72,7 @@ def test_forgetting_and_composite_adaptation_are_proved_with_every_part_of_the_k
 
 @pytest.mark.parametrize("name", ["theorem_1", "filtered_regulation_pid", "observed_regulation_pi"])
 def test_it_goes_with_every_generator_that_adapts_the_kinematics(name: str) -> None:
-    verdict = honest("geometry.R=5", "geometry.forgetting=0.2", name=name)
+    verdict = honest("geometry.R=5", "geometry.forgetting=0.2", TOOL, name=name)
     assert verdict.outcome == "proved", verdict.reason
 
 

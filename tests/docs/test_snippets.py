@@ -21,10 +21,12 @@ from typing import Any
 
 import pytest
 
+from dmframe import plotting
 from dmframe.catalogue import graphs
 from dmframe.cli import main
 from dmframe.config.document import read_document, read_file
 from dmframe.config.experiment import experiment_of
+from dmframe.results import estimate_figure
 from dmframe.study import proof
 
 ROOT = Path(__file__).parents[2]
@@ -57,6 +59,8 @@ def snippets(page: Path) -> list[tuple[int, str, str]]:
 def test_every_snippet_does_what_the_page_says(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
+    for module in (plotting, estimate_figure):  # figures are drawn; tests of figures look at how they are laid out
+        monkeypatch.setattr(module, "settle", lambda figure: figure.set_layout_engine("none"))
     monkeypatch.setattr(proof, "MOST", 1)  # of a study's settings one is decided; no page prints more of it
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     shared = Page(tmp_path)

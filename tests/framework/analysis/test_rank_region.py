@@ -70,7 +70,7 @@ def packaged(name: str, *overrides: str) -> tuple[Diagram, Any]:
 
 def region(name: str, *overrides: str, **options: Any) -> RankRegion:
     diagram, graph = packaged(name, *overrides)
-    return rank_region(diagram, graph.start, duration=graph.file.duration, **{"tube": TUBE, "boxes": 3000, **options})
+    return rank_region(diagram, graph.start, duration=graph.file.duration, **{"tube": TUBE, "boxes": 300, **options})
 
 
 @cache
@@ -78,7 +78,7 @@ def theorem_3(shape: str) -> RankRegion:
     return region("theorem_3", shape=shape)
 
 
-def sampled(name: str, found: RankRegion, count: int = 3000, seed: int = 0) -> np.ndarray:
+def sampled(name: str, found: RankRegion, count: int = 1000, seed: int = 0) -> np.ndarray:
     """Singular values at random poses of the tube and random parameters of the set, half of both on the rim.
 
     The Jacobian is Pinocchio's, its joints placed where the parameters say.
@@ -127,7 +127,7 @@ def test_the_region_is_not_empty_words_and_no_larger_than_what_refutes_it() -> N
 def test_known_kinematics_and_redundant_robots_have_a_region_too() -> None:
     for name in ("ur10_fast", "panda_full"):
         diagram, graph = packaged(name)
-        found = rank_region(diagram, graph.start, duration=1.0, tube=0.01, boxes=1000)
+        found = rank_region(diagram, graph.start, duration=1.0, tube=0.01, boxes=300)
         assert (found.parameters, found.option, found.start_inside) == ("robot.a_k", None, None)
         assert option_value(found) is None
         assert found.radius > 0.01
@@ -301,7 +301,7 @@ def test_half_widths_go_with_lengths_where_that_is_asked_for() -> None:
 
 
 def test_few_boxes_give_a_smaller_region_that_still_holds() -> None:
-    found = region("theorem_3", boxes=300)
+    found = region("theorem_3", boxes=100)
     assert 0 < found.radius < theorem_3("box").radius
     assert found.certified <= np.min(sampled("theorem_3", found, count=500))
 

@@ -12,7 +12,10 @@ from typing import Any
 
 import pytest
 
+from dmframe.cli import main
+
 MAIN = "from dmframe.cli import main; main()"
+NEW = pytest.mark.usefixtures("cache")
 RUN = ("run", "arm2_joint", "--no-plots", "--engine", "compiled", "--json")
 
 
@@ -41,9 +44,16 @@ def told(process: subprocess.Popen[str]) -> dict[str, Any]:
     return found
 
 
-def sound(folder: Path) -> None:
-    """Another process finds the cache as it should be."""
-    told(started("", (*RUN, "--until", "0.2", "--out", "mine"), folder))
+def sound(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another process, here this one, which has loaded nothing yet, finds the cache as it should be."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["dmframe", *RUN, "--until", "0.2", "--out", "mine"])
+    with pytest.raises(SystemExit) as stopped:
+        main()
+    out, err = capsys.readouterr()
+    assert (stopped.value.code or 0, err) == (0, "")
+    found = json.loads(out)
+    assert (found["engine"], found["notices"]) == ("compiled", [])
     assert all(path.suffix == ".so" or path.name.startswith(".part-") for path in (folder / "cache").iterdir())
 
 
@@ -65,8 +75,11 @@ def test_two_processes_may_compile_the_same_at_once(tmp_path: Path) -> None:
     assert {path.suffix for path in (tmp_path / "cache").iterdir()} == {".so"}
 
 
+@NEW
 @pytest.mark.parametrize("moment", ["before", "half way", "after"])
-def test_killed_while_it_compiles_a_process_leaves_no_entry(moment: str, tmp_path: Path) -> None:
+def test_killed_while_it_compiles_a_process_leaves_no_entry(
+    moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pipe, silent, compiler = tmp_path / "pipe", tmp_path / "silent", tmp_path / "cc"
     os.mkfifo(pipe)
     os.mkfifo(silent)
@@ -81,11 +94,14 @@ def test_killed_while_it_compiles_a_process_leaves_no_entry(moment: str, tmp_pat
     killed_when_told(process, pipe)
     assert [path.name[:6] for path in (tmp_path / "cache").iterdir()] == [".part-"]
     assert list((tmp_path / "mine").iterdir()) == []  # held for a run that has gone, and free for the next
-    sound(tmp_path)
+    sound(tmp_path, monkeypatch, capsys)
 
 
+@NEW
 @pytest.mark.parametrize("moment", ["run", "write"])
-def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(moment: str, tmp_path: Path) -> None:
+def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(
+    moment: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     tell = f"    with open({str(pipe)!r}, 'w') as f:\n        f.write('x')\n    signal.pause()\n"
@@ -98,4 +114,4 @@ def test_killed_while_it_runs_or_writes_a_process_leaves_no_result(moment: str, 
     process = started(hook, (*RUN, "--until", "2", "--out", "mine"), tmp_path)
     killed_when_told(process, pipe)
     assert list((tmp_path / "mine").iterdir()) == []  # held for a run that has gone, and free for the next
-    sound(tmp_path)
+    sound(tmp_path, monkeypatch, capsys)

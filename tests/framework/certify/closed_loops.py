@@ -137,8 +137,8 @@ def _loops() -> Iterator[Loop]:
                 yield loop_of(robot, task, servo, source=source, boxes=robot.n == 3)
     yield _fitted(robots[0])
     yield from _full(robots[0])
-    held = {kind for robot in robots[:1] for kind in ("circle", "setpoint", "sinusoid", "waypoints")}
-    yield from _packaged(held)
+    yield _posture(load("arm2", axes="x"))
+    yield from _packaged({"circle", "setpoint", "sinusoid", "waypoints", "null_space_posture"})
 
 
 def _fitted(robot: Any) -> Loop:
@@ -150,6 +150,13 @@ def _fitted(robot: Any) -> Loop:
         "task": ("observed_tracking", {"gamma": 2}),
     }
     return Loop(f"{robot.name} fitted kinematics PI", robot, {**known, **fitted})
+
+
+def _posture(robot: Any) -> Loop:
+    """A redundant robot, the smallest: two joints for one coordinate."""
+    known = loop_of(robot, "task", "PI").specs
+    posture = {"posture": ("null_space_posture", {"K_null": 0.5, "q_0": [0.3, 0.4]})}
+    return Loop(f"{robot.name} posture PI", robot, {**known, **posture})
 
 
 FULL = "full gains"

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import ast
 import contextlib
-import copy
 import inspect
 import multiprocessing
 import os
@@ -19,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from types import FunctionType
 from typing import Any
 from unittest import mock
@@ -84,13 +83,15 @@ def mutants_of(function: Callable[..., Any], owner: str, signals: Mapping[str, M
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     first = function.__code__.co_firstlineno - 1
     seen = {ast.dump(tree)}
-    for index, node in enumerate(ast.walk(tree)):
+    for node, put in _places(tree):
         for fault, changed in _faults(node, signals):
-            mutated = _replaced(tree, index, changed)
-            if ast.dump(mutated) not in seen:
-                seen.add(ast.dump(mutated))
+            with _placed(node, put, changed):
+                dumped = ast.dump(tree)
+                made = _compiled(tree, function) if dumped not in seen else None
+            if made:
+                seen.add(dumped)
                 where = f"line {first + node.lineno}: {fault}"  # type: ignore[attr-defined]
-                yield Mutant(owner, where, _compiled(mutated, function), function)
+                yield Mutant(owner, where, made, function)
 
 
 def _faults(node: ast.AST, signals: Mapping[str, Mapping[str, str]]) -> Iterator[tuple[str, ast.AST]]:
@@ -152,26 +153,24 @@ def _entries(keys: Sequence[ast.expr | None], values: Sequence[ast.expr]) -> Ite
                 )
 
 
-def _replaced(tree: ast.Module, index: int, changed: ast.AST) -> ast.Module:
-    """A copy of the tree with the node of that place in the walk replaced."""
-    nodes = list(ast.walk(tree))
-    target = nodes[index]
-
-    class Put(ast.NodeTransformer):
-        def visit(self, node: ast.AST) -> ast.AST:
-            return copy.deepcopy(changed) if node is target else self.generic_visit(_shallow(node))
-
-    put = Put().visit(tree)
-    return ast.fix_missing_locations(put)  # type: ignore[no-any-return]
+def _places(tree: ast.Module) -> Iterator[tuple[ast.AST, Callable[[ast.AST], None]]]:
+    """All nodes below the first, each with what puts another into its place."""
+    for parent in list(ast.walk(tree)):
+        for name, value in ast.iter_fields(parent):
+            if isinstance(value, ast.AST):
+                yield value, partial(setattr, parent, name)
+            elif isinstance(value, list):
+                yield from ((item, partial(value.__setitem__, k)) for k, item in enumerate(value))
 
 
-def _shallow(node: ast.AST) -> ast.AST:
-    """A copy whose lists may be changed without changing the node's."""
-    twin = copy.copy(node)
-    for field, value in ast.iter_fields(node):
-        if isinstance(value, list):
-            setattr(twin, field, list(value))
-    return twin
+@contextlib.contextmanager
+def _placed(node: ast.AST, put: Callable[[ast.AST], None], changed: ast.AST) -> Iterator[None]:
+    """The tree with another node in the place of one: to copy it for every fault would take most of the time."""
+    put(ast.fix_missing_locations(ast.copy_location(changed, node)))
+    try:
+        yield
+    finally:
+        put(node)
 
 
 def _compiled(tree: ast.Module, original: Callable[..., Any]) -> FunctionType:
@@ -244,13 +243,13 @@ def _renamed(function: Callable[..., Any], which: str, names: Sequence[str]) -> 
     """One argument taken for another, at one place."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     first = function.__code__.co_firstlineno - 1
-    for index, node in enumerate(ast.walk(tree)):
+    for node, put in _places(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in names:
             for other in names:
                 if other != node.id:
-                    mutated = _replaced(tree, index, ast.Name(other, ast.Load()))
-                    fault = f"line {first + node.lineno}: {node.id} became {other}"
-                    yield Mutant(which, fault, _compiled(mutated, function), function)
+                    with _placed(node, put, ast.Name(other, ast.Load())):
+                        made = _compiled(tree, function)
+                    yield Mutant(which, f"line {first + node.lineno}: {node.id} became {other}", made, function)
 
 
 @contextlib.contextmanager

@@ -143,8 +143,9 @@ def test_what_was_sampled_is_not_said_to_hold() -> None:
 
 EXTREMES = ["1e308", "5e-324", "-0.0", ".nan", ".inf"]
 PLACES = {
-    "theorem_1": ("inverse.Lambda", "servo.K_P", "path.radius"),
-    "filtered_regulation_pid": ("inverse.K_c", "servo.K_D"),
+    "theorem_1": ("path.radius",),
+    "arm2_joint": ("inverse.Lambda", "servo.K_P"),
+    "joint_tracking_pid": ("inverse.K_c", "servo.K_D"),
 }
 
 

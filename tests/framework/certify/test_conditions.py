@@ -184,7 +184,7 @@ def test_an_interval_bounds_what_samples_of_it_give() -> None:
     ranges = {"servo.K_D": [60, 100], "servo.K_P": [150, 200], "servo.K_I": [40, 70]}
     bounds = checked(built(), ranges)
     least = {name: np.inf for name, item in bounds.items() if item.value is not None}
-    for _ in range(8):
+    for _ in range(4):
         servo = {name.split(".")[1]: list(rng.uniform(*ends, 2)) for name, ends in ranges.items()}
         for name, item in checked(built(servo=servo)).items():
             if name in least and item.value is not None:

@@ -27,8 +27,6 @@ ROBOTS = {
             "tool": "ee_link",
         },
     ),
-    "ur10": ("ur10", {}),
-    "panda": ("panda", {}),
     "xarm7": ("xarm7", {}),
 }
 LOOPS = [(task, servo) for task in ("task", "joint") for servo in ("PI", "PID")]
@@ -56,11 +54,11 @@ def test_the_identity_holds_for_every_servo_and_every_reference_with_and_without
 
 
 @pytest.mark.parametrize("friction", FRICTION)
-@pytest.mark.parametrize("boxes", [True, False])
 @pytest.mark.parametrize(("task", "servo"), LOOPS)
 def test_the_planar_arm_is_proved_with_every_friction_with_and_without_boxes(
-    task: str, servo: str, friction: str, boxes: bool
+    task: str, servo: str, friction: str
 ) -> None:
+    boxes = (LOOPS.index((task, servo)) + list(FRICTION).index(friction)) % 2 == 0
     test = identity(loop_of(robot("arm2"), task, servo, friction=friction, boxes=boxes).build())
     assert test.zero
 
@@ -89,7 +87,7 @@ def test_packaged_graphs_are_proved(name: str) -> None:
     assert verify(load_experiment(name).diagram()).outcome == "proved"
 
 
-@settings(max_examples=12, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(st.sampled_from(["revolute", "revolute", "prismatic"]), min_size=1, max_size=4),
     st.sampled_from(LOOPS),

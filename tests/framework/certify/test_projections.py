@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 import pytest
+from structures import structures
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.catalogue import graphs
 from dmframe.certificate import SX, Certificate, Square, TrueValue
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.checked import Checked, Numbers
@@ -338,10 +338,10 @@ def test_a_box_without_width_is_no_fault() -> None:
 
 def test_every_packaged_projection_is_held_to_the_lemma() -> None:
     count = 0
-    for name in graphs():
+    for name in structures():
         loop = load_experiment(name).diagram().loop
         for projection in loop.projections:
             found = check_law(projection, loop)
             assert found.holds, (name, found)
             count += 1
-    assert count > 30
+    assert count > 20

@@ -266,7 +266,15 @@ def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_pat
     assert {path.name for path in tmp_path.joinpath("here").iterdir()} == FILES
 
 
-def test_graphs_of_any_name_lie_beside_their_figures(dmframe: Any, tmp_path: Path) -> None:
+def test_graphs_of_any_name_lie_beside_their_figures(
+    dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def files_of(figure: object, name: str, about: str) -> dict[str, bytes]:
+        return {f"{name}.png": b"", f"{name}.svg": b""}  # names alone are looked at
+
+    monkeypatch.setattr("dmframe.results.figures.files_of", files_of)
+    for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
+        monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     names = ("error.png.yaml", "..yaml", "new\nline.yaml", "Error_PNG.yaml")
     for name in names:
         assert dmframe("new", "arm2_joint", name).status == 0

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 import pytest
+from structures import structures
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.catalogue import graphs
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import Known, known_truths
@@ -135,7 +135,7 @@ def test_where_an_estimate_starts_is_not_known_unless_a_rate_pulls_it_back_there
 
 def test_no_packaged_controller_knows_the_inertia_but_the_one_that_is_there_to_be_compared_with() -> None:
     leaks = set[tuple[str, str]]()
-    for name in graphs():
+    for name in structures():
         for block, item in of(name).items():
             if "inertia" in item.groups and item.held_by["inertia"] != ("a_d_nominal",):
                 leaks.add((name, block))

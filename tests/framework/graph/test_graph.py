@@ -19,6 +19,7 @@ import dmframe as dm
 from dmframe.catalogue import graphs
 from dmframe.errors import DmframeError, OutputError, UnknownNameError, ValueFault
 from dmframe.report import Verification
+from dmframe.report.linear import LinearView
 from dmframe.simulate import simulate
 
 TEXT = graphs()["pendulum"].read_text(encoding="utf-8")
@@ -213,6 +214,7 @@ def test_a_saved_graph_loads_again_and_is_not_overwritten(pendulum: dm.Graph, tm
 
 def test_paths_may_begin_at_home(pendulum: dm.Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
     assert pendulum.save("~/g.yaml").is_file()
     assert dm.load("~/g.yaml").blocks.keys() == dm.load(Path("~/g.yaml")).blocks.keys() == pendulum.blocks.keys()
     assert pendulum.draw().save("~/g.svg") == tmp_path / "g.svg"
@@ -292,8 +294,8 @@ def test_a_graph_and_a_run_survive_pickling_and_a_graph_equals_one_of_the_same_t
 
 def test_several_threads_may_prove_one_graph(pendulum: dm.Graph) -> None:
     with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: pendulum.verify().headline, range(8)))
-    assert found == ["proved"] * 8
+        found = list(pool.map(lambda _: pendulum.verify().headline, range(4)))
+    assert found == ["proved"] * 4
 
 
 def test_blocks_cannot_be_exchanged_behind_a_graphs_back(pendulum: dm.Graph) -> None:

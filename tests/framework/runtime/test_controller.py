@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,22 @@ from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError, ValueFault
 from dmframe.runtime import Controller
-from dmframe.simulate import simulate
+from dmframe.simulate import Recording, simulate
 
 SAMPLED = [name for name in graphs() if name.startswith(("ur10_fast", "arm2", "observed", "torque", "panda"))]
 
 
+@cache
 def loaded(name: str) -> tuple[Experiment, Diagram]:
     graph = load_experiment(name)
     return graph, graph.diagram()
+
+
+@cache
+def measured(name: str, clock: float) -> Recording:
+    """A short run, for both engines."""
+    graph, diagram = loaded(name)
+    return simulate(diagram, 40 * clock, clock=clock, start=graph.start, engine="interpreted")
 
 
 @pytest.mark.parametrize("engine", ["compiled", "interpreted"])
@@ -30,7 +39,7 @@ def loaded(name: str) -> tuple[Experiment, Diagram]:
 def test_fed_with_what_was_measured_it_commands_what_was_commanded(name: str, engine: Any) -> None:
     graph, diagram = loaded(name)
     clock = graph.file.clock or 0.004
-    run = simulate(diagram, 40 * clock, clock=clock, start=graph.start, engine="interpreted")
+    run = measured(name, clock)
     controller = Controller(diagram, clock, start=graph.start, engine=engine)
     assert controller.engine == engine
     assert controller.commanded

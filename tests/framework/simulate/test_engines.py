@@ -10,11 +10,11 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.special import erf
+from structures import structures
 
 import dmframe.codegen.function
 from dmframe.build import load
 from dmframe.build.library import address
-from dmframe.catalogue import graphs
 from dmframe.codegen import loop_source
 from dmframe.codegen.function import written
 from dmframe.codegen.source import shipped
@@ -53,7 +53,7 @@ def difference(one: Recording, other: Recording) -> float:
     return worst
 
 
-@pytest.mark.parametrize("name", graphs())
+@pytest.mark.parametrize("name", structures())
 def test_every_packaged_graph_runs_alike_on_both_engines(name: str) -> None:
     compiled, interpreted = (ran(name, engine, 0.4) for engine in ("compiled", "interpreted"))
     assert (compiled.engine, interpreted.engine) == ("compiled", "interpreted")

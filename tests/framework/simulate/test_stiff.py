@@ -186,7 +186,7 @@ def test_a_packaged_graph_is_that_of_cvodes_and_nearer_at_half_the_step(name: st
 
 @pytest.mark.parametrize(
     ("name", "changes"),
-    [("arm2_joint", []), ("ur10_fast", []), ("theorem_1", []), ("panda_full", PANDA)],
+    [("arm2_joint", []), ("ur10_fast", []), ("theorem_1", [])],
 )
 def test_both_engines_compute_it_alike(name: str, changes: list[str]) -> None:
     graph = load_experiment(name, changes)

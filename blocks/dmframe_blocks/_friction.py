@@ -1,0 +1,34 @@
+"""A plant's friction and the columns that a controller has for it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from typing import Final
+
+import casadi as ca
+
+from dmframe.block import Signals
+from dmframe.certificate import SX, Condition, Inequality
+from dmframe.robot.parameters import Friction
+
+_KINDS: Final = (("viscous", "viscous", "B"), ("coulomb", "Coulomb", "D"))
+
+
+def columns_for(friction: Collection[Friction], truth: Signals) -> tuple[Condition, ...]:
+    """Whatever friction the plant has, there is a column for it."""
+    lacking = [kind for kind in _KINDS if kind[0] not in friction and kind[2] in truth]
+    return tuple(_column_for(key, name, getattr(truth, of)) for key, name, of in lacking)
+
+
+def _column_for(key: str, name: str, true: SX) -> Inequality:
+    """No such friction, or a column for it."""
+    owners = ", ".join(dict.fromkeys(re.sub(r"(_\d+)?$", "", str(symbol)) for symbol in ca.symvar(true)))
+    return Inequality(
+        f"the plant has no {name} friction: {owners} is zero",
+        -true * true,
+        "eq. (5)",
+        strict=False,
+        otherwise=f"the plant has {name} friction ({owners}), and the regressor has no column for it: add {key} to "
+        "friction",
+    )

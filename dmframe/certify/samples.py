@@ -1,0 +1,323 @@
+r"""What a diagram claims over samples: V(next) - V, identically, on the very map of a tick that a run computes.
+
+    V = (S_1 + S_2 + ...),    V(next) - V = -1/2 (decreases) + 1/2 (residuals)
+
+V holds sampled states and parameters alone, so that no formula for the plant between two samples is needed: the claim
+holds for every measurement and every command. What the residuals are made of is another matter: rows of an estimator
+stand for means over a sample of what the plant's motion obeys, and that relation is tested along the vector field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import final
+
+import casadi as ca
+
+from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX, Certificate, Kept, NormalisedSteps, Relation, SampledCertificate, Square
+from dmframe.certify.claim import Claim, NotApplicableError, total
+from dmframe.certify.identity import Equality
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.truths import Stated, conflicts
+from dmframe.diagram.view import view
+from dmframe.errors import BlockError, nearest
+from dmframe.port import Side
+from dmframe.program import EDGES, JUMPS, KINKS, codes
+
+
+@final
+@dataclass(frozen=True)
+class SampledPart:
+    """One block's part of the claim, in the leaves of the closed loop, measured and commanded signals substituted."""
+
+    block: str
+    storage: tuple[Square, ...]
+    decrease: tuple[Square, ...]
+    residual: tuple[Square, ...]
+    steps: tuple[NormalisedSteps, ...]
+    kept: tuple[Kept, ...]
+    relations: tuple[Relation, ...]
+    """Their commands are not substituted: they are free."""
+    solved: tuple[SX, ...]
+    constants: Mapping[str, SX]
+
+    @property
+    def stored(self) -> tuple[Square, ...]:
+        """The terms of V, those of the steps last."""
+        return (*self.storage, *(item.storage for item in self.steps))
+
+    @property
+    def V(self) -> SX:
+        """Half the sum of what is stored."""
+        return total([term.value for term in self.stored]) / 2
+
+    @property
+    def lost(self) -> SX:
+        """Half of what V loses from sample to sample."""
+        own = [term.value for term in self.decrease]
+        return total([*own, *(item.decrease for item in self.steps)]) / 2
+
+    @property
+    def gained(self) -> SX:
+        """Half of the residuals."""
+        own = [term.value for term in self.residual]
+        return total([*own, *(item.residual for item in self.steps)]) / 2
+
+
+@final
+@dataclass(frozen=True)
+class SampledClaim:
+    """What the blocks of a diagram claim over samples.
+
+    Parameters
+    ----------
+    base
+        The diagram, its closed loop and the true values that blocks state.
+    parts
+        The blocks that claim something.
+    silent
+        Those without a certificate, of which nothing is said and nothing is needed.
+    next
+        What each sampled state becomes, by label, measured and commanded signals substituted.
+    """
+
+    base: Claim
+    parts: tuple[SampledPart, ...]
+    silent: tuple[str, ...]
+    next: Mapping[str, SX]
+
+    @property
+    def V(self) -> SX:
+        """The Lyapunov function."""
+        return total([part.V for part in self.parts])
+
+    @cached_property
+    def symbols(self) -> Mapping[str, SX]:
+        """The sampled states, by label."""
+        return {v.label: v.symbol for v in self.base.loop.stepped if v.next is not None}
+
+    def moved(self, expression: SX) -> SX:
+        """An expression of sampled states one sample later."""
+        used = symbols_in([expression])
+        labels = [label for label, symbol in self.symbols.items() if used & symbols_in([symbol])]
+        if not labels:
+            return expression
+        old, new = stack(self.symbols[label] for label in labels), stack(self.next[label] for label in labels)
+        return ca.substitute([expression], [old], [new])[0]
+
+    def change(self, part: SampledPart) -> SX:
+        """V(next) - V of one block, but for what boxes take away from it."""
+        own = total([term.value for term in part.storage]) / 2
+        return self.moved(own) - own + total([item.change for item in part.steps]) / 2
+
+    def equalities(self) -> list[Equality]:
+        """All that has to vanish identically, block by block."""
+        return [equality for part in self.parts for equality in self.of(part)]
+
+    def of(self, part: SampledPart) -> Iterator[Equality]:
+        """What one block claims to vanish."""
+        change = self.change(part)
+        scale = ca.fabs(change) + ca.fabs(part.lost) + ca.fabs(part.gained)
+        if part.stored:
+            yield Equality(part.block, "V(next) - V", change + part.lost - part.gained, scale)
+        for item in part.steps:
+            becomes = self.next[f"{part.block}.{item.estimate}"]
+            yield _equal(part.block, f"what {item.estimate} becomes", becomes, item.held)
+        for memory in part.kept:
+            label = f"{part.block}.{memory.state}"
+            pushed = memory.pushed(self.symbols[label])
+            yield _equal(part.block, f"what {memory.state} keeps", self.next[label], pushed)
+        for relation in part.relations:
+            rate = self.along_the_plant(relation.momentum)
+            yield _equal(part.block, "what the plant's motion obeys", rate, -relation.rest)
+        for left in part.solved:
+            yield Equality(part.block, "the equation that its output solves", left, ca.fabs(left))
+
+    def along_the_plant(self, expression: SX) -> SX:
+        """d/dt while the plant moves between two samples, its commands free."""
+        loop = self.base.loop
+        known = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
+        moving = [variable for variable in loop.flowing if symbols_in([expression]) & symbols_in([variable.symbol])]
+        if not moving:
+            return ca.SX.zeros(expression.shape)
+        rates = [variable.rate for variable in moving]
+        if known:
+            rates = ca.substitute(rates, [stack(a for a, _ in known)], [stack(b for _, b in known)])
+        return ca.jtimes(expression, stack(variable.symbol for variable in moving), stack(rates))
+
+
+def _equal(block: str, says: str, one: SX, other: SX) -> Equality:
+    return Equality(block, says, ca.vec(ca.densify(one - other)), ca.vec(ca.fabs(one) + ca.fabs(other)))
+
+
+def sampled_claim_of(diagram: Diagram) -> SampledClaim:
+    """Assemble what the blocks claim over samples.
+
+    Raises `NotApplicableError` where none claims anything, or one claims what nothing over samples can be said of.
+    """
+    stated, silent, truths = _certificates(diagram)
+    claiming = {name: item for name, item in stated.items() if isinstance(item, SampledCertificate)}
+    if not any(item.storage or item.steps for item in claiming.values()):
+        reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
+        raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
+    parts = tuple(_part(diagram, name, item) for name, item in claiming.items())
+    base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
+    sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
+    moved = diagram.loop.crossed([variable.next for variable in sampled])
+    becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}
+    claim = SampledClaim(base, parts, silent, becomes)
+    for part in parts:
+        for text in _unfit(claim, part):
+            raise NotApplicableError(f"{part.block}: {text}")
+    return claim
+
+
+def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate | SampledCertificate], tuple[str, ...], Stated]:
+    """Every block's certificate; of blocks in continuous time, the true values that they state are all that is read."""
+    sides = (Side.PLANT, Side.CONTROLLER)
+    waiting = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
+    found, stated, silent = dict[str, Certificate | SampledCertificate](), dict[str, Mapping[str, SX]](), []
+    while waiting:
+        faults = dict[str, str]()
+        for name in waiting:
+            known = len(diagram.resolver.faults)
+            try:
+                seen = view(diagram, name, stated)
+                del diagram.resolver.faults[known:]
+                with told_by(name, "certificate()"):
+                    certificate = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
+            except BlockError as error:
+                faults[name] = error.text
+                continue
+            if certificate is None:
+                silent.append(name)
+                continue
+            if not isinstance(certificate, Certificate | SampledCertificate):
+                kind = type(certificate).__name__
+                raise NotApplicableError(f"{name}: expected a Certificate or a SampledCertificate, found {kind}")
+            found[name] = certificate
+            stated[name] = {key: ca.SX(value) for key, value in certificate.truth.items()}
+        if list(faults) == waiting:
+            sampled = [name for name in faults if any(state.sampled for state in diagram.blocks[name].states)]
+            for name in sampled:
+                raise NotApplicableError(faults[name])
+            silent += faults  # a law in continuous time, of which this proof says nothing
+            break
+        waiting = list(faults)
+    for text in conflicts(diagram, stated):
+        raise NotApplicableError(text)
+    order = {name: found[name] for name in diagram.blocks if name in found}
+    return order, tuple(name for name in diagram.blocks if name in silent), stated
+
+
+def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPart:
+    """In the leaves of the closed loop; the relations' commands stay leaves of their own."""
+    loop = diagram.loop
+
+    def joined(pieces: Sequence[SX]) -> list[SX]:
+        return loop.crossed([ca.SX(piece) for piece in pieces])
+
+    def when(value: SX) -> SX:
+        return value if isinstance(value, int) else joined([value])[0]
+
+    def squares(terms: Sequence[Square]) -> tuple[Square, ...]:
+        return tuple(term.with_pieces(joined(term.pieces)) for term in terms)
+
+    measured = [(leaf.symbol, leaf.expression) for leaf in loop.measured]
+
+    def of_the_plant(expression: SX) -> SX:
+        pair = ([stack(a for a, _ in measured)], [stack(b for _, b in measured)]) if measured else None
+        return ca.substitute([ca.SX(expression)], *pair)[0] if pair else ca.SX(expression)
+
+    return SampledPart(
+        name,
+        squares(stated.storage),
+        squares(stated.decrease),
+        squares(stated.residual),
+        tuple(item.with_pieces(joined(item.pieces)) for item in stated.steps),
+        tuple(replace(item, newest=joined([item.newest])[0], when=when(item.when)) for item in stated.kept),
+        tuple(Relation(of_the_plant(item.momentum), of_the_plant(item.rest)) for item in stated.relations),
+        tuple(loop.crossed([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
+        {key: ca.SX(value) for key, value in stated.constants.items()},
+    )
+
+
+def _unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
+    """What is wrong with the form of a block's claim."""
+    own = {
+        label.partition(".")[2]: symbol for label, symbol in claim.symbols.items() if label.startswith(f"{part.block}.")
+    }
+    yield from _misshapen(part, own)
+    loop = claim.base.loop
+    constant = symbols_in(parameter.symbol for parameter in loop.parameters)
+    constant |= symbols_in(part.constants.values())
+    allowed = constant | symbols_in(own.values())
+    moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
+    for term in part.stored:
+        for piece in term.pieces:
+            for strange in symbols_in([piece]) - allowed:
+                what = moving.get(strange, "what is no parameter")
+                yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
+        if symbols_in([term.weight]) - constant:
+            yield "V weighs with what moves; expected weights made of parameters"
+    for item in part.steps:
+        for role in ("true", "gain", "floor"):
+            if symbols_in([getattr(item, role)]) - constant:
+                yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
+        if any(symbols_in([end]) - constant for end in item.box):
+            yield f"the box of {item.estimate} moves; expected one made of parameters"
+    for relation in part.relations:
+        momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
+        if codes(momentum) & (JUMPS | KINKS | EDGES):
+            yield "the momentum of a relation jumps or has a kink, so that it has no derivative; expected a smooth one"
+
+
+def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:
+    for name in (*(item.estimate for item in part.steps), *(item.state for item in part.kept)):
+        if name not in own:
+            yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
+            return
+    for item in part.steps:
+        size = ca.SX(item.theta).numel()
+        wanted = [("theta", item.theta), ("true", item.true), ("gain", item.gain)]
+        wanted += [(f"row {place}", h) for place, (h, _) in enumerate(item.rows)]
+        wanted += [("end of the box", end) for end in item.box]
+        for what, piece in wanted:
+            if ca.SX(piece).shape != (size, 1):
+                yield f"the steps of {item.estimate}: expected a {what} of {size} x 1, found {_size(piece.shape)}"
+        if sum(item.parts) != size or min(item.parts, default=0) < 1:
+            yield f"the steps of {item.estimate}: expected parts that make up {size} parameters, found {item.parts}"
+        if any(y.shape != (len(item.parts), 1) for _, y in item.rows):
+            yield f"the steps of {item.estimate}: expected {len(item.parts)} measured numbers a row, found others"
+        if not ca.SX(item.floor).is_scalar():
+            yield f"the steps of {item.estimate}: expected one floor, found {_size(item.floor.shape)}"
+        if len(item.box) not in (0, 2):
+            yield f"the steps of {item.estimate}: expected a box of two ends, found {len(item.box)}"
+        state = own[item.estimate]
+        if state.shape != item.theta.shape or not ca.is_equal(item.theta, state, 2):
+            yield f"the steps of {item.estimate} start from something else than that state"
+    for memory in part.kept:
+        if not ca.SX(memory.when).is_scalar():
+            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
+        if not memory.fits(own[memory.state]):
+            shape, one = own[memory.state].shape, memory.newest.shape
+            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
+    for term in (*part.storage, *part.decrease, *part.residual):
+        vector, weight = map(ca.SX, term.pieces)
+        if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):
+            yield "expected columns with a diagonal weight, found other shapes"
+    for relation in part.relations:
+        if not relation.momentum.is_column() or relation.momentum.shape != relation.rest.shape:
+            yield "expected the momentum and the rest of a relation to be columns of one length"
+
+
+def _size(shape: Sequence[int]) -> str:
+    return f"{shape[0]} x {shape[1]}"
+
+
+__all__ = ["SampledClaim", "SampledPart", "sampled_claim_of"]

@@ -1,0 +1,201 @@
+"""``verify`` of a graph that runs on a clock alone: what its blocks claim from one sample to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from typing import Any, Literal, final
+
+import casadi as ca
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX, Assumption, NormalisedSteps
+from dmframe.certify.checked import Checked, Numbers, decided
+from dmframe.certify.conditions import conditions_stated, decide
+from dmframe.certify.controls import Control
+from dmframe.certify.hypotheses import of_the_plant
+from dmframe.certify.identity import BITS
+from dmframe.certify.refute import Refutation, refute
+from dmframe.certify.sample_controls import sampled_controls
+from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
+from dmframe.certify.statements import Statement
+from dmframe.certify.symbols import Group, Symbols, symbols_of
+from dmframe.diagram import Diagram
+from dmframe.exact import ZeroTest, zero_test
+from dmframe.exact.rational import Interval
+
+SIGNS = "V is positive, what it loses and gains not negative"
+LEMMA = "a box is convex, and V weighs each element by itself"
+EACH = (
+    "each normalised step on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma, by minus the squares of "
+    "what the row sees of the error and of what it misses, plus eta^2, each over its norm"
+)
+
+
+@final
+@dataclass(frozen=True)
+class SampledProof:
+    """What was found: the parts of a `Verdict` that differ over samples."""
+
+    claim: SampledClaim
+    test: ZeroTest
+    reason: str
+    outcome: Literal["proved", "refuted", "not_applicable"]
+    refutation: Refutation | None = None
+    conditions: tuple[Checked, ...] = ()
+    assumptions: tuple[Assumption, ...] = ()
+    controls: tuple[Control, ...] = ()
+    statements: tuple[Statement, ...] = ()
+    fixed: tuple[str, ...] = ()
+
+
+def prove_over_samples(
+    diagram: Diagram, *, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]]
+) -> SampledProof:
+    """Prove V(next) - V, exactly, for all values of states, measurements, commands, gains and the sampling period.
+
+    Raises `NotApplicableError` where no block claims anything over samples, and `ValueFault` where a claim is nowhere
+    defined.
+    """
+    claim = sampled_claim_of(diagram)
+    symbols = sampled_symbols(claim, uncertain)
+    claimed = claim.equalities()
+    function = symbols.function("claim", [equality.expression for equality in claimed])
+    digest = sha256(f"{seed}:{diagram.fingerprint}:{function.serialize()}".encode()).digest()
+    own = int.from_bytes(digest[:8], "big")
+    test = replace(zero_test(function, values=symbols.fixed, trials=trials, seed=own, bits=BITS), seed=seed)
+    if not test.zero:
+        found = refute(claimed, symbols, seed=own)
+        return SampledProof(claim, test, f"{found.says} is not what the block claims", "refuted", found)
+    controls = sampled_controls(claim, symbols, seed=own)
+    numbers = Numbers(claim.base, uncertain)
+    conditions, assumptions = _conditions(claim, numbers)
+    outcome, reason = _judged(conditions, controls)
+    return SampledProof(
+        claim,
+        test,
+        reason,
+        outcome,
+        conditions=tuple(conditions),
+        assumptions=tuple(dict.fromkeys([*assumptions, *_hypotheses(claim)])),
+        controls=controls,
+        statements=tuple(_statements(claim)),
+        fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
+    )
+
+
+def sampled_symbols(claim: SampledClaim, uncertain: Mapping[str, Any]) -> Symbols:
+    """All symbols of the diagram, and the constants that nobody knows."""
+    constants = [
+        Group(f"{part.block}.{name}", "constant", symbol)
+        for part in claim.parts
+        for name, symbol in part.constants.items()
+    ]
+    return Symbols((*symbols_of(claim.base, uncertain).groups, *constants))
+
+
+def _judged(
+    conditions: Sequence[Checked], controls: Sequence[Control]
+) -> tuple[Literal["proved", "not_applicable"], str]:
+    missed = [control.fault for control in controls if not control.refuted]
+    if not controls or missed:
+        told = ", ".join(missed) or "there are none"
+        return "not_applicable", f"the negative controls were not refuted: {told}"
+    failing = [condition.name for condition in conditions if not condition.holds]
+    if failing:
+        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    return (
+        "proved",
+        "V(next) - V equals minus what is lost plus the residual, for all measurements, commands, gains and sampling "
+        "periods; every condition holds",
+    )
+
+
+def _conditions(claim: SampledClaim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    claiming = {part.block for part in claim.parts}
+    stated = [(name, item) for name, item in conditions_stated(claim.base) if name in claiming]
+    checked, assumed = decide(stated, numbers)
+    for part in claim.parts:
+        checked += _weights(part, numbers)
+        for item in part.steps:
+            checked += _steps(part, item, numbers)
+            inside, unknown = _boxed(part, item, numbers)
+            checked, assumed = [*checked, *inside], [*assumed, *unknown]
+    return checked, assumed
+
+
+def _weights(part: SampledPart, numbers: Numbers) -> Iterator[Checked]:
+    for role, terms in (("V", part.storage), ("what V loses", part.decrease), ("the residual", part.residual)):
+        for place, term in enumerate(terms, start=1):
+            name, strict = f"{part.block}: weight of term {place} of {role}", role == "V"
+            least, sign = _least(term.weight, numbers), ">" if strict else ">="
+            yield decided(name, f"weight {sign} 0", SIGNS, least, strict, ca.SX(term.weight))
+
+
+def _steps(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> Iterator[Checked]:
+    for role, value in (("gain", item.gain), ("floor", item.floor)):
+        name, value = f"{part.block}: {role} of the steps of {item.estimate}", ca.vec(ca.densify(ca.SX(value)))
+        yield decided(name, f"{role} > 0", SIGNS, _least(value, numbers), True, value)
+
+
+def _least(expression: SX, numbers: Numbers) -> Any:
+    return lambda: numbers.least(ca.SX(expression))
+
+
+def _boxed(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+    """That the true value lies in the box, decided where parameters tell it, else assumed."""
+    if not item.box:
+        return [], []
+    lower, upper, true = (ca.vec(ca.densify(ca.SX(end))) for end in (*item.box, item.true))
+    room = ca.vertcat(true - lower, upper - true)
+    known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
+    text, checked = f"{part.block}: true value of {item.estimate} inside its box", list[Checked]()
+    if known:
+        checked.append(
+            decided(text, "lower <= true value <= upper", LEMMA, _least(room[known], numbers), False, room[known])
+        )
+    left = sorted({row % true.shape[0] for row in range(room.shape[0]) if row not in known})
+    said = f"{text}, in {len(left)} of {true.shape[0]} elements, which are constants that nobody knows"
+    return checked, [Assumption(said, LEMMA)] if left else []
+
+
+def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
+    """What cannot be decided from the graph."""
+    yield from of_the_plant(claim.base.diagram)
+    held = "samples are one period apart, and what is commanded is held from each to the next"
+    yield Assumption(held, "the means over a sample")
+    for part in claim.parts:
+        for item in part.steps:
+            eta = f"{part.block}: eta, what the rows of {item.estimate} leave unexplained of the means over a sample"
+            yield Assumption(f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH)
+    if claim.silent:
+        yield Assumption(
+            f"of {', '.join(claim.silent)} this proof says nothing: it holds whatever is commanded",
+            "the claim's own symbols",
+        )
+    yield Assumption(
+        "joint velocities, and with them the rows, stay bounded; that the robot follows its path is not a part of this "
+        "proof",
+        "what a proof of tracking would need",
+    )
+
+
+def _statements(claim: SampledClaim) -> Iterator[Statement]:
+    for part in claim.parts:
+        for item in part.steps:
+            name = f"{item.estimate} ({part.block})"
+            if item.box:
+                yield Statement(name, "is bounded", "it is put back into its box at each sample")
+            yield Statement(f"V of {name}", "does not rise where eta is zero", EACH)
+            many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
+            yield Statement(
+                f"what the rows see of the error of {name}",
+                f"is square-summable where eta is{many}",
+                f"summed over the samples, with V >= 0: {EACH}",
+            )
+        if part.storage:
+            yield Statement(f"V of {part.block}", "does not rise but by its residual", "the identity above")
+
+
+__all__ = ["SampledProof", "prove_over_samples", "sampled_symbols"]

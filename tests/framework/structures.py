@@ -1,0 +1,28 @@
+"""The packaged graphs that differ in more than numbers, and a few that hold every block."""
+
+from __future__ import annotations
+
+from dmframe.catalogue import graphs
+from dmframe.config.document import read_file
+
+
+def structures() -> list[str]:
+    """One graph of each structure: the blocks, which parameters each is given, and the wires; a small robot's first."""
+    found = dict[str, str]()
+    for name in sorted(graphs(), key=lambda name: (name.endswith("_full"), name)):
+        data = read_file(graphs()[name]).data
+        blocks = sorted((block, entry["type"], sorted(entry)) for block, entry in data["blocks"].items())
+        found.setdefault(f"{blocks}, {data.get('wires')}", name)
+    return list(found.values())
+
+
+def every_block() -> list[str]:
+    """Few graphs that hold every packaged graph's blocks between them, one of a redundant robot of 7 joints."""
+    kinds = {name: {entry["type"] for entry in read_file(graphs()[name]).data["blocks"].values()} for name in graphs()}
+    names = sorted(kinds, key=lambda name: (name.endswith("_full"), name))
+    found, left = ["panda_full"], set[str]().union(*kinds.values()) - kinds["panda_full"]
+    while left:
+        most = max(names, key=lambda name: len(kinds[name] & left))
+        found.append(most)
+        left -= kinds[most]
+    return found
