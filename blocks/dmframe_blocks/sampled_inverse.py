@@ -144,7 +144,7 @@ class SampledInverse(AbstractBlock):
         State("psi_slow", "c", sampled=True, optional=True, recorded=False),
         State("y_slow", "n", "rad/s", sampled=True, optional=True),
         State("q_before", "n", "rad", sampled=True),
-        State("target", "n", "rad", sampled=True),
+        State("q_aim", "n", "rad", sampled=True),
         State("z", "n", "rad s", sampled=True),
         State("m_before", "n", "rad", sampled=True),
         State("v_before", "n", "rad/s", sampled=True),
@@ -191,7 +191,7 @@ class SampledInverse(AbstractBlock):
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, as if nothing had been commanded in the sample before."""
         averaged, still = self._averaged(p), 0 * u.q
-        begins = {"q_before": u.q, "target": u.q, "m_before": u.q, "m_planned": u.q}
+        begins = {"q_before": u.q, "q_aim": u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
@@ -204,7 +204,7 @@ class SampledInverse(AbstractBlock):
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
-        target, z = x.target + T * u_applied, x.z + T * (middle - x.target - T * u_applied / 2)
+        target, z = x.q_aim + T * u_applied, x.z + T * (middle - x.q_aim - T * u_applied / 2)
         if self.stride > 1:
             kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
         start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
@@ -230,7 +230,7 @@ class SampledInverse(AbstractBlock):
                 **kept,
                 **next_slow,
                 "q_before": u.q,
-                "target": target,
+                "q_aim": target,
                 "z": z,
                 "m_before": middle,
                 "v_before": v,
@@ -286,7 +286,7 @@ class SampledInverse(AbstractBlock):
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
         u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / u.T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.target, x.z, x.m_before, x.v_before), v, u_applied, u.T))
+        psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, u.T))
         y = named("y_row", u_applied - v)
         h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
         return u_applied, v, psi, y, h, g
