@@ -85,8 +85,8 @@ def largest_stable_period(
         No equilibrium, or no goal to follow. (A loop that no clock keeps bounded is no fault.)
     """
     return StablePeriods(
-        linearised_period(linearise(diagram, start=start)),
-        linearised_period(linearise(diagram, start=start, moving=True)),
+        linearised_period(linearise(diagram, start=start, clock=clock)),
+        linearised_period(linearise(diagram, start=start, moving=True, clock=clock)),
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
     )
 
@@ -94,10 +94,9 @@ def largest_stable_period(
 def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | None = None) -> float | None:
     """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point."""
     try:
-        at_rest = linearise(diagram, start=start)
-        return max(
-            linear.spectral_radius(clock) for linear in (at_rest, linearise(diagram, at_rest.point, moving=True))
-        )
+        at_rest = linearise(diagram, start=start, clock=clock)
+        moving = linearise(diagram, at_rest.point, moving=True, clock=clock)
+        return max(linear.spectral_radius(clock) for linear in (at_rest, moving))
     except DmframeError:
         return None
 

@@ -13,6 +13,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
 
@@ -40,8 +41,9 @@ def equilibrium(
     diagram: Diagram,
     estimates: Mapping[str, Any] | None = None,
     start: Mapping[str, Any] | None = None,
+    clock: float | None = None,
 ) -> np.ndarray:
-    """The state at which the loop with frozen trajectories rests.
+    """The state at which the loop with frozen trajectories rests, what is drawn being zero.
 
     Newton's method from where a run starts, with the shortest step where equilibria are not alone; only states that are
     no estimates move.
@@ -55,13 +57,15 @@ def equilibrium(
         values.
     start
         As `dmframe.simulate.start_state` takes it.
+    clock
+        The period [s] of a loop that runs on a clock alone; no other needs one.
 
     Raises
     ------
     EngineError
-        No equilibrium was found.
+        No equilibrium was found, or the loop needs a clock.
     """
-    loop = diagram.loop
+    loop, T = diagram.loop, period_of(diagram.loop, clock)
     held = true_values(diagram) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
@@ -72,22 +76,28 @@ def equilibrium(
     slope = field.jacobian()
     p = loop.p_values
     for _ in range(_STEPS):
-        rate = field(x, p, 0).full().ravel()
+        rate = field(x, p, T).full().ravel()
         if not np.all(np.isfinite(rate)):
             break
-        if np.max(np.abs(rate), initial=0.0) <= AT_REST * (1 + np.max(np.abs(x), initial=0.0)) * 1e-3:
+        if at_rest(rate, x, 1e-3):
             return x
-        now = computable(loop, "set-point", slope(x, p, 0, 0)[0].full())
+        now = computable(loop, "set-point", slope(x, p, T, 0)[0].full())
         step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
     computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
-    if abs(rate[worst]) <= AT_REST * (1 + np.max(np.abs(x))):
+    if at_rest(rate[worst], x):
         return x
     raise EngineError(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
-        f"still moves at {rate[worst]:.3g} a second; give estimates with which the loop can rest, or another start"
+        f"still moves at {rate[worst]:.3g} a {_unit(loop, worst)}; give estimates with which the loop can rest, or another start"
     )
+
+
+def at_rest(rate: Any, state: np.ndarray, share: float = 1.0) -> bool:
+    """True for rates that are small enough at a state, or smaller than a share of that."""
+    largest = float(np.max(np.abs(np.asarray(rate)), initial=0.0))
+    return largest <= AT_REST * share * (1 + float(np.max(np.abs(state), initial=0.0)))
 
 
 def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
@@ -126,22 +136,49 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
     return values
 
 
+def moves(loop: ClosedLoop) -> SX:
+    """What is zero where a loop rests: the rates, and of a sampled state what it moves in one sample."""
+    return stack(v.rate if v.next is None else v.next - v.symbol for v in loop.variables)
+
+
 def rates(loop: ClosedLoop) -> Any:
-    """The continuous loop's vector field, (state, p, T) -> rates, with its trajectories as frozen."""
-    return at_set_point(loop, "rates", loop.rate)
+    """The loop's `moves`, (state, p, T) -> them, with its trajectories as frozen."""
+    return at_set_point(loop, "rates", moves(loop))
+
+
+def period_of(loop: ClosedLoop, clock: float | None) -> float:
+    """The period T [s] that a loop's equations read: zero of a loop in continuous time.
+
+    Raises `EngineError` for a loop that runs on a clock alone, and is given none.
+    """
+    if clock is None and loop.clocked:
+        raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
+    return clock if clock is not None and loop.clocked else 0.0
+
+
+def _unit(loop: ClosedLoop, row: int) -> str:
+    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
+    return "sample" if sampled[row] else "second"
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
-    """An expression of the loop as a function of (state, p, T), the trajectories frozen, the projections acting.
+    """An expression of the loop as a function of (state, p, T), trajectories frozen, projections acting, nothing drawn.
 
-    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest;
-    and for one of which nothing is known yet at a set-point: with sampled states, or with what is drawn.
+    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
     """
-    if loop.clocked:
-        raise EngineError(f"set-point: expected a loop in continuous time, which a clock may sample; {loop.clocked}")
-    held = loop.on_path(loop.acting([expression])[0])
+    held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
     if symbols_in([held]) & symbols_in([loop.time]):
-        reads = [v.label for v in loop.variables if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
-        where = ", ".join(f"d {label}/dt" for label in reads) or name
+        timed = [
+            v
+            for v in loop.variables
+            if symbols_in(loop.joined([v.rate if v.next is None else v.next])) & symbols_in([loop.time])
+        ]
+        where = ", ".join(f"d {v.label}/dt" if v.next is None else f"{v.label}+" for v in timed) or name
         raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
     return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])
+
+
+def undrawn(loop: ClosedLoop, expression: SX) -> SX:
+    """An expression with zero in place of what each sample draws: the mean of every distribution."""
+    drawn = loop.drawn
+    return ca.substitute(expression, drawn, ca.SX.zeros(drawn.numel())) if drawn.numel() else expression

@@ -103,10 +103,12 @@ def _passive(holds: bool) -> str:
 
 def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     both = (found.at_rest, found.moving)
-    for name, place in (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
+    sampled = found.at_rest.clock is not None
+    for name, place in () if sampled else (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
         slow, fast = (_pole(linear, place) for linear in both)
         yield name, slow, fast
-    yield "poles at zero, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    resting = "eigenvalues at one" if sampled else "poles at zero"
+    yield f"{resting}, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
     if found.clock is not None:
         at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
         yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving
