@@ -199,7 +199,7 @@ def linearise(
     point = equilibrium(still, estimates, start, clock) if state is None else np.array(state, dtype=float)
     if point.shape != (loop.state.numel(),):
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
-    p = _moving(loop) if moving else loop.p_values
+    p = at_speed(loop) if moving else loop.p_values
     field, slope = rates(loop), rates(loop).jacobian()
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
@@ -266,7 +266,8 @@ def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
     )
 
 
-def _moving(loop: ClosedLoop) -> Array:
+def at_speed(loop: ClosedLoop) -> Array:
+    """The parameters, with smooth Coulomb friction as steep as a step: it then has no slope but at rest."""
     labels = [parameter.label for parameter in loop.parameters for _ in range(parameter.symbol.numel())]
     return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
 
