@@ -58,17 +58,28 @@ class Enclosure:
 class EnclosedLoop:
     """A linearised loop of which the transition can be enclosed on every clock.
 
+    `split` is that of the same loop with other numbers: it is an identity, and its guards are looked at again.
+
     Raises `UndecidedError` for a loop that is too large, rests at a place where its equations turn, or has operations
     of which no enclosure is known.
     """
 
-    def __init__(self, diagram: Diagram, linear: Linear, clock: float, *, moving: bool = False) -> None:
+    def __init__(
+        self,
+        diagram: Diagram,
+        linear: Linear,
+        clock: float,
+        *,
+        moving: bool = False,
+        split: SplitMoves | None = None,
+    ) -> None:
         self.linear, self.loop = linear, frozen(diagram).loop
         if len(linear.states) > MOST_STATES:
             raise UndecidedError(f"it has {len(linear.states)} states, and with more than {MOST_STATES} none is tried")
         self._p = [Fixed.around(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
-        self._estimates = [label.partition("[")[0] in estimates_of(diagram) for label in linear.states]
-        self.split = split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
+        known = estimates_of(diagram)
+        self._estimates = [label.partition("[")[0] in known for label in linear.states]
+        self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         self._rests = _inside(self.loop)
         self._once: Enclosure | None = None
 

@@ -113,7 +113,7 @@ class Linear:
     @property
     def at_rest(self) -> int:
         """How many eigenvalues of A are zero: the loop rests anywhere there, as estimates do that nothing excites."""
-        return len(self.states) - self._others.shape[1]
+        return len(self.states) - int(self._others.shape[1])
 
     def on(self, period: float) -> Linear:
         """The loop at the set-point that it has on a clock of that period [s]."""

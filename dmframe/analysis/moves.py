@@ -53,7 +53,7 @@ _KINDS: Final[Mapping[int, str]] = by_code(
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False, eq=False)
 class SplitMoves:
     """`y` and both Jacobians of a loop's moves, as programs of (x, p, T).
 
@@ -174,7 +174,7 @@ def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[F
 
 
 def _apart(a: Any, b: Any) -> bool:
-    """True where two numbers differ by more than a point's own error: a comparison of these says what it says nearby."""
+    """True where two numbers differ by more than a point's own error, so that they compare alike nearby."""
     if MAYBE in (a, b):
         return False
     first, second = float(a), float(b)

@@ -90,7 +90,8 @@ def equilibrium(
         return x
     raise EngineError(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
-        f"still moves at {rate[worst]:.3g} a {_unit(loop, worst)}; give estimates with which the loop can rest, or another start"
+        f"still moves at {rate[worst]:.3g} a {_unit(loop, worst)}; give estimates with which the loop can rest, or "
+        "another start"
     )
 
 

@@ -10,21 +10,25 @@ they lie inside that one.
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final, final
 
 import numpy as np
 
 from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.linear import Linear
-from dmframe.analysis.period import Bracket
+from dmframe.analysis.moves import SplitMoves
+from dmframe.analysis.period import SHORTEST, Bracket
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError
 from dmframe.exact.fixed import Fixed
 from dmframe.exact.matrix import Matrix
 
 _REFINED: Final = 6
+_HOPELESS: Final = 1e-12
 _STEPS: Final = 4
 _SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
 """Periods that are tried, as shares of the longest at which floats find the loop stable."""
@@ -44,7 +48,7 @@ class StabilityProof:
     within
         How far from the told set-point the equilibrium lies at most.
     radius
-        On the graph's clock, all eigenvalues but those of the resting directions have moduli below this; below one.
+        On the graph's clock, all eigenvalues but those of the resting directions have moduli below this, at most one.
         None without a clock, or where it is not proved.
     period
         The longest period that was proved [s]; each was proved for itself, and nothing is said of those between. None
@@ -73,11 +77,12 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
     powers = [int(power) for power in np.rint(np.log2(sizes))]
     even = scaled.scaled([-power for power in powers], powers)
     numbers, one = even.floats(), Matrix.identity(len(powers))
-    if not np.max(np.abs(np.linalg.eigvals(numbers))) < 1:  # only a hint: it spares the work
+    if not np.max(np.abs(np.linalg.eigvals(numbers))) < 1 - _HOPELESS:  # only a hint: it spares the work
         return False
     P, left = Matrix.exactly(np.zeros_like(numbers)), np.eye(len(powers))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
         for _ in range(_REFINED):  # floats solve it; what they miss is told by the residual, and solved for again
             try:
                 more = solve_discrete_lyapunov(numbers.T, left)
@@ -96,9 +101,17 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
 
 
 def prove_stability(
-    diagram: Diagram, linear: Linear, bracket: Bracket, clock: float | None, *, moving: bool = False
-) -> StabilityProof:
+    diagram: Diagram,
+    linear: Linear,
+    bracket: Bracket,
+    clock: float | None,
+    *,
+    moving: bool = False,
+    split: SplitMoves | None = None,
+) -> tuple[StabilityProof, SplitMoves | None]:
     """Prove that a linearised loop is stable on its clock, and on as slow a clock as can be.
+
+    Returns the proof, and the split of the loop's moves, which serves the same loop with other numbers.
 
     Parameters
     ----------
@@ -107,15 +120,27 @@ def prove_stability(
     clock
         The graph's period [s], or None.
     """
+    some = clock or bracket.stable or SHORTEST
     try:
-        loop = EnclosedLoop(diagram, linear, clock or bracket.stable or 1e-3, moving=moving)
+        loop = EnclosedLoop(diagram, linear, some, moving=moving, split=split)
+        within = loop.at(some).within
         radius = None if clock is None else _proved_radius(loop, clock)
         period = _longest(loop, bracket)
     except DmframeError as error:
-        return StabilityProof(reason=error.text)
-    here = loop.at(clock or period or 1e-3)
-    found = StabilityProof(loop.moving, len(linear.states) - loop.moving, here.within, radius, period)
-    return found
+        return StabilityProof(reason=error.text), split
+    resting = len(linear.states) - loop.moving
+    why = _why(linear, loop, clock, radius, period)
+    return StabilityProof(loop.moving, resting, within, radius, period, why), loop.split
+
+
+def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float | None, period: float | None) -> str:
+    """Why one of the two is not proved."""
+    if period is not None and (clock is None or radius is not None):
+        return ""
+    more = linear.at_rest - len(linear.states) + loop.moving
+    if more > 0:
+        return f"floats find that it rests in more directions, by {more}; its equations do not show that"
+    return "floats find it unstable" if clock is not None and linear.spectral_radius(clock) >= 1 else ""
 
 
 def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
@@ -126,7 +151,13 @@ def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
         bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
         if seen < bound < 1 and proved_schur(F, Fixed.around(bound)):
             return bound
-    return None
+    return 1.0 if proved_schur(F) else None
+
+
+def _short(period: float) -> float:
+    """A decimal of four digits, rounded down."""
+    digits = 3 - math.floor(math.log10(period))
+    return float(Fraction(math.floor(Fraction(period) * Fraction(10) ** digits)) / Fraction(10) ** digits)
 
 
 def _longest(loop: EnclosedLoop, bracket: Bracket) -> float | None:
@@ -140,13 +171,13 @@ def _longest(loop: EnclosedLoop, bracket: Bracket) -> float | None:
 
     lower, upper = 0.0, bracket.stable
     for share in _SHARES if bracket.stable else ():
-        period = float(f"{bracket.stable * share:.6g}")
+        period = _short(bracket.stable * share)
         if proved(period):
             lower = period
             break
         upper = period
     for _ in range(_STEPS if lower and lower < 0.99 * upper else 0):
-        middle = float(f"{(lower + upper) / 2:.6g}")
+        middle = _short((lower + upper) / 2)
         lower, upper = (middle, upper) if proved(middle) else (lower, middle)
     return lower or None
 

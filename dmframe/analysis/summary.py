@@ -7,10 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
+from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
 from dmframe.analysis.servo import JointLoop, servo_transfer
+from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.analysis.tie import TieGain, tie_gains
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import Diagram
@@ -26,8 +28,8 @@ NOTE = (
 
 NOTE_OF_A_CLOCK = (
     "This loop runs on a clock alone: it was linearised from sample to sample, about the set-point that it has there, "
-    "nothing drawn and no jitter, every estimate at its true value. A run that has not learnt them yet may stay bounded "
-    "on a slower clock, or on none."
+    "nothing drawn and no jitter, every estimate at its true value. A run that has not learnt them yet may stay "
+    "bounded on a slower clock, or on none."
 )
 
 
@@ -48,6 +50,10 @@ class LoopAnalysis:
         How slow the clock may be.
     ties
         K_c of each PID inverse, joint by joint.
+    proofs
+        What interval arithmetic proves of `at_rest` and of `moving`.
+    emulation
+        The largest adaptation gains that the clock bears, quasi-statically; nothing without a clock.
     unknown
         Estimates of which no true value is known: they are where the set-point has them.
     """
@@ -58,6 +64,8 @@ class LoopAnalysis:
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
     ties: tuple[TieGain, ...]
+    proofs: tuple[StabilityProof, StabilityProof]
+    emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
 
     @property
@@ -102,8 +110,19 @@ def analyse(
     )
     tell("finding the least K_c")
     ties = tie_gains(diagram, uncertain)
+    tell("proving that the linearised loop is stable")
+    proof, split = prove_stability(diagram, at_rest, periods.at_rest, clock)
+    proofs = proof, prove_stability(diagram, moving, periods.moving, clock, moving=True, split=split)[0]
+    seconds = min(SECONDS, horizon)
+    limits = (
+        ()
+        if clock is None
+        else emulation_limits(diagram, clock, at_rest.point, solver=solver, start=start, seconds=seconds)
+    )
     unknown = tuple(label for label, value in estimates_of(diagram).items() if value is None)
-    return LoopAnalysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties, unknown)
+    return LoopAnalysis(
+        clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties, proofs, limits, unknown
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -120,6 +139,28 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
             "moving": _bracket(analysis.periods.moving),
             "simulated": _bracket(analysis.periods.simulated),
         },
+        "proof": {
+            name: {
+                "proved_radius": proof.radius,
+                "proved_period": proof.period,
+                "directions": proof.directions,
+                "resting": proof.resting,
+                "within": proof.within,
+                "reason": proof.reason,
+            }
+            for name, proof in zip(("at_rest", "moving"), analysis.proofs, strict=True)
+        },
+        "emulation": [
+            {
+                "gain": limit.gain,
+                "value": limit.value,
+                "most_at_rest": _finite(limit.at_rest),
+                "most_on_path": _finite(limit.on_path),
+                "most_at_bound": None if limit.at_bound is None else _finite(limit.at_bound),
+                "meaning": limit.meaning,
+            }
+            for limit in analysis.emulation
+        ],
         "K_c": [_tie(tie) for tie in analysis.ties],
         "note": analysis.note,
     }

@@ -180,7 +180,9 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     return claim
 
 
-def certificates_over_samples(diagram: Diagram) -> tuple[dict[str, Certificate | SampledCertificate], tuple[str, ...], Stated]:
+def certificates_over_samples(
+    diagram: Diagram,
+) -> tuple[dict[str, Certificate | SampledCertificate], tuple[str, ...], Stated]:
     """Every block's certificate; of blocks in continuous time, the true values that they state are all that is read."""
     sides = (Side.PLANT, Side.CONTROLLER)
     waiting = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]

@@ -140,6 +140,11 @@ class _Maybe:
 
     upper = lower
 
+    def _refused(self, *_: object) -> Fixed:
+        raise UndecidedError("whether a comparison holds cannot be decided")
+
+    __add__ = __mul__ = __sub__ = __truediv__ = __rtruediv__ = __neg__ = _refused
+
 
 _NO, _YES, MAYBE = Fixed(0, 0), Fixed(ONE, ONE), _Maybe()
 
