@@ -105,7 +105,8 @@ def linearised_period(linear: Linear) -> Bracket:
     """Where the spectral radius of the linearised sampled loop first exceeds 1, as the period grows.
 
     Eigenvalues at 1 that the continuous loop has at 0 are left out: estimates that the set-point does not excite rest
-    anywhere.
+    anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
+    search begins there.
     """
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
@@ -115,7 +116,8 @@ def linearised_period(linear: Linear) -> Bracket:
     def stable(period: float) -> bool:
         return linear.spectral_radius(period) <= 1 + TOLERANCE
 
-    lower, upper = _first_change(stable, SHORTEST)
+    own = linear.clock
+    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST)
     for _ in range(40):
         if not (lower > 0 and np.isfinite(upper)) or upper - lower <= 1e-6 * upper:
             break
