@@ -1,8 +1,8 @@
 r"""How large an adaptation gain a clock bears: the loop that sampling closes through the robot.
 
 In continuous time the adaptation :math:`\dot{\hat a} = -\Gamma Y_d^\top \sigma` is passive. Sampled, it is an Euler
-step; and a servo that has come to rest on its own quick time scale answers with :math:`\sigma = -\hat w Y_d \tilde a`. With
-Y_d as it stands at that instant, the estimates then move by
+step; and a servo that has come to rest on its own quick time scale answers with
+:math:`\sigma = -\hat w Y_d \tilde a`. With Y_d as it stands at that instant, the estimates then move by
 
 .. math:: \tilde a^+ = (1 - T\, \Gamma Y_d^\top \operatorname{diag}(\hat w)\, Y_d)\, \tilde a
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.set_point import (
+    LARGE,
     MOST,
     at_rest,
     at_set_point,
@@ -37,6 +38,9 @@ FRICTION_VELOCITY: Final = "robot.friction_velocity"
 _SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope left
 _NULL: Final = 1e-9
 """Singular values below this, relative to the largest of the balanced matrix, count as zero."""
+
+_UNREAD: Final = 1e-13
+"""A sum of stored numbers is read by nothing whose factor is below this."""
 
 _PARTED: Final = 1e-6
 """Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
@@ -113,7 +117,20 @@ class Linear:
     @property
     def at_rest(self) -> int:
         """How many eigenvalues of A are zero: the loop rests anywhere there, as estimates do that nothing excites."""
-        return len(self.states) - int(self._others.shape[1])
+        return self._resting[0] if self.clock is not None else len(self.states) - int(self._others.shape[1])
+
+    @property
+    def drifting(self) -> int:
+        """In how many directions a loop that runs on a clock alone goes on steadily; continuous ones are not asked."""
+        return self._resting[1] if self.clock is not None else 0
+
+    @cached_property
+    def _resting(self) -> tuple[int, int]:
+        still, all_of_them = _rest_on_a_clock(self._remembering(self.sampled(self.clock or 1.0)))
+        return int(still.shape[1]), int(all_of_them.shape[1] - still.shape[1])
+
+    def _remembering(self, Phi: Array) -> Array:
+        return without_memory(Phi) if len(Phi) > LARGE else Phi
 
     def on(self, period: float) -> Linear:
         """The loop at the set-point that it has on a clock of that period [s]."""
@@ -164,6 +181,11 @@ class Linear:
         Phi = here.sampled(period)
         if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
             return None
+        if self.clock is not None:
+            Phi = self._remembering(Phi)
+            _, rest = _rest_on_a_clock(Phi)
+            others = np.linalg.qr(rest, mode="complete")[0][:, rest.shape[1] :]
+            return np.asarray(np.linalg.eigvals(others.T @ Phi @ others), dtype=complex)
         # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
         return np.asarray(np.linalg.eigvals(here._others.T @ Phi @ here._others), dtype=complex)
 
@@ -279,6 +301,54 @@ def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver
     given = step.instants.rows(0, 1).ravel()
     given[DRAWN:] = 0.0
     return np.asarray(step.tick.jacobian()(linear.point, given, loop.p_values, 0, 0)[0].full())
+
+
+def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:
+    """The directions that a tick leaves as they are; and these with those that it moves along them, again and again."""
+    moved = Phi - np.eye(len(Phi))
+    still = found = rest_space(moved)
+    while True:
+        more = rest_space(moved - found @ (found.T @ moved))
+        if more.shape[1] <= found.shape[1]:
+            return still, found
+        found = more
+
+
+def without_memory(Phi: Array) -> Array:
+    """The transition without what it only stores: a smaller matrix with the same eigenvalues but for some at zero.
+
+    States that copy another from tick to tick, and those that they copy, are a memory where none feeds itself: their
+    part of the matrix is nilpotent. Of it only the sums are kept that the other states read, now or later.
+    """
+    size, store = len(Phi), _memory(Phi)
+    core = np.setdiff1d(np.arange(size), store)
+    if not len(store):
+        return Phi
+    N, reads = Phi[np.ix_(store, store)], Phi[np.ix_(core, store)]
+    kept = np.zeros((0, len(store)))
+    new = reads
+    while len(new):
+        new = new - (new @ kept.T) @ kept
+        new = new - (new @ kept.T) @ kept  # twice is enough
+        _, values, rows = np.linalg.svd(new, full_matrices=False)
+        rows = rows[values > _UNREAD * max(1.0, float(np.max(np.abs(reads), initial=0.0)))]
+        kept, new = np.vstack([kept, rows]), rows @ N
+    upper = np.hstack([Phi[np.ix_(core, core)], reads @ kept.T])
+    return np.vstack([upper, np.hstack([kept @ Phi[np.ix_(store, core)], kept @ N @ kept.T])])
+
+
+def _memory(Phi: Array) -> NDArray[np.int_]:
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    filled = Phi != 0
+    copies = np.flatnonzero((filled.sum(axis=1) == 1) & (np.diag(Phi) == 0))
+    sources = np.unique(np.argmax(filled[copies], axis=1)) if len(copies) else copies
+    store = np.union1d(copies, sources[np.diag(Phi)[sources] == 0])
+    # states that feed one another are none: each has to be a component of its own
+    _, groups = connected_components(csr_array(filled[np.ix_(store, store)]), connection="strong")
+    alone = np.bincount(groups)[groups] == 1 if len(store) else np.zeros(0, dtype=bool)
+    return np.asarray(store[alone], dtype=int)
 
 
 def rest_space(A: Array) -> Array:

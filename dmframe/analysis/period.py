@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.analysis.linear import Linear, linearise
+from dmframe.analysis.set_point import LARGE
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
@@ -92,7 +93,12 @@ def largest_stable_period(
 
 
 def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | None = None) -> float | None:
-    """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point."""
+    """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point.
+
+    None as well of a loop of so many states that it would take longer than a run.
+    """
+    if diagram.loop.state.numel() > LARGE:
+        return None
     try:
         at_rest = linearise(diagram, start=start, clock=clock)
         moving = linearise(diagram, at_rest.point, moving=True, clock=clock)
@@ -106,7 +112,7 @@ def linearised_period(linear: Linear) -> Bracket:
 
     Eigenvalues at 1 that the continuous loop has at 0 are left out: estimates that the set-point does not excite rest
     anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
-    search begins there.
+    search begins there. Of a large loop the boundary is told to a tenth.
     """
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
@@ -116,23 +122,25 @@ def linearised_period(linear: Linear) -> Bracket:
     def stable(period: float) -> bool:
         return linear.spectral_radius(period) <= 1 + TOLERANCE
 
-    own = linear.clock
-    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST)
+    own, growth, share = linear.clock, GROWTH, 1e-6
+    if len(linear.states) > LARGE:
+        growth, share = 2.0, 0.1
+    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST, growth)
     for _ in range(40):
-        if not (lower > 0 and np.isfinite(upper)) or upper - lower <= 1e-6 * upper:
+        if not (lower > 0 and np.isfinite(upper)) or upper - lower <= share * upper:
             break
         middle = (lower + upper) / 2
         lower, upper = (middle, upper) if stable(middle) else (lower, middle)
     return Bracket(lower, upper, meaning)
 
 
-def _first_change(stable: Callable[[float], bool], shortest: float) -> tuple[float, float]:
+def _first_change(stable: Callable[[float], bool], shortest: float, growth: float) -> tuple[float, float]:
     """The first pair of neighbours on a geometric grid, of which the longer period is unstable."""
     lower, period = 0.0, shortest
     while period <= LONGEST:
         if not stable(period):
             return lower, period
-        lower, period = period, period * GROWTH
+        lower, period = period, period * growth
     return lower, float("inf")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
-from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
@@ -25,6 +25,12 @@ MOST: Final = 1e150
 
 FAR: Final = 30
 """Powers of ten from 1 that no parameter of a robot has."""
+
+LARGE: Final = 300
+"""Of more states than this, linear algebra takes a way that is faster, and a little less exact."""
+
+LATE: Final = 1e6
+"""Where a state stands at a set-point that counts samples: long after the start."""
 
 _STEPS: Final = 60
 
@@ -65,11 +71,15 @@ def equilibrium(
     EngineError
         No equilibrium was found, or the loop needs a clock.
     """
+    from scipy.linalg import lstsq
+
     loop, T = diagram.loop, period_of(diagram.loop, clock)
     held = true_values(diagram) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     free = np.array([label not in held for label in labels], dtype=bool)
+    for variable in filter(counts, loop.variables):
+        x[[other == variable.label for other in labels]] = LATE
     for label, value in held.items():
         x[[other == label for other in labels]] = value
     field = rates(loop)
@@ -82,7 +92,7 @@ def equilibrium(
         if at_rest(rate, x, 1e-3):
             return x
         now = computable(loop, "set-point", slope(x, p, T, 0)[0].full())
-        step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
+        step = lstsq(now[:, free], -rate, cond=1e-12, lapack_driver="gelsy" if len(x) > LARGE else "gelsd")[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
     computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
@@ -138,8 +148,17 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
 
 
 def moves(loop: ClosedLoop) -> SX:
-    """What is zero where a loop rests: the rates, and of a sampled state what it moves in one sample."""
-    return stack(v.rate if v.next is None else v.next - v.symbol for v in loop.variables)
+    """What is zero where a loop rests: the rates, and what each sampled state moves in one sample, unless it counts."""
+    return stack(v.rate if v.next is None else 0 * v.symbol if counts(v) else v.next - v.symbol for v in loop.variables)
+
+
+def counts(variable: Variable) -> bool:
+    """True for a sampled state that grows by the same number in each sample, whatever happens."""
+    if variable.next is None or symbols_in([variable.next]) != symbols_in([variable.symbol]):
+        return False
+    step = ca.Function("step", [variable.symbol], [ca.vec(variable.next - variable.symbol)])
+    points = [step(np.full(variable.symbol.shape, value)).full() for value in (0.0, 1.0, 7.0)]
+    return bool(np.all(points[0]) and all(np.array_equal(points[0], other) for other in points))
 
 
 def rates(loop: ClosedLoop) -> Any:

@@ -137,6 +137,8 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
     """Why one of the two is not proved."""
     if period is not None and (clock is None or radius is not None):
         return ""
+    if linear.drifting:
+        return f"in {linear.drifting} of its directions it drifts steadily, which nothing brings back"
     more = linear.at_rest - len(linear.states) + loop.moving
     if more > 0:
         return f"floats find that it rests in more directions, by {more}; its equations do not show that"

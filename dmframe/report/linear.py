@@ -130,6 +130,9 @@ def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
         yield name, slow, fast
     resting = "eigenvalues at one" if sampled else "poles at zero"
     yield f"{resting}, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    if both[0].drifting or both[1].drifting:
+        drifts = "and where it drifts steadily, which nothing brings back"
+        yield drifts, str(both[0].drifting), str(both[1].drifting)
     if found.clock is not None:
         at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
         yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any, ClassVar
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from dmframe.analysis import (
     tick_jacobian,
 )
 from dmframe.analysis.enclosed import EnclosedLoop
+from dmframe.analysis.linear import without_memory
 from dmframe.analysis.moves import _Cut, split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -86,6 +88,36 @@ class Learner(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         other = u.y * u.y + 2 * u.y if not self.hidden else (u.y + 1) * (u.y + 1) - 1
         return Equations(outputs={"v": -u.y - x.a - x.a * x.b}, rates={"a": u.y * (1 + x.b * x.b), "b": other})
+
+
+class Remembering(AbstractBlock):
+    """v = -k y - (the mean of what y was in the last samples); counts samples, and sums what nobody reads."""
+
+    inputs: Ports = (Port("y"),)
+    outputs: Ports = (Port("v", access=Access.COMMANDED),)
+    states: States = (
+        State("rows", "W 2", sampled=True),
+        State("count", sampled=True),
+        State("bias", sampled=True),
+        State("sum", sampled=True),
+    )
+    W: ClassVar[int] = 30
+
+    def sizes(self, robot: Any) -> dict[str, int]:
+        return {**super().sizes(robot), "W": self.W}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        mean = ca.sum1(x.rows @ ca.DM([1.0, -0.5])) / self.W
+        new = ca.horzcat(u.y, u.y * u.y + u.y)
+        return Equations(
+            outputs={"v": -2 * u.y - mean * ca.fmin(1, x.count)},
+            next={
+                "rows": ca.vertcat(new, x.rows[:-1, :]),
+                "count": x.count + 1,
+                "bias": x.bias,
+                "sum": x.sum + x.bias,
+            },
+        )
 
 
 def loop(r: float = 0.0, **options: Any) -> Diagram:
@@ -221,6 +253,29 @@ def test_a_state_at_the_end_of_its_box_is_told() -> None:
     assert inside.radius < 1
     start = -(0.7 / 2 + 0.7**3)
     assert proof(loop(0.7, i_box=[start, 1.0]), T).reason == "law.i rests at an end of its set"
+
+
+def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("linear.LARGE", "period.LARGE", "enclosed.MOST_STATES"):
+        monkeypatch.setattr(f"dmframe.analysis.{name}", 50)
+    diagram = Diagram.build({"law": Remembering(), "late": Late(), "cart": Cart()})
+    linear = linearise(diagram, clock=T)
+    assert len(linear.states) == 65
+    # resting: the sum, and the count, which stands long after the start; the bias drives the sum
+    assert (linear.at_rest, linear.drifting) == (2, 1)
+    whole = np.abs(np.linalg.eigvals(linear.sampled(T)))
+    expected = np.max(whole[np.abs(whole - 1) > 1e-6])
+    assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)
+    assert len(without_memory(linear.sampled(T))) == 35  # one sum a sample is read, of two numbers
+    found = prove_stability(diagram, linear, linearised_period(linear), T)[0]
+    assert found.reason == "it has 65 states, and with more than 50 none is tried"
+
+
+def test_a_drift_is_not_proved_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Remembering, "W", 3)
+    found = proof(Diagram.build({"law": Remembering(), "late": Late(), "cart": Cart()}), T)
+    assert found.radius is None
+    assert found.reason == "in 1 of its directions it drifts steadily, which nothing brings back"
 
 
 def test_an_equilibrium_that_is_none_is_not_proved() -> None:
