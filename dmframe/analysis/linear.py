@@ -326,7 +326,7 @@ def without_memory(Phi: Array) -> Array:
         return Phi
     N, reads = Phi[np.ix_(store, store)], Phi[np.ix_(core, store)]
     kept = np.zeros((0, len(store)))
-    new = reads
+    new = np.asarray(reads[np.any(reads != 0, axis=1)])
     while len(new):
         new = new - (new @ kept.T) @ kept
         new = new - (new @ kept.T) @ kept  # twice is enough

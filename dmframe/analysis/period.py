@@ -112,7 +112,7 @@ def linearised_period(linear: Linear) -> Bracket:
 
     Eigenvalues at 1 that the continuous loop has at 0 are left out: estimates that the set-point does not excite rest
     anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
-    search begins there. Of a large loop the boundary is told to a tenth.
+    search begins there. A large one is looked at on its own clock alone.
     """
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
@@ -122,25 +122,25 @@ def linearised_period(linear: Linear) -> Bracket:
     def stable(period: float) -> bool:
         return linear.spectral_radius(period) <= 1 + TOLERANCE
 
-    own, growth, share = linear.clock, GROWTH, 1e-6
-    if len(linear.states) > LARGE:
-        growth, share = 2.0, 0.1
-    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST, growth)
+    own = linear.clock
+    if own is not None and len(linear.states) > LARGE:  # each period would take seconds
+        return Bracket(own, float("inf"), meaning) if stable(own) else Bracket(0.0, own, meaning)
+    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST)
     for _ in range(40):
-        if not (lower > 0 and np.isfinite(upper)) or upper - lower <= share * upper:
+        if not (lower > 0 and np.isfinite(upper)) or upper - lower <= 1e-6 * upper:
             break
         middle = (lower + upper) / 2
         lower, upper = (middle, upper) if stable(middle) else (lower, middle)
     return Bracket(lower, upper, meaning)
 
 
-def _first_change(stable: Callable[[float], bool], shortest: float, growth: float) -> tuple[float, float]:
+def _first_change(stable: Callable[[float], bool], shortest: float) -> tuple[float, float]:
     """The first pair of neighbours on a geometric grid, of which the longer period is unstable."""
     lower, period = 0.0, shortest
     while period <= LONGEST:
         if not stable(period):
             return lower, period
-        lower, period = period, period * growth
+        lower, period = period, period * GROWTH
     return lower, float("inf")
 
 

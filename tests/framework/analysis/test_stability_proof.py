@@ -267,7 +267,9 @@ def test_a_long_memory_is_left_out_and_a_count_and_a_drift_are_told(monkeypatch:
     expected = np.max(whole[np.abs(whole - 1) > 1e-6])
     assert linear.spectral_radius(T) == pytest.approx(expected, abs=1e-9)
     assert len(without_memory(linear.sampled(T))) == 35  # one sum a sample is read, of two numbers
-    found = prove_stability(diagram, linear, linearised_period(linear), T)[0]
+    bracket = linearised_period(linear)
+    assert (bracket.stable, bracket.unstable) == (T, np.inf)
+    found = prove_stability(diagram, linear, bracket, T)[0]
     assert found.reason == "it has 65 states, and with more than 50 none is tried"
 
 
