@@ -35,7 +35,7 @@ SMALL: Final = 1e-6
 """What is left of a sum, relative to its parts, below which they are taken to cancel at rest."""
 
 _LEAST: Final = 1e-9
-"""Of two numbers that are compared, the least difference that says which is larger."""
+"""A state below this is zero at rest; of two numbers that are compared, a difference above it says which is larger."""
 
 _ANY, _ALL, _ONLY, _ITSELF = "any", "all", "only", "itself"
 
@@ -197,7 +197,7 @@ def _vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool
         if code == CONST:
             vanishes = constant == 0
         elif code == INPUT:
-            vanishes = a == 0 and size <= SMALL
+            vanishes = a == 0 and size <= _LEAST
         elif kind == _ANY:
             vanishes = zero[a] or zero[b]
         elif kind == _ALL:

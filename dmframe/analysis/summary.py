@@ -28,8 +28,8 @@ NOTE = (
 
 NOTE_OF_A_CLOCK = (
     "This loop runs on a clock alone: it was linearised from sample to sample, about the set-point that it has there, "
-    "nothing drawn and no jitter, every estimate at its true value. A run that has not learnt them yet may stay "
-    "bounded on a slower clock, or on none."
+    "nothing drawn and no jitter, every estimate of which a true value is stated at that value. A run that has not "
+    "learnt them yet may stay bounded on a slower clock, or on none."
 )
 
 

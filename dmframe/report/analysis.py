@@ -138,8 +138,8 @@ class Analysis:
         rows = self._view.periods[2:4]
         meanings = {meaning: name for name, _, meaning in reversed(rows)}
         for meaning, name in reversed(meanings.items()):
-            both = "proved" if len(meanings) == 1 else name
-            yield from (f"  {line}" for line in textwrap.wrap(f"{both}: {meaning}", 110))
+            text = meaning if len(meanings) == 1 else f"{name}: {meaning}"
+            yield from (f"  {line}" for line in textwrap.wrap(f"{text[:1].upper()}{text[1:]}.", 110))
         yield ""
 
     def _emulation(self) -> Iterator[str]:

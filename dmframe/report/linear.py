@@ -165,7 +165,7 @@ def _meaning(proof: StabilityProof) -> str:
         return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
     rests = f"; in {proof.resting} more it rests anywhere, exactly" if proof.resting else ""
     return (
-        f"by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
+        f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
         f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "
         f"{proof.directions} directions{rests}. It is proved of this period; of a shorter one it is another proof"
     )
