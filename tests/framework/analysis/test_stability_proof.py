@@ -19,8 +19,9 @@ from dmframe.analysis import (
     tick_jacobian,
 )
 from dmframe.analysis.enclosed import EnclosedLoop
+from dmframe.analysis.least_cut import Cut
 from dmframe.analysis.linear import without_memory
-from dmframe.analysis.moves import _Cut, split_moves
+from dmframe.analysis.moves import split_moves
 from dmframe.analysis.set_point import frozen
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
@@ -242,8 +243,8 @@ def test_a_split_that_forgets_a_signal_is_refused(monkeypatch: pytest.MonkeyPatc
     linear = linearise(diagram, clock=T)
     still, p = frozen(diagram).loop, [Fixed.around(float(v)) for v in diagram.loop.p_values]
     assert split_moves(still, linear.point, p, Fixed.around(T)).count == 3
-    found = _Cut.found
-    monkeypatch.setattr(_Cut, "found", lambda self: (found(self)[0][1:], {}))
+    found = Cut.found
+    monkeypatch.setattr(Cut, "found", lambda self: (found(self)[0][1:], {}))
     with pytest.raises(UndecidedError, match="not seen to vanish"):
         split_moves(still, linear.point, p, Fixed.around(T))
 
