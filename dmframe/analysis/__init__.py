@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dmframe.analysis.emulation import EmulationLimit, emulation_limits
 from dmframe.analysis.figures import bode_svg, nyquist_svg
 from dmframe.analysis.linear import Linear, linearise, tick_jacobian
 from dmframe.analysis.period import Bracket, StablePeriods, largest_stable_period, linearised_period, simulated_period
@@ -10,11 +11,13 @@ from dmframe.analysis.rank_report import option_value, rank_summary
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
 from dmframe.analysis.servo import JointLoop, Margins, margins, servo_transfer
 from dmframe.analysis.set_point import equilibrium, frozen
+from dmframe.analysis.stability_proof import StabilityProof, prove_stability, proved_schur
 from dmframe.analysis.summary import LoopAnalysis, analyse, summary
 from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
 
 __all__ = [
     "Bracket",
+    "EmulationLimit",
     "JointLoop",
     "Linear",
     "LoopAnalysis",
@@ -23,10 +26,12 @@ __all__ = [
     "RankLoss",
     "RankRegion",
     "Rational",
+    "StabilityProof",
     "StablePeriods",
     "TieGain",
     "analyse",
     "bode_svg",
+    "emulation_limits",
     "equilibrium",
     "frozen",
     "largest_stable_period",
@@ -37,6 +42,8 @@ __all__ = [
     "nyquist_svg",
     "option_value",
     "passivity",
+    "prove_stability",
+    "proved_schur",
     "rank_region",
     "rank_summary",
     "servo_transfer",

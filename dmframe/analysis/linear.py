@@ -11,11 +11,24 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.analysis.set_point import MOST, at_set_point, computable, equilibrium, frozen, rates
+from dmframe.analysis.set_point import (
+    LARGE,
+    MOST,
+    at_rest,
+    at_set_point,
+    computable,
+    equilibrium,
+    frozen,
+    moves,
+    period_of,
+    rates,
+    undrawn,
+)
 from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.diagram.closed_loop import columns, stack
+from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ShapeError
 from dmframe.simulate import Solver
+from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step
 
 Array = NDArray[np.float64]
@@ -25,6 +38,9 @@ FRICTION_VELOCITY: Final = "robot.friction_velocity"
 _SATURATED: Final = 1e12  # [rad/s]; smooth Coulomb friction has then no slope left
 _NULL: Final = 1e-9
 """Singular values below this, relative to the largest of the balanced matrix, count as zero."""
+
+_UNREAD: Final = 1e-13
+"""A sum of stored numbers is read by nothing whose factor is below this."""
 
 _PARTED: Final = 1e-6
 """Imaginary parts below this, relative to the modulus: rounding parts a double pole by the root of an ulp."""
@@ -38,7 +54,8 @@ class Linear:
     .. math:: \dot x = A x + B w, \qquad z^+ = Z(T) x, \quad u = D x, \qquad \dot x_p = A_p x_p + B_p u
 
     with w the desired trajectory and its derivatives, Z `advanced`, D `command`, :math:`A_p` `plant_A` and
-    :math:`B_p` `plant_B`.
+    :math:`B_p` `plant_B`. Of a loop that runs on a clock alone, z holds the plant's sampled states too, u whatever is
+    held over a sample, and A x, in the rows of sampled states, what they move in one sample.
 
     Parameters
     ----------
@@ -47,11 +64,15 @@ class Linear:
     point
         The state at which it was linearised.
     controller
-        How many states are the controller's.
+        How many states are the controller's, or sampled.
     drift
         Largest rate at `point`; it would be zero at an equilibrium.
     advanced
         Z as a function of the period T [s]: the slope of the map of one sample that a run takes.
+    clock
+        The period [s] at which a loop that runs on a clock alone was linearised; None for one in continuous time.
+    again
+        The same loop at the set-point that it has on another clock; only where there is a `clock`.
     """
 
     states: tuple[str, ...]
@@ -66,6 +87,8 @@ class Linear:
     command: Array
     plant_A: Array
     plant_B: Array
+    clock: float | None = None
+    again: Callable[[float], Linear] | None = None
 
     @cached_property
     def _others(self) -> Array:
@@ -75,7 +98,9 @@ class Linear:
 
     @property
     def poles(self) -> Complex:
-        """Eigenvalues of A [1/s], without those at zero; slowest first."""
+        """Eigenvalues of A [1/s], without those at zero; slowest first. None of a loop that runs on a clock alone."""
+        if self.clock is not None:
+            return np.zeros(0, dtype=complex)
         found = np.linalg.eigvals(self._others.T @ self.A @ self._others)
         return np.asarray(found[np.lexsort((found.imag, -found.real))], dtype=complex)
 
@@ -92,7 +117,24 @@ class Linear:
     @property
     def at_rest(self) -> int:
         """How many eigenvalues of A are zero: the loop rests anywhere there, as estimates do that nothing excites."""
-        return len(self.states) - len(self.poles)
+        return self._resting[0] if self.clock is not None else len(self.states) - int(self._others.shape[1])
+
+    @property
+    def drifting(self) -> int:
+        """In how many directions a loop that runs on a clock alone goes on steadily; continuous ones are not asked."""
+        return self._resting[1] if self.clock is not None else 0
+
+    @cached_property
+    def _resting(self) -> tuple[int, int]:
+        still, all_of_them = _rest_on_a_clock(self._remembering(self.sampled(self.clock or 1.0)))
+        return int(still.shape[1]), int(all_of_them.shape[1] - still.shape[1])
+
+    def _remembering(self, Phi: Array) -> Array:
+        return without_memory(Phi) if len(Phi) > LARGE else Phi
+
+    def on(self, period: float) -> Linear:
+        """The loop at the set-point that it has on a clock of that period [s]."""
+        return self if self.again is None or period == self.clock else self.again(period)
 
     def sampled(self, period: float) -> Array:
         r"""The state's transition over one tick of that period [s].
@@ -104,6 +146,8 @@ class Linear:
         """
         from scipy.linalg import expm
 
+        if self.on(period) is not self:
+            return self.on(period).sampled(period)
         size, inputs = self.plant_B.shape
         joined = np.zeros((size + inputs, size + inputs))
         joined[:size, :size], joined[:size, size:] = self.plant_A * period, self.plant_B * period
@@ -130,11 +174,20 @@ class Linear:
 
     def _multipliers(self, period: float) -> Complex | None:
         """Eigenvalues of `sampled`, without those at one; None where the transition overflows."""
-        Phi = self.sampled(period)
+        try:
+            here = self.on(period)
+        except EngineError:  # it rests nowhere on this clock
+            return None
+        Phi = here.sampled(period)
         if not np.max(np.abs(Phi), initial=0.0) < MOST:  # nan too
             return None
+        if self.clock is not None:
+            Phi = self._remembering(Phi)
+            _, rest = _rest_on_a_clock(Phi)
+            others = np.linalg.qr(rest, mode="complete")[0][:, rest.shape[1] :]
+            return np.asarray(np.linalg.eigvals(others.T @ Phi @ others), dtype=complex)
         # What rests in continuous time rests on every clock: one decision for all periods, made where it is clearest.
-        return np.asarray(np.linalg.eigvals(self._others.T @ Phi @ self._others), dtype=complex)
+        return np.asarray(np.linalg.eigvals(here._others.T @ Phi @ here._others), dtype=complex)
 
 
 def linearise(
@@ -144,8 +197,9 @@ def linearise(
     estimates: Mapping[str, Any] | None = None,
     start: Mapping[str, Any] | None = None,
     moving: bool = False,
+    clock: float | None = None,
 ) -> Linear:
-    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0.
+    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0 and nothing drawn.
 
     Parameters
     ----------
@@ -154,62 +208,78 @@ def linearise(
     moving
         Leave out the slope that smooth Coulomb friction has at rest: it acts within a few mrad/s, and would hide what
         the loop does when it moves.
+    clock
+        The period [s] of a loop that runs on a clock alone; no other needs one.
 
     Raises
     ------
     ShapeError, EngineError
-        A state of another size; no equilibrium.
+        A state of another size; no equilibrium; a loop that needs a clock.
     """
     still = frozen(diagram)
-    loop = still.loop
-    point = equilibrium(still, estimates, start) if state is None else np.array(state, dtype=float)
+    loop, T = still.loop, period_of(still.loop, clock)
+    point = equilibrium(still, estimates, start, clock) if state is None else np.array(state, dtype=float)
     if point.shape != (loop.state.numel(),):
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
-    p = _moving(loop) if moving else loop.p_values
+    p = at_speed(loop) if moving else loop.p_values
+    field, slope = rates(loop), rates(loop).jacobian()
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
-    command = at_set_point(loop, "command", columns(loop.commanded)[1])
-    u = command(point, loop.p_values, 0)
+    held = at_set_point(loop, "held", loop.held_over_a_sample[1])
+    command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
     first = slopes.size1_out(0)
-    plant_A, plant_B = _plant(loop)
 
     def told(matrix: Any) -> Array:
-        return np.asarray(computable(loop, "linearise", np.asarray(matrix)))
+        return np.asarray(computable(loop, "linearise", np.asarray(matrix.full())))
 
-    def advanced(period: float) -> Array:
-        return np.asarray(slopes(point, p, period, 0)[0].full())
+    def at(point: Array, T: float) -> Linear:
+        def advanced(period: float) -> Array:
+            return np.asarray(slopes(point, p, period, 0)[0].full())
 
-    told(advanced(1.0))  # on a clock so slow that it overflows, that is no fault of the numbers
-    return Linear(
-        states=_labels([(v.label, v.symbol.numel()) for v in loop.variables]),
-        trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
-        commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.commanded]),
-        point=point,
-        controller=first,
-        drift=float(np.max(np.abs(rates(loop)(point, loop.p_values, 0).full()), initial=0.0)),
-        A=told(_slope(rates(loop), point, p)),
-        B=told(_trajectory_slope(loop, point, p)),
-        advanced=advanced,
-        command=told(_slope(command, point, p)),
-        plant_A=told(plant_A(point[first:], u, p).full()),
-        plant_B=told(plant_B(point[first:], u, p).full()),
-    )
+        def again(period: float) -> Linear:
+            moved = point
+            if not at_rest(field(point, loop.p_values, period), point):
+                moved = equilibrium(still, estimates, _by_label(loop, point), period)
+            return at(moved, period)
+
+        u = held(point, loop.p_values, T)
+        told(slopes(point, p, T or 1.0, 0)[0])  # on a clock so slow that it overflows, that is no fault of the numbers
+        return Linear(
+            states=_labels([(v.label, v.symbol.numel()) for v in loop.variables]),
+            trajectories=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.trajectories]),
+            commands=_labels([(leaf.name, leaf.symbol.numel()) for leaf in loop.commanded]),
+            point=point,
+            controller=first,
+            drift=float(np.max(np.abs(field(point, loop.p_values, T).full()), initial=0.0)),
+            A=told(slope(point, p, T, 0)[0]),
+            B=_trajectory_slope(loop, point, p, T),
+            advanced=advanced,
+            command=told(command(point, p, T, 0)[0]),
+            plant_A=told(plant_A(point[first:], u, p)),
+            plant_B=told(plant_B(point[first:], u, p)),
+            clock=T if loop.clocked else None,
+            again=again if loop.clocked else None,
+        )
+
+    return at(point, T)
 
 
-def _slope(function: Any, point: Array, p: Array) -> Array:
-    return np.asarray(function.jacobian()(point, p, 0, 0)[0].full())
+def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
+    ends = np.cumsum([0, *(variable.symbol.numel() for variable in loop.variables)])
+    parts = [(v, point[first:last]) for v, first, last in zip(loop.variables, ends, ends[1:], strict=False)]
+    return {v.label: part if v.symbol.is_column() else part.reshape(v.symbol.shape, order="F") for v, part in parts}
 
 
-def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array) -> Array:
+def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array, T: float) -> Array:
     """The Jacobian of all rates in the trajectory's leaves."""
-    (rate,) = loop.acting([loop.rate])
-    leaves, _ = columns(loop.trajectories)
-    slope = loop.on_path(ca.densify(ca.jacobian(rate, leaves)))
-    return np.asarray(ca.Function("B", [loop.state, loop.p], [slope])(point, p).full())
+    (rate,) = loop.acting([moves(loop)])
+    leaves = stack(leaf.symbol for leaf in loop.trajectories)
+    slope = undrawn(loop, loop.on_path(ca.densify(ca.jacobian(rate, leaves))))
+    return np.asarray(ca.Function("B", [loop.state, loop.p, loop.period], [slope])(point, p, T).full())
 
 
 def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
-    """Jacobians of the plant's rate in its states and in the held commands."""
-    x, (held, _) = stack(v.symbol for v in loop.flowing), columns(loop.commanded)
+    """Jacobians of the plant's rate in the states that flow and in what is held over a sample."""
+    x, (held, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
     (rate,) = loop.projected([stack(v.rate for v in loop.flowing)], joined=False)
     rate, inputs = loop.on_path(rate), [x, held, loop.p]
     return (
@@ -218,7 +288,8 @@ def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
     )
 
 
-def _moving(loop: ClosedLoop) -> Array:
+def at_speed(loop: ClosedLoop) -> Array:
+    """The parameters, with smooth Coulomb friction as steep as a step: it then has no slope but at rest."""
     labels = [parameter.label for parameter in loop.parameters for _ in range(parameter.symbol.numel())]
     return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
 
@@ -228,7 +299,56 @@ def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver
     loop = frozen(diagram).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
     given = step.instants.rows(0, 1).ravel()
+    given[DRAWN:] = 0.0
     return np.asarray(step.tick.jacobian()(linear.point, given, loop.p_values, 0, 0)[0].full())
+
+
+def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:
+    """The directions that a tick leaves as they are; and these with those that it moves along them, again and again."""
+    moved = Phi - np.eye(len(Phi))
+    still = found = rest_space(moved)
+    while True:
+        more = rest_space(moved - found @ (found.T @ moved))
+        if more.shape[1] <= found.shape[1]:
+            return still, found
+        found = more
+
+
+def without_memory(Phi: Array) -> Array:
+    """The transition without what it only stores: a smaller matrix with the same eigenvalues but for some at zero.
+
+    States that copy another from tick to tick, and those that they copy, are a memory where none feeds itself: their
+    part of the matrix is nilpotent. Of it only the sums are kept that the other states read, now or later.
+    """
+    size, store = len(Phi), _memory(Phi)
+    core = np.setdiff1d(np.arange(size), store)
+    if not len(store):
+        return Phi
+    N, reads = Phi[np.ix_(store, store)], Phi[np.ix_(core, store)]
+    kept = np.zeros((0, len(store)))
+    new = np.asarray(reads[np.any(reads != 0, axis=1)])
+    while len(new):
+        new = new - (new @ kept.T) @ kept
+        new = new - (new @ kept.T) @ kept  # twice is enough
+        _, values, rows = np.linalg.svd(new, full_matrices=False)
+        rows = rows[values > _UNREAD * max(1.0, float(np.max(np.abs(reads), initial=0.0)))]
+        kept, new = np.vstack([kept, rows]), rows @ N
+    upper = np.hstack([Phi[np.ix_(core, core)], reads @ kept.T])
+    return np.vstack([upper, np.hstack([kept @ Phi[np.ix_(store, core)], kept @ N @ kept.T])])
+
+
+def _memory(Phi: Array) -> NDArray[np.int_]:
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    filled = Phi != 0
+    copies = np.flatnonzero((filled.sum(axis=1) == 1) & (np.diag(Phi) == 0))
+    sources = np.unique(np.argmax(filled[copies], axis=1)) if len(copies) else copies
+    store = np.union1d(copies, sources[np.diag(Phi)[sources] == 0])
+    # states that feed one another are none: each has to be a component of its own
+    _, groups = connected_components(csr_array(filled[np.ix_(store, store)]), connection="strong")
+    alone = np.bincount(groups)[groups] == 1 if len(store) else np.zeros(0, dtype=bool)
+    return np.asarray(store[alone], dtype=int)
 
 
 def rest_space(A: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.analysis.linear import Linear, linearise
+from dmframe.analysis.set_point import LARGE
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate import Solver, simulate
@@ -85,19 +86,23 @@ def largest_stable_period(
         No equilibrium, or no goal to follow. (A loop that no clock keeps bounded is no fault.)
     """
     return StablePeriods(
-        linearised_period(linearise(diagram, start=start)),
-        linearised_period(linearise(diagram, start=start, moving=True)),
+        linearised_period(linearise(diagram, start=start, clock=clock)),
+        linearised_period(linearise(diagram, start=start, moving=True, clock=clock)),
         simulated_period(diagram, clock, solver=solver, start=start, horizon=horizon),
     )
 
 
 def sampled_radius(diagram: Diagram, clock: float, start: Mapping[str, Any] | None = None) -> float | None:
-    """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point."""
+    """The larger spectral radius of the loop linearised on a clock [s], at rest or moving; None without a set-point.
+
+    None as well of a loop of so many states that it would take longer than a run.
+    """
+    if diagram.loop.state.numel() > LARGE:
+        return None
     try:
-        at_rest = linearise(diagram, start=start)
-        return max(
-            linear.spectral_radius(clock) for linear in (at_rest, linearise(diagram, at_rest.point, moving=True))
-        )
+        at_rest = linearise(diagram, start=start, clock=clock)
+        moving = linearise(diagram, at_rest.point, moving=True, clock=clock)
+        return max(linear.spectral_radius(clock) for linear in (at_rest, moving))
     except DmframeError:
         return None
 
@@ -106,7 +111,8 @@ def linearised_period(linear: Linear) -> Bracket:
     """Where the spectral radius of the linearised sampled loop first exceeds 1, as the period grows.
 
     Eigenvalues at 1 that the continuous loop has at 0 are left out: estimates that the set-point does not excite rest
-    anywhere.
+    anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
+    search begins there. A large one is looked at on its own clock alone.
     """
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
@@ -116,7 +122,10 @@ def linearised_period(linear: Linear) -> Bracket:
     def stable(period: float) -> bool:
         return linear.spectral_radius(period) <= 1 + TOLERANCE
 
-    lower, upper = _first_change(stable, SHORTEST)
+    own = linear.clock
+    if own is not None and len(linear.states) > LARGE:  # each period would take seconds
+        return Bracket(own, float("inf"), meaning) if stable(own) else Bracket(0.0, own, meaning)
+    lower, upper = _first_change(stable, own if own is not None and stable(own) else SHORTEST)
     for _ in range(40):
         if not (lower > 0 and np.isfinite(upper)) or upper - lower <= 1e-6 * upper:
             break

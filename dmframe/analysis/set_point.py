@@ -12,7 +12,8 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
-from dmframe.diagram import ClosedLoop, Diagram
+from dmframe.diagram import ClosedLoop, Diagram, Variable
+from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ValueFault
 from dmframe.simulate import start_state
 
@@ -24,6 +25,12 @@ MOST: Final = 1e150
 
 FAR: Final = 30
 """Powers of ten from 1 that no parameter of a robot has."""
+
+LARGE: Final = 300
+"""Of more states than this, linear algebra takes a way that is faster, and a little less exact."""
+
+LATE: Final = 1e6
+"""Where a state stands at a set-point that counts samples: long after the start."""
 
 _STEPS: Final = 60
 
@@ -40,8 +47,9 @@ def equilibrium(
     diagram: Diagram,
     estimates: Mapping[str, Any] | None = None,
     start: Mapping[str, Any] | None = None,
+    clock: float | None = None,
 ) -> np.ndarray:
-    """The state at which the loop with frozen trajectories rests.
+    """The state at which the loop with frozen trajectories rests, what is drawn being zero.
 
     Newton's method from where a run starts, with the shortest step where equilibria are not alone; only states that are
     no estimates move.
@@ -55,39 +63,52 @@ def equilibrium(
         values.
     start
         As `dmframe.simulate.start_state` takes it.
+    clock
+        The period [s] of a loop that runs on a clock alone; no other needs one.
 
     Raises
     ------
     EngineError
-        No equilibrium was found.
+        No equilibrium was found, or the loop needs a clock.
     """
-    loop = diagram.loop
+    from scipy.linalg import lstsq
+
+    loop, T = diagram.loop, period_of(diagram.loop, clock)
     held = true_values(diagram) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     free = np.array([label not in held for label in labels], dtype=bool)
+    for variable in filter(counts, loop.variables):
+        x[[other == variable.label for other in labels]] = LATE
     for label, value in held.items():
         x[[other == label for other in labels]] = value
     field = rates(loop)
     slope = field.jacobian()
     p = loop.p_values
     for _ in range(_STEPS):
-        rate = field(x, p, 0).full().ravel()
+        rate = field(x, p, T).full().ravel()
         if not np.all(np.isfinite(rate)):
             break
-        if np.max(np.abs(rate), initial=0.0) <= AT_REST * (1 + np.max(np.abs(x), initial=0.0)) * 1e-3:
+        if at_rest(rate, x, 1e-3):
             return x
-        now = computable(loop, "set-point", slope(x, p, 0, 0)[0].full())
-        step = np.linalg.lstsq(now[:, free], -rate, rcond=1e-12)[0]
+        now = computable(loop, "set-point", slope(x, p, T, 0)[0].full())
+        step = lstsq(now[:, free], -rate, cond=1e-12, lapack_driver="gelsy" if len(x) > LARGE else "gelsd")[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
     computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
-    if abs(rate[worst]) <= AT_REST * (1 + np.max(np.abs(x))):
+    if at_rest(rate[worst], x):
         return x
     raise EngineError(
         f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
-        f"still moves at {rate[worst]:.3g} a second; give estimates with which the loop can rest, or another start"
+        f"still moves at {rate[worst]:.3g} a {_unit(loop, worst)}; give estimates with which the loop can rest, or "
+        "another start"
     )
+
+
+def at_rest(rate: Any, state: np.ndarray, share: float = 1.0) -> bool:
+    """True for rates that are small enough at a state, or smaller than a share of that."""
+    largest = float(np.max(np.abs(np.asarray(rate)), initial=0.0))
+    return largest <= AT_REST * share * (1 + float(np.max(np.abs(state), initial=0.0)))
 
 
 def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
@@ -126,22 +147,58 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
     return values
 
 
+def moves(loop: ClosedLoop) -> SX:
+    """What is zero where a loop rests: the rates, and what each sampled state moves in one sample, unless it counts."""
+    return stack(v.rate if v.next is None else 0 * v.symbol if counts(v) else v.next - v.symbol for v in loop.variables)
+
+
+def counts(variable: Variable) -> bool:
+    """True for a sampled state that grows by the same number in each sample, whatever happens."""
+    if variable.next is None or symbols_in([variable.next]) != symbols_in([variable.symbol]):
+        return False
+    step = ca.Function("step", [variable.symbol], [ca.vec(variable.next - variable.symbol)])
+    points = [step(np.full(variable.symbol.shape, value)).full() for value in (0.0, 1.0, 7.0)]
+    return bool(np.all(points[0]) and all(np.array_equal(points[0], other) for other in points))
+
+
 def rates(loop: ClosedLoop) -> Any:
-    """The continuous loop's vector field, (state, p, T) -> rates, with its trajectories as frozen."""
-    return at_set_point(loop, "rates", loop.rate)
+    """The loop's `moves`, (state, p, T) -> them, with its trajectories as frozen."""
+    return at_set_point(loop, "rates", moves(loop))
+
+
+def period_of(loop: ClosedLoop, clock: float | None) -> float:
+    """The period T [s] that a loop's equations read: zero of a loop in continuous time.
+
+    Raises `EngineError` for a loop that runs on a clock alone, and is given none.
+    """
+    if clock is None and loop.clocked:
+        raise EngineError(f"set-point: expected a clock, found none; {loop.clocked}")
+    return clock if clock is not None and loop.clocked else 0.0
+
+
+def _unit(loop: ClosedLoop, row: int) -> str:
+    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
+    return "sample" if sampled[row] else "second"
 
 
 def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
-    """An expression of the loop as a function of (state, p, T), the trajectories frozen, the projections acting.
+    """An expression of the loop as a function of (state, p, T), trajectories frozen, projections acting, nothing drawn.
 
-    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest;
-    and for one of which nothing is known yet at a set-point: with sampled states, or with what is drawn.
+    Raises `EngineError` for a loop whose equations read the time: with its trajectories frozen it still does not rest.
     """
-    if loop.clocked:
-        raise EngineError(f"set-point: expected a loop in continuous time, which a clock may sample; {loop.clocked}")
-    held = loop.on_path(loop.acting([expression])[0])
+    held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
     if symbols_in([held]) & symbols_in([loop.time]):
-        reads = [v.label for v in loop.variables if symbols_in(loop.joined([v.rate])) & symbols_in([loop.time])]
-        where = ", ".join(f"d {label}/dt" for label in reads) or name
+        timed = [
+            v
+            for v in loop.variables
+            if symbols_in(loop.joined([v.rate if v.next is None else v.next])) & symbols_in([loop.time])
+        ]
+        where = ", ".join(f"d {v.label}/dt" if v.next is None else f"{v.label}+" for v in timed) or name
         raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
     return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])
+
+
+def undrawn(loop: ClosedLoop, expression: SX) -> SX:
+    """An expression with zero in place of what each sample draws: the mean of every distribution."""
+    drawn = loop.drawn
+    return ca.substitute(expression, drawn, ca.SX.zeros(drawn.numel())) if drawn.numel() else expression

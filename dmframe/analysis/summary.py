@@ -7,11 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
+from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
 from dmframe.analysis.servo import JointLoop, servo_transfer
+from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.analysis.tie import TieGain, tie_gains
+from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import Diagram
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
@@ -20,6 +23,13 @@ NOTE = (
     "The certificate speaks of continuous time. Near the set-point the poles are those of the loop linearised with "
     "every estimate at its true value; a run that has not learnt them yet may stay bounded on a slower clock, or on "
     "none."
+)
+
+
+NOTE_OF_A_CLOCK = (
+    "This loop runs on a clock alone: it was linearised from sample to sample, about the set-point that it has there, "
+    "nothing drawn and no jitter, every estimate of which a true value is stated at that value. A run that has not "
+    "learnt them yet may stay bounded on a slower clock, or on none."
 )
 
 
@@ -40,6 +50,12 @@ class LoopAnalysis:
         How slow the clock may be.
     ties
         K_c of each PID inverse, joint by joint.
+    proofs
+        What interval arithmetic proves of `at_rest` and of `moving`.
+    emulation
+        The largest adaptation gains that the clock bears, quasi-statically; nothing without a clock.
+    unknown
+        Estimates of which no true value is known: they are where the set-point has them.
     """
 
     clock: float | None
@@ -48,6 +64,17 @@ class LoopAnalysis:
     joints: tuple[JointLoop, ...]
     periods: StablePeriods
     ties: tuple[TieGain, ...]
+    proofs: tuple[StabilityProof, StabilityProof]
+    emulation: tuple[EmulationLimit, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+    @property
+    def note(self) -> str:
+        """What the numbers speak of."""
+        note = NOTE if self.at_rest.clock is None else NOTE_OF_A_CLOCK
+        if self.unknown:
+            note += f" No true value is known of {', '.join(self.unknown)}: they are where the set-point has them."
+        return note
 
     def __repr__(self) -> str:
         return f"<LoopAnalysis of {len(self.at_rest.states)} states>"
@@ -74,8 +101,8 @@ def analyse(
         See `linearise`, `servo_transfer` and `largest_stable_period`.
     """
     tell("linearising")
-    at_rest = linearise(diagram, start=start)
-    moving = linearise(diagram, at_rest.point, moving=True)
+    at_rest = linearise(diagram, start=start, clock=clock)
+    moving = linearise(diagram, at_rest.point, moving=True, clock=clock)
     periods = StablePeriods(
         linearised_period(at_rest),
         linearised_period(moving),
@@ -83,7 +110,19 @@ def analyse(
     )
     tell("finding the least K_c")
     ties = tie_gains(diagram, uncertain)
-    return LoopAnalysis(clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties)
+    tell("proving that the linearised loop is stable")
+    proof, split = prove_stability(diagram, at_rest, periods.at_rest, clock)
+    proofs = proof, prove_stability(diagram, moving, periods.moving, clock, moving=True, split=split)[0]
+    seconds = min(SECONDS, horizon)
+    limits = (
+        ()
+        if clock is None
+        else emulation_limits(diagram, clock, at_rest.point, solver=solver, start=start, seconds=seconds)
+    )
+    unknown = tuple(label for label, value in estimates_of(diagram).items() if value is None)
+    return LoopAnalysis(
+        clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties, proofs, limits, unknown
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -100,14 +139,36 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
             "moving": _bracket(analysis.periods.moving),
             "simulated": _bracket(analysis.periods.simulated),
         },
+        "proof": {
+            name: {
+                "proved_radius": proof.radius,
+                "proved_period": proof.period,
+                "directions": proof.directions,
+                "resting": proof.resting,
+                "within": proof.within,
+                "reason": proof.reason,
+            }
+            for name, proof in zip(("at_rest", "moving"), analysis.proofs, strict=True)
+        },
+        "emulation": [
+            {
+                "gain": limit.gain,
+                "value": limit.value,
+                "most_at_rest": _finite(limit.at_rest),
+                "most_on_path": _finite(limit.on_path),
+                "most_at_bound": None if limit.at_bound is None else _finite(limit.at_bound),
+                "meaning": limit.meaning,
+            }
+            for limit in analysis.emulation
+        ],
         "K_c": [_tie(tie) for tie in analysis.ties],
-        "note": NOTE,
+        "note": analysis.note,
     }
 
 
 def _linear(linear: Linear, clock: float | None) -> dict[str, Any]:
     return {
-        "poles": _complex(linear.poles),
+        "poles": None if linear.clock is not None else _complex(linear.poles),
         "zero_poles": linear.at_rest,
         "sampled_poles": None if clock is None else _complex(linear.sampled_poles(clock)),
         "spectral_radius": None if clock is None else _finite(linear.spectral_radius(clock)),

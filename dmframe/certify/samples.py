@@ -160,7 +160,7 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
 
     Raises `NotApplicableError` where none claims anything, or one claims what nothing over samples can be said of.
     """
-    stated, silent, truths = _certificates(diagram)
+    stated, silent, truths = certificates_over_samples(diagram)
     claiming = {name: item for name, item in stated.items() if isinstance(item, SampledCertificate)}
     if not any(item.storage or item.steps for item in claiming.values()):
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
@@ -177,7 +177,9 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     return claim
 
 
-def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate | SampledCertificate], tuple[str, ...], Stated]:
+def certificates_over_samples(
+    diagram: Diagram,
+) -> tuple[dict[str, Certificate | SampledCertificate], tuple[str, ...], Stated]:
     """Every block's certificate; of blocks in continuous time, the true values that they state are all that is read."""
     sides = (Side.PLANT, Side.CONTROLLER)
     waiting = [name for side in sides for name, block in diagram.blocks.items() if block.side is side]
@@ -320,4 +322,4 @@ def _size(shape: Sequence[int]) -> str:
     return f"{shape[0]} x {shape[1]}"
 
 
-__all__ = ["SampledClaim", "SampledPart", "sampled_claim_of"]
+__all__ = ["SampledClaim", "SampledPart", "certificates_over_samples", "sampled_claim_of"]

@@ -6,9 +6,10 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
+from dmframe.certificate import SX, Certificate, SampledCertificate
 from dmframe.certify.claim import certificates_of
 from dmframe.certify.form import NotApplicableError
+from dmframe.certify.samples import certificates_over_samples
 from dmframe.diagram import Diagram
 
 
@@ -22,15 +23,21 @@ def estimated(diagram: Diagram) -> dict[str, SX | None]:
     for name, model in diagram.models.items():
         found |= dict.fromkeys(f"{name}.{item.name}" for item in model.estimates)
     try:
-        certificates = certificates_of(diagram)[0]
+        certificates = certificates_over_samples(diagram)[0] if loop.clocked else certificates_of(diagram)[0]
     except NotApplicableError:
         return found
     for name, certificate in certificates.items():
-        for state, true in certificate.estimates.items():
-            value = ca.SX(true.value) + ca.SX.zeros(*diagram.models[name].states[state].shape)
+        for state, true in _stated(certificate).items():
+            value = ca.SX(true) + ca.SX.zeros(*diagram.models[name].states[state].shape)
             value = ca.vec(ca.densify(*loop.joined([value])))
             found[f"{name}.{state}"] = value if symbols_in([value]) <= known else None
     return found
+
+
+def _stated(certificate: Certificate | SampledCertificate) -> dict[str, SX]:
+    if isinstance(certificate, SampledCertificate):
+        return {item.estimate: item.true for item in certificate.steps}
+    return {state: true.value for state, true in certificate.estimates.items()}
 
 
 def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:

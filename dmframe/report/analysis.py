@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import Experiment
-from dmframe.report.linear import JOINT_HEADS, LinearView, rows_of
+from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS, LinearView, rows_of
 from dmframe.units import plain
 
 if TYPE_CHECKING:
@@ -112,6 +112,8 @@ class Analysis:
             columns([row[:2] for row in view.periods]),
             *(f"    {line}" for line in textwrap.wrap(self.found.periods.simulated.meaning, 106)),
             "",
+            *self._proofs(),
+            *self._emulation(),
             *self._least_K_c(),
             *(f"  {line}" for line in textwrap.wrap(view.numbers["note"], 110)),
             "",
@@ -127,8 +129,24 @@ class Analysis:
             + notebook.table([row[:2] for row in view.periods], ("largest stable sampling period", ""))
             + notebook.table(view.loop, LOOP_HEADS)
             + notebook.table(view.joints, JOINT_HEADS)
+            + (notebook.table(view.emulation, EMULATION_HEADS) if view.emulation else "")
             + (notebook.table(map(_tie, ties), TIE_HEADS) if ties else "")
         )
+
+    def _proofs(self) -> Iterator[str]:
+        """What was proved, in words; or why not."""
+        rows = self._view.periods[2:4]
+        meanings = {meaning: name for name, _, meaning in reversed(rows)}
+        for meaning, name in reversed(meanings.items()):
+            text = meaning if len(meanings) == 1 else f"{name}: {meaning}"
+            yield from (f"  {line}" for line in textwrap.wrap(f"{text[:1].upper()}{text[1:]}.", 110))
+        yield ""
+
+    def _emulation(self) -> Iterator[str]:
+        if self._view.emulation:
+            yield "largest adaptation gain that the clock bears, quasi-statically: T λ_max(Γ Y_d' w Y_d) < 2; no proof"
+            yield columns([EMULATION_HEADS, *self._view.emulation])
+            yield ""
 
     def _least_K_c(self) -> Iterator[str]:
         ties: Sequence[TieGain] = self.found.ties

@@ -13,11 +13,18 @@ from dmframe.errors import DmframeError
 from dmframe.units import plain
 
 if TYPE_CHECKING:
-    from dmframe.analysis import Bracket, JointLoop, Linear, LoopAnalysis
+    from dmframe.analysis import Bracket, EmulationLimit, JointLoop, Linear, LoopAnalysis, StabilityProof
 
 LONGEST: Final = 20.0
 """Each simulation that looks for the largest sampling period lasts this long, or as long as the graph [s]."""
 
+EMULATION_HEADS: Final = (
+    "gain",
+    "of the graph",
+    "at the set-point",
+    "along the path's start",
+    "w at the end of its box",
+)
 JOINT_HEADS: Final = ("joint", "inertia", "crossover", "phase margin", "gain margin", "servo alone", "with the inverse")
 
 
@@ -32,6 +39,8 @@ class LinearView:
         A row a joint, under `JOINT_HEADS`.
     loop, periods
         Rows: what, at rest, moving; and which search, what it found, what that means.
+    emulation
+        A row an adapting block, under `EMULATION_HEADS`.
     bode, nyquist
         SVG, or empty.
     numbers
@@ -42,6 +51,7 @@ class LinearView:
     joints: tuple[tuple[str, ...], ...] = ()
     loop: tuple[tuple[str, str, str], ...] = ()
     periods: tuple[tuple[str, str, str], ...] = ()
+    emulation: tuple[tuple[str, ...], ...] = ()
     bode: str = ""
     nyquist: str = ""
     numbers: Mapping[str, Any] = field(default_factory=dict)
@@ -79,8 +89,19 @@ def rows_of(name: str, found: LoopAnalysis) -> LinearView:
         joints=tuple(_joint(joint) for joint in found.joints),
         loop=tuple(_loop(found)),
         periods=tuple(_periods(found)),
+        emulation=tuple(map(_limit, found.emulation)),
         numbers=summary(name, found),
     )
+
+
+def _limit(limit: EmulationLimit) -> tuple[str, ...]:
+    def most(factor: float | None) -> str:
+        if factor is None or math.isinf(factor):
+            return ""
+        return f"{factor:.3g} times" if limit.value is None else f"{factor * limit.value:.3g}"
+
+    own = "" if limit.value is None else f"{limit.value:g}"
+    return limit.gain, own, *map(most, (limit.at_rest, limit.on_path, limit.at_bound))
 
 
 def _joint(joint: JointLoop) -> tuple[str, ...]:
@@ -103,13 +124,22 @@ def _passive(holds: bool) -> str:
 
 def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     both = (found.at_rest, found.moving)
-    for name, place in (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
+    sampled = found.at_rest.clock is not None
+    for name, place in () if sampled else (("slowest pole, 1/s", 0), ("fastest pole, 1/s", -1)):
         slow, fast = (_pole(linear, place) for linear in both)
         yield name, slow, fast
-    yield "poles at zero, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    resting = "eigenvalues at one" if sampled else "poles at zero"
+    yield f"{resting}, where the loop rests anywhere", str(both[0].at_rest), str(both[1].at_rest)
+    if both[0].drifting or both[1].drifting:
+        drifts = "and where it drifts steadily, which nothing brings back"
+        yield drifts, str(both[0].drifting), str(both[1].drifting)
     if found.clock is not None:
         at_rest, moving = (f"{linear.spectral_radius(found.clock):.6f}" for linear in both)
         yield f"spectral radius of the loop sampled every {plain(found.clock, 's')}; stable below 1", at_rest, moving
+        at_rest, moving = (
+            "not proved" if proof.radius is None else f"{proof.radius:.8f}".rstrip("0") for proof in found.proofs
+        )
+        yield "proved, by interval arithmetic, to lie below", at_rest, moving
 
 
 def _pole(linear: Linear, place: int) -> str:
@@ -123,7 +153,22 @@ def _periods(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     periods = found.periods
     yield "linearised, at rest", _bracket(periods.at_rest), periods.at_rest.meaning
     yield "linearised, moving", _bracket(periods.moving), "the same without the slope of Coulomb friction at rest"
+    for name, proof in zip(("proved, at rest", "proved, moving"), found.proofs, strict=True):
+        period = "none" if proof.period is None else plain(proof.period, "s", 4)
+        yield name, period, _meaning(proof)
     yield "simulated", _bracket(periods.simulated), periods.simulated.meaning
+
+
+def _meaning(proof: StabilityProof) -> str:
+    """What the proof says, in words."""
+    if proof.period is None:
+        return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
+    rests = f"; in {proof.resting} more it rests anywhere, exactly" if proof.resting else ""
+    return (
+        f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
+        f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "
+        f"{proof.directions} directions{rests}. It is proved of this period; of a shorter one it is another proof"
+    )
 
 
 def _bracket(bracket: Bracket) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from dmframe.report.content import BlockLaw, Content, Follows, Opening
-from dmframe.report.linear import JOINT_HEADS
+from dmframe.report.linear import EMULATION_HEADS, JOINT_HEADS
 from dmframe.report.parts import (
     Bullets,
     Cell,
@@ -276,10 +276,16 @@ def _linear(r: Content) -> Iterator[Part]:
     yield Paragraph(Marked(r.linear.sentence))
     if not r.linear.periods:
         return
-    caption = "The largest sampling period up to which the loop stays stable, looked for in three ways."
+    caption = "The largest sampling period up to which the loop stays stable, looked for and proved."
     yield Table(r.linear.periods, ("search", "boundary", "what it means"), caption, kind="periods", keys=True)
     caption = "The linearised closed loop, with and without the slope that smooth Coulomb friction has at rest."
     yield Table(r.linear.loop, ((), "at rest", "moving"), caption)
+    if r.linear.emulation:
+        caption = (
+            "The largest adaptation gain that the clock bears, quasi-statically: T times the largest eigenvalue of "
+            "Γ Y_d′ w Y_d is 2 there. It says what order of gain is too large, and proves nothing."
+        )
+        yield Table(r.linear.emulation, EMULATION_HEADS, caption)
     caption = (
         "Joint by joint, the other joints held: the maker's servo on its joint, and as the controller sees it through "
         "the inverse with its true values. On the passivity of the latter the certificate rests."

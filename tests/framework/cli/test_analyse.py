@@ -31,6 +31,8 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
         "moving",
         "joints",
         "largest_stable_period",
+        "proof",
+        "emulation",
         "K_c",
         "note",
     }
@@ -39,6 +41,13 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
     assert told["at_rest"]["spectral_radius"] < 1
     period = told["largest_stable_period"]["at_rest"]
     assert 0.002 < period["stable"] < period["unstable"] < 0.005
+    proof = told["proof"]["at_rest"]
+    assert told["at_rest"]["spectral_radius"] < proof["proved_radius"] < 1
+    assert 0.99 * period["stable"] < proof["proved_period"] < period["stable"]
+    assert (proof["directions"], proof["resting"], proof["reason"]) == (8, told["at_rest"]["zero_poles"], "")
+    (limit,) = told["emulation"]
+    assert (limit["gain"], limit["value"]) == ("dynamics.Gamma", 100)
+    assert limit["most_at_bound"] < limit["most_at_rest"]
     assert told["joints"][0]["servo"]["num"] == pytest.approx([60, 240])
     assert told["joints"][0]["gain_margin"] is None
 
@@ -46,6 +55,37 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
 def test_a_clock_beyond_the_largest_period_has_a_spectral_radius_above_one(dmframe: Any) -> None:
     told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=5 ms", "--json").out)
     assert told["at_rest"]["spectral_radius"] > 1
+    assert told["proof"]["at_rest"]["proved_radius"] is None
+    assert told["proof"]["at_rest"]["reason"] == "floats find it unstable"
+
+
+def test_a_graph_that_runs_on_a_clock_alone_is_analysed(dmframe: Any, tmp_path: Any) -> None:
+    (tmp_path / "line.py").write_text(
+        """
+from typing import ClassVar
+from dmframe.block import AbstractBlock, Equations
+from dmframe.port import Port, Side, State
+
+class Line(AbstractBlock):
+    side: ClassVar[Side] = Side.PLANT
+    inputs = (Port("dq_c", "n", "rad/s"),)
+    outputs = (Port("dq_late", "n", "rad/s"),)
+    states = (State("dq_held", "n", "rad/s", sampled=True),)
+
+    def equations(self, u, x, p):
+        return Equations(outputs={"dq_late": x.dq_held}, next={"dq_held": u.dq_c})
+""",
+        encoding="utf-8",
+    )
+    text = graphs()["arm2_joint"].read_text(encoding="utf-8")
+    text = text.replace("  servo: ", "  line: {type: line.py:Line}\n  servo: ") + "wires: {servo.dq_c: line.dq_late}\n"
+    (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
+    said = dmframe("analyse", str(tmp_path / "late.yaml"), "--horizon", "0.1", "--trust", "--set", "dynamics.Gamma=10")
+    assert (said.status, said.err) == (0, "")
+    assert "eigenvalues at one, where the loop rests anywhere" in said.out
+    assert "slowest pole" not in said.out
+    assert "proved, by interval arithmetic, to lie below" in said.out
+    assert "This loop runs on a clock alone" in said.out
 
 
 def test_a_horizon_that_is_no_time_is_refused(dmframe: Any) -> None:

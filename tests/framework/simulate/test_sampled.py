@@ -301,7 +301,7 @@ def test_proofs_and_analyses_in_continuous_time_say_that_they_do_not_reach_it() 
     verdict = verify(loop())
     assert verdict.outcome == "not_applicable"
     assert "law.i is a sampled state; a proof in continuous time does not reach it" in verdict.reason
-    with pytest.raises(DmframeError, match=r"which a clock may sample; law\.i is a sampled state"):
+    with pytest.raises(DmframeError, match=r"expected a clock, found none; law\.i is a sampled state"):
         linearise(loop())
 
 

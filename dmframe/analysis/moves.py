@@ -1,0 +1,203 @@
+r"""What a loop moves from sample to sample, split where it must vanish: the fewest signals that are zero at rest.
+
+Let g(x) be what each state moves (`set_point.moves`). Where the loop rests, few signals vanish: the velocities, the
+errors, the unbalanced torques; an estimate that nothing excites moves with them, and is otherwise free. So
+
+.. math:: g(x) = \hat g(x, y(x)), \qquad \hat g(x, 0) = 0
+
+with as few signals y as can be: a least cut in the graph of operations, between the states and their moves. The second
+identity is read off the operations, not off numbers: 0 times anything, and sums of zeros. At a point with y = 0
+
+.. math:: \frac{\partial g}{\partial x} = L R, \qquad L = \frac{\partial \hat g}{\partial y}, \quad
+    R = \frac{\partial y}{\partial x}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.analysis.least_cut import LEAST, SMALL, Cut, Form
+from dmframe.analysis.set_point import at_set_point, moves, undrawn
+from dmframe.certificate import SX
+from dmframe.diagram import ClosedLoop
+from dmframe.diagram.closed_loop import stack
+from dmframe.exact.fixed import MAYBE, ONE, Fixed, UndecidedError, fixed_values
+from dmframe.exact.literal import literal
+from dmframe.program import COMPARISONS, CONST, INPUT, OPERATIONS, Node, Program, by_code, read, run
+
+
+@final
+@dataclass(frozen=True, repr=False, eq=False)
+class SplitMoves:
+    """`y` and both Jacobians of a loop's moves, as programs of (x, p, T).
+
+    Parameters
+    ----------
+    count
+        How many signals y has.
+    y, L, R
+        Their programs; L and R are dense, column-major.
+    guards
+        Columns (x, p, T) -> numbers that are all above zero where no comparison turns out another way.
+    """
+
+    loop: ClosedLoop
+    count: int
+    y: Program
+    L: Program
+    R: Program
+    guards: Program
+
+    @cached_property
+    def flow(self) -> tuple[Program, Program]:
+        """What is held over a sample, of (x, p, T); and the plant's slope in what flows, of (x, held, p)."""
+        loop = self.loop
+        held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
+        x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
+        (rate,) = loop.projected([stack(v.rate for v in loop.flowing)], joined=False)
+        slope = ca.densify(ca.jacobian(loop.on_path(rate), x))
+        return held, read(ca.Function("flow", [x, leaves, loop.p], [ca.cse(slope)]))
+
+
+def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period: Fixed) -> SplitMoves:
+    """The split, found with the numbers at a point near an equilibrium; it holds as identities wherever guards do.
+
+    Raises `UndecidedError` where a comparison is at its turn, or an operation is not known.
+    """
+    expression = undrawn(loop, loop.on_path(loop.acting([moves(loop)])[0]))
+    zeros = [k for k, value in enumerate(loop.p_values) if value == 0]
+    if zeros:  # a term that is not there needs no proof
+        expression = ca.substitute(expression, loop.p[zeros], ca.SX.zeros(len(zeros)))
+    symbols = [loop.state, loop.p, loop.period]
+    inputs = [[Fixed.around(Fraction(float(value))) for value in point], list(p), [period]]
+    chosen, guards = _chosen(read(ca.Function("moves", symbols, [ca.densify(expression)])), symbols, inputs)
+    program = read(ca.Function("moves", symbols, [ca.densify(chosen)]))
+    cut, sums = Cut(program, fixed_values(program, inputs)).found()
+    y = ca.SX.sym("y", len(cut))
+    signals, rest = _rebuilt(program, symbols, cut, sums, y)
+    at_zero = _rebuilt(program, symbols, cut, sums, ca.SX.zeros(len(cut)))[1]
+    if not all(element.is_zero() for element in ca.vertsplit(ca.densify(at_zero))):
+        raise UndecidedError("what moves is not seen to vanish with the signals that vanish at rest")
+    L = ca.substitute(ca.jacobian(rest, y), y, ca.SX.zeros(len(cut)))
+    R = ca.jacobian(signals, loop.state)
+
+    def program_of(name: str, value: SX) -> Program:
+        return read(ca.Function(name, symbols, [ca.cse(ca.densify(value))]))
+
+    return SplitMoves(
+        loop, len(cut), *(program_of(n, v) for n, v in (("y", signals), ("L", L), ("R", R), ("guards", guards)))
+    )
+
+
+_APPLY: Final = {
+    code: (lambda a, b, code=code: ca.SX.binary(code, a, b))
+    if row.arity == 2
+    else (lambda a, code=code: ca.SX.unary(code, a))
+    for code, row in OPERATIONS.items()
+}
+
+
+def _refuse(code: int) -> Exception:
+    return UndecidedError(f"CasADi's instruction {code} is not known here")
+
+
+def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[Fixed]]) -> tuple[SX, SX]:
+    """The outputs with every comparison that the numbers decide in its place; and what says that it stays so."""
+    numbers = fixed_values(program, inputs)
+    values, guards = list[SX](), list[SX]()
+    named = by_code({name: name for name in ("lt", "le", "fmin", "fmax", "fabs", "not", "and", "or", "if_else_zero")})
+    for node, number in zip(program.nodes, numbers, strict=True):
+        code, a, b, constant, _ = node
+        name = named.get(code, "")
+        if code == INPUT:
+            value = symbols[a].nz[b]
+        elif code == CONST:
+            value = ca.SX(constant)
+        elif code in COMPARISONS and name:
+            value = ca.SX.binary(code, values[a], values[b])
+            if number is not MAYBE and not value.is_constant() and _apart(numbers[a], numbers[b]):
+                holds = number.lower == ONE
+                guards.append(values[b] - values[a] if holds else values[a] - values[b])
+                value = ca.SX(1.0 if holds else 0.0)
+        elif name in ("fmin", "fmax"):
+            if not _apart(numbers[a], numbers[b]):
+                value = ca.SX.binary(code, values[a], values[b])
+            else:
+                low, high = (a, b) if numbers[a].upper < numbers[b].lower else (b, a)
+                guards.append(values[high] - values[low])
+                value = values[low] if name == "fmin" else values[high]
+        elif name == "fabs" and _apart(numbers[a], Fixed(0, 0)):
+            sign = 1 if numbers[a].lower > 0 else -1
+            guards.append(sign * values[a])
+            value = sign * values[a]
+        elif name in ("and", "or") and any(values[k].is_constant() for k in (a, b)):
+            value = _logic(name, values[a], values[b])
+        elif name == "if_else_zero" and values[a].is_constant():
+            value = values[b] if float(values[a]) else ca.SX(0)
+        elif name == "not" and values[a].is_constant():
+            value = ca.SX(0.0 if float(values[a]) else 1.0)
+        else:
+            arity = OPERATIONS[code].arity if code in OPERATIONS else 0
+            if not arity:
+                raise _refuse(code)
+            value = ca.SX.binary(code, values[a], values[b]) if arity == 2 else ca.SX.unary(code, values[a])
+        values.append(value)
+    (found,) = program.stored(values)
+    used = [guard for guard in guards if not guard.is_constant()]
+    return ca.vertcat(*found), ca.densify(ca.vertcat(ca.SX(0, 1), *used))
+
+
+def _apart(a: Any, b: Any) -> bool:
+    """True where two numbers differ by more than a point's own error, so that they compare alike nearby."""
+    if MAYBE in (a, b):
+        return False
+    first, second = float(a), float(b)
+    return abs(first - second) > SMALL * max(abs(first), abs(second)) + LEAST
+
+
+def _logic(name: str, a: SX, b: SX) -> SX:
+    fixed, other = (a, b) if a.is_constant() else (b, a)
+    absorbs = (float(fixed) == 0) == (name == "and")
+    return fixed if absorbs else other
+
+
+def _rebuilt(
+    program: Program, symbols: Sequence[SX], cut: Sequence[int], sums: Mapping[int, Form], y: SX
+) -> tuple[SX, SX]:
+    """The cut's values in the function's arguments; and the outputs with `y` in their place."""
+    places, order = {place: k for k, place in enumerate(cut)}, iter(range(len(program.nodes)))
+
+    def keep(_: Node, value: SX) -> SX:
+        place = next(order)
+        if place in places:
+            return y[places[place]]
+        if place in sums:
+            return sum((_number(factor) * y[places[key]] for key, factor in sums[place].items()), ca.SX(0))
+        return value
+
+    def values(keep: Any) -> list[SX]:
+        return run(
+            program,
+            _APPLY,
+            given=lambda argument, element: symbols[argument].nz[element],
+            constant=ca.SX,
+            refuse=_refuse,
+            keep=keep,
+        )
+
+    own, (found,) = values(None), program.stored(values(keep))
+    return ca.vertcat(ca.SX(0, 1), *(own[place] for place in cut)), ca.vertcat(ca.SX(0, 1), *found)
+
+
+def _number(value: Fraction) -> SX:
+    """As a constant of an expression, which `literal` reads back as the number that it is."""
+    if literal(float(value)) != value:
+        raise UndecidedError(f"a factor of {value} is no decimal")
+    return ca.SX(float(value))

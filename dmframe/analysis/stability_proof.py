@@ -1,0 +1,187 @@
+r"""That the linearised sampled loop comes to rest, proved: Lyapunov's inequality in interval arithmetic.
+
+For a symmetric P from floats, read as the exact binary numbers that they are,
+
+.. math:: P > 0, \qquad P - F^\top P F > 0 \quad\text{for every F in the enclosure}
+
+by L D L' in intervals: all eigenvalues of every such F lie inside the unit circle. F divided by a radius proves that
+they lie inside that one.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, final
+
+import numpy as np
+
+from dmframe.analysis.enclosed import EnclosedLoop
+from dmframe.analysis.linear import Linear
+from dmframe.analysis.moves import SplitMoves
+from dmframe.analysis.period import SHORTEST, Bracket
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError, EngineError
+from dmframe.exact.fixed import Fixed
+from dmframe.exact.matrix import Matrix
+
+_REFINED: Final = 6
+_HOPELESS: Final = 1e-12
+_STEPS: Final = 4
+_SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
+"""Periods that are tried, as shares of the longest at which floats find the loop stable."""
+
+
+@final
+@dataclass(frozen=True)
+class StabilityProof:
+    """What is proved of a linearised loop; `reason` says why where something is not.
+
+    Parameters
+    ----------
+    directions
+        How many directions move.
+    resting
+        In how many others the loop rests anywhere, exactly.
+    within
+        How far from the told set-point the equilibrium lies at most.
+    radius
+        On the graph's clock, all eigenvalues but those of the resting directions have moduli below this, at most one.
+        None without a clock, or where it is not proved.
+    period
+        The longest period that was proved [s]; each was proved for itself, and nothing is said of those between. None
+        where none was.
+    """
+
+    directions: int = 0
+    resting: int = 0
+    within: float = 0.0
+    radius: float | None = None
+    period: float | None = None
+    reason: str = ""
+
+
+def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
+    """True where all eigenvalues of every matrix in the enclosure are proved to lie below a radius, by default one."""
+    from scipy.linalg import LinAlgWarning, matrix_balance, solve_discrete_lyapunov
+
+    if not F.shape[0]:
+        return True
+    scaled = F if radius is None else F.times(1 / radius)
+    numbers = scaled.floats()
+    if not np.all(np.isfinite(numbers)):
+        return False
+    _, (sizes, _) = matrix_balance(numbers, permute=False, separate=True)
+    powers = [int(power) for power in np.rint(np.log2(sizes))]
+    even = scaled.scaled([-power for power in powers], powers)
+    numbers, one = even.floats(), Matrix.identity(len(powers))
+    if not np.max(np.abs(np.linalg.eigvals(numbers))) < 1 - _HOPELESS:  # only a hint: it spares the work
+        return False
+    P, left = Matrix.exactly(np.zeros_like(numbers)), np.eye(len(powers))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", LinAlgWarning)
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for _ in range(_REFINED):  # floats solve it; what they miss is told by the residual, and solved for again
+            try:
+                more = solve_discrete_lyapunov(numbers.T, left)
+            except np.linalg.LinAlgError:
+                return False
+            if not np.all(np.isfinite(more)):
+                return False
+            P = P + Matrix.exactly((more + more.T) / 2)
+            residual = one - (P - even.T @ P @ even)
+            left = residual.floats()
+            left = (left + left.T) / 2
+            if np.max(np.abs(left)) < 1e-3 / len(powers):
+                break
+    decrease = P - even.T @ P @ even
+    return P.positive_definite() and decrease.positive_definite()
+
+
+def prove_stability(
+    diagram: Diagram,
+    linear: Linear,
+    bracket: Bracket,
+    clock: float | None,
+    *,
+    moving: bool = False,
+    split: SplitMoves | None = None,
+) -> tuple[StabilityProof, SplitMoves | None]:
+    """Prove that a linearised loop is stable on its clock, and on as slow a clock as can be.
+
+    Returns the proof, and the split of the loop's moves, which serves the same loop with other numbers.
+
+    Parameters
+    ----------
+    bracket
+        What floats find of the longest stable period: the search begins below it.
+    clock
+        The graph's period [s], or None.
+    """
+    some = clock or bracket.stable or SHORTEST
+    try:
+        loop = EnclosedLoop(diagram, linear, some, moving=moving, split=split)
+        within = loop.at(some).within
+        radius = None if clock is None else _proved_radius(loop, clock)
+        period = _longest(loop, bracket)
+    except DmframeError as error:
+        return StabilityProof(reason=error.text), split
+    resting = len(linear.states) - loop.moving
+    why = _why(linear, loop, clock, radius, period)
+    return StabilityProof(loop.moving, resting, within, radius, period, why), loop.split
+
+
+def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float | None, period: float | None) -> str:
+    """Why one of the two is not proved."""
+    if period is not None and (clock is None or radius is not None):
+        return ""
+    if linear.drifting:
+        return f"in {linear.drifting} of its directions it drifts steadily, which nothing brings back"
+    more = linear.at_rest - len(linear.states) + loop.moving
+    if more > 0:
+        return f"floats find that it rests in more directions, by {more}; its equations do not show that"
+    return "floats find it unstable" if clock is not None and linear.spectral_radius(clock) >= 1 else ""
+
+
+def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
+    """A modulus below one, a little above the largest eigenvalue's, that is proved."""
+    F = loop.transition(clock)
+    seen = float(np.max(np.abs(np.linalg.eigvals(F.floats())), initial=0.0))
+    for share in (0.001, 0.1, 0.9):
+        bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
+        if seen < bound < 1 and proved_schur(F, Fixed.around(bound)):
+            return bound
+    return 1.0 if proved_schur(F) else None
+
+
+def _short(period: float) -> float:
+    """A decimal of four digits, rounded down."""
+    digits = 3 - math.floor(math.log10(period))
+    return float(Fraction(math.floor(Fraction(period) * Fraction(10) ** digits)) / Fraction(10) ** digits)
+
+
+def _longest(loop: EnclosedLoop, bracket: Bracket) -> float | None:
+    """Bisection over periods that are proved one by one."""
+
+    def proved(period: float) -> bool:
+        try:
+            return proved_schur(loop.transition(period))
+        except EngineError:
+            return False
+
+    lower, upper = 0.0, bracket.stable
+    for share in _SHARES if bracket.stable else ():
+        period = _short(bracket.stable * share)
+        if proved(period):
+            lower = period
+            break
+        upper = period
+    for _ in range(_STEPS if lower and lower < 0.99 * upper else 0):
+        middle = _short((lower + upper) / 2)
+        lower, upper = (middle, upper) if proved(middle) else (lower, middle)
+    return lower or None
+
+
+__all__ = ["StabilityProof", "prove_stability", "proved_schur"]
