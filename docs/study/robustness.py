@@ -83,7 +83,7 @@ def table(rows: list[dict[str, str]]) -> Iterator[str]:
         yield f"\n### {clock}\n"
         yield "| graph | ideal | encoder | and a sample of delay | and a load at 30 s (peak) |"
         yield "|---|---|---|---|---|"
-        names = dict.fromkeys(row["graph"] for row in rows)
+        names = sorted({row["graph"] for row in rows})
         for name in names:
             mine = {row["case"]: row for row in rows if (row["graph"], row["clock"]) == (name, clock)}
             if len(mine) == len(CASES):
