@@ -82,7 +82,7 @@ def wire_blocks(
             if end in chosen:
                 sources[end] = chosen[end]
                 continue
-            found = _by_name(name, port, outputs)
+            found = _by_name(name, port, outputs, optional=port.optional and not block.needs(port.name))
             if isinstance(found, DmframeError):
                 faults.append(found)
             else:
@@ -124,7 +124,7 @@ def _explicit(
     return chosen, faults
 
 
-def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
+def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Source | DmframeError:
     if port == TIME:
         return Time()
     if port == PERIOD:
@@ -146,7 +146,7 @@ def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
         )
     if port.derivative_of:
         return Derived(port.derivative_of)
-    if port.optional:
+    if optional:
         return Zero()
     known = {key for ports in outputs.values() for key in ports}
     return WiringError(
