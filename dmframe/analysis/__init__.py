@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.analysis.figures import bode_svg, nyquist_svg
 from dmframe.analysis.linear import Linear, linearise, tick_jacobian
 from dmframe.analysis.period import Bracket, StablePeriods, largest_stable_period, linearised_period, simulated_period
@@ -15,6 +16,7 @@ from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
 
 __all__ = [
     "Bracket",
+    "FittedDelay",
     "JointLoop",
     "Linear",
     "LoopAnalysis",
@@ -28,6 +30,7 @@ __all__ = [
     "analyse",
     "bode_svg",
     "equilibrium",
+    "fitted_delay",
     "frozen",
     "largest_stable_period",
     "least_K_c",
@@ -39,6 +42,7 @@ __all__ = [
     "passivity",
     "rank_region",
     "rank_summary",
+    "recorded_delay",
     "servo_transfer",
     "simulated_period",
     "summary",

@@ -24,20 +24,21 @@ KINEMATIC_LATE = 9.26  # [mm] of the kinematic controller behind one sample of d
 
 
 class Line(AbstractBlock):
-    """Hands on each command a sample late, or, by a toss, two samples late."""
+    """Hands on each command some samples late, or, by a toss, one more."""
 
     side: ClassVar[Side] = Side.PLANT
     inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"), Port("toss", drawn="uniform"))
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_late", "n", "rad/s"),)
-    states: ClassVar[tuple[State, ...]] = (
-        State("first", "n", "rad/s", sampled=True),
-        State("second", "n", "rad/s", sampled=True),
-    )
+    states: ClassVar[tuple[State, ...]] = (State("line", "n 3", "rad/s", sampled=True),)
+    samples: int = 1
     random: bool = False
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        late = ca.if_else(u.toss < 0, x.second, x.first) if self.random else x.first
-        return Equations(outputs={"dq_late": late}, next={"first": u.dq_c, "second": x.first})
+        line = ca.horzcat(u.dq_c, x.line)
+        late = line[:, self.samples]
+        if self.random:
+            late = ca.if_else(u.toss < 0, line[:, self.samples + 1], late)
+        return Equations(outputs={"dq_late": late}, next={"line": line[:, :-1]})
 
 
 class VelocityServo(AbstractBlock):
