@@ -162,3 +162,20 @@ def find_graph(name: str) -> Path:
     if name not in known:
         raise UnknownNameError(name, "graph", name, known)
     return known[name]
+
+
+def realities() -> dict[str, Path]:
+    """Packaged sets of what stands between controller and robot, by name."""
+    found = dict[str, Path]()
+    for package in packages():
+        for folder in package.__path__:
+            found |= {path.stem: path for path in sorted(Path(folder, "realities").glob("*.yaml"))}
+    return dict(sorted(found.items()))
+
+
+def find_reality(name: str) -> Path:
+    """The file of a packaged set."""
+    known = realities()
+    if name not in known:
+        raise UnknownNameError(f"reality {name}", "set", name, [*known, "none"])
+    return known[name]

@@ -223,10 +223,13 @@ class Kept:
         The state's name: a matrix that is filled with matrices like the newest, one below or one beside the other.
     newest
         What is stored at this sample.
+    when
+        Where it is zero nothing is stored, and the state stays as it is.
     """
 
     state: str
     newest: SX
+    when: SX = 1
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -235,8 +238,10 @@ class Kept:
         """What the state becomes."""
         rows, columns = self.newest.shape
         if columns == state.shape[1]:
-            return ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
-        return ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
+            pushed = ca.vertcat(self.newest, state[: state.shape[0] - rows, :])
+        else:
+            pushed = ca.horzcat(self.newest, state[:, : state.shape[1] - columns])
+        return pushed if isinstance(self.when, int) else ca.if_else(self.when, pushed, state)
 
     def fits(self, state: SX) -> bool:
         """The state holds a whole number of these."""

@@ -68,6 +68,12 @@ class Port:
     ahead_of, ahead
         The input of the same block that this one is, `ahead` whole samples later. Nobody needs to drive such an input:
         the other one has to be a source's signal, whose future is known. A block that reads it runs on a clock alone.
+    instead_of
+        Of an output of a plant, the input of the same block in whose place it stands: whoever would read what drives
+        that input reads this output. A measured one stands there for controllers, any other for the plant. Of several
+        blocks that stand in for one signal each reads the one before it, in the order of the file.
+    told
+        Of an output that is zero as long as all is well, what a run says of it where it is not.
     """
 
     name: str
@@ -80,6 +86,8 @@ class Port:
     drawn: str = ""
     ahead_of: str = ""
     ahead: int = 1
+    instead_of: str = ""
+    told: str = ""
 
 
 @final

@@ -46,6 +46,10 @@ FAMILIES: Final = {
     "models": ("Models, observers and filters", "What other blocks of the controller need to know."),
     "adaptation": ("Adaptation", "Blocks that learn: what they adapt, V holds the error of."),
     "commands": ("Commands", "Make of a reference and a torque what the robot's servo is told."),
+    "between": (
+        "Between controller and robot",
+        "What a signal passes on its way in reality: each stands in for what it reads, so a graph needs no wires.",
+    ),
     "plant": ("Robot and servo", "The other side of the line: closed, and never read but for what is measured."),
 }
 """Titles and what they hold, in the order in which signals pass them."""
@@ -80,6 +84,8 @@ def write(folder: Path) -> list[Path]:
 def family(kind: type[AbstractBlock]) -> str:
     """A key of `FAMILIES`, from what a block is and hands on."""
     if kind.side is not Side.CONTROLLER:
+        if any(port.instead_of or port.told for port in kind.outputs):
+            return "between"
         return "paths" if kind.side is Side.SOURCE else "plant"
     if any(port.access is Access.COMMANDED for port in kind.outputs):
         return "commands"

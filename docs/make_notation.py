@@ -32,7 +32,7 @@ BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 ANY = "*"
 """The unit of a port that takes several."""
 FUNCTIONS = {"norm", "clip", "beyond", "tanh", "sign", "atan", "abs", "diag", "min", "max", "S", "V", "I"}
-FUNCTIONS |= {"heavy", "links", "tool", "behind"}
+FUNCTIONS |= {"heavy", "links", "tool", "behind", "floor", "exp", "at_time", "with_mass"}
 """Signs of a printed law that are neither a name nor a quantity of the robot."""
 
 

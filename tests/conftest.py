@@ -3,6 +3,7 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,24 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DMFRAME_CACHE", str(folder))
         yield folder
+
+
+THOROUGH = Path(__file__).with_name("thorough.txt")
+"""Tests that ``make thorough`` runs, and ``make test`` does not: dear ones, with a cheaper instance of their claims."""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark what stands in that list; a line that no test of a whole collection matches is a fault."""
+    lines = [line.strip() for line in THOROUGH.read_text(encoding="utf-8").splitlines()]
+    patterns = [line for line in lines if line and not line.startswith("#")]
+    unused = set(patterns)
+    for item in items:
+        found = {pattern for pattern in patterns if fnmatchcase(item.nodeid, pattern.replace("[", "[[]"))}
+        if found:
+            item.add_marker(pytest.mark.thorough)
+        unused -= found
+    if unused and config.args == config.getini("testpaths"):
+        raise pytest.UsageError(f"{THOROUGH.name}: no test is called {', '.join(sorted(unused))}")
 
 
 def pytest_collection_finish() -> None:

@@ -175,6 +175,17 @@ class AveragedServo:
         return pushed
 
     @cached_property
+    def total(self) -> Callable[..., Expression]:
+        """The operation that adds rows."""
+
+        @operation
+        def total(rows: Any) -> Any:
+            """The sum of the rows."""
+            return ca.sum1(rows).T
+
+        return total
+
+    @cached_property
     def share(self) -> Callable[..., Expression]:
         """The operation that says what a command takes from the row."""
 

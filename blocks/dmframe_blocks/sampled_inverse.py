@@ -78,6 +78,10 @@ class SampledInverse(AbstractBlock):
         Whole samples from a command to its effect. It must be right.
     replay : number, > 0
         How many samples are kept and learnt from again.
+    average : number, > 0
+        How many samples in a row are learnt from as one, their mean: some 70 ms of an encoder with steps.
+    stride : number, > 0
+        Of how many samples one is stored: those that are replayed should be some 90 ms apart.
     filtered : true or false
         Learn from changes within tau. Without it an error of the target, even constant, grows in z.
     tau : scalar, s, > 0
@@ -142,6 +146,8 @@ class SampledInverse(AbstractBlock):
         State("theta", "c", sampled=True),
         State("rows", "W c", sampled=True, recorded=False),
         State("goals", "W n", "rad/s", sampled=True, recorded=False),
+        State("late_rows", "A c", sampled=True, optional=True, recorded=False),
+        State("late_goals", "A n", "rad/s", sampled=True, optional=True, recorded=False),
         State("psi_slow", "c", sampled=True, optional=True, recorded=False),
         State("y_slow", "n", "rad/s", sampled=True, optional=True),
         State("q_before", "n", "rad", sampled=True),
@@ -152,13 +158,16 @@ class SampledInverse(AbstractBlock):
         State("m_planned", "n", "rad", sampled=True),
         State("plans", "n d", "rad/s", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
-        State("begun", sampled=True),
+        State("count", sampled=True),
+        State("turn", sampled=True, optional=True),
     )
 
     servo: Literal["pid", "pi"] = "pid"
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
     delay: Literal[0, 1, 2] = 0
     replay: int = Field(20, ge=1)
+    average: int = Field(1, ge=1)
+    stride: int = Field(1, ge=1)
     filtered: bool = True
     tau: Scalar = Positive("", "s", default=2.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-5)
@@ -184,8 +193,8 @@ class SampledInverse(AbstractBlock):
         return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """W rows are stored; d commands act now or wait."""
-        return {**super().sizes(robot), "W": self.replay, "d": self.delay + 1}
+        """W rows are stored, A are averaged with a new one; d commands act now or wait."""
+        return {**super().sizes(robot), "W": self.replay, "A": self.average - 1, "d": self.delay + 1}
 
     def needs(self, port: str) -> bool:
         """What is sent, where another block decides it."""
@@ -203,11 +212,13 @@ class SampledInverse(AbstractBlock):
         """What the last sample was, what is learnt from it, where the command will act, and the command."""
         averaged, T = self._averaged(p), u.T
         u_applied, v, psi, y, h, g = self._sample(u, x, p)
-        row, goal = self._lesson(x, p, u_applied, h, g)
+        row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
         q_t, z = x.q_t + T * u_applied, x.z + T * (middle - x.q_t - T * u_applied / 2)
+        if self.stride > 1:
+            kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
         start, slow, next_slow = Start(u.q, q_t, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
             psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
@@ -226,8 +237,9 @@ class SampledInverse(AbstractBlock):
             },
             next={
                 "theta": theta_new,
-                "rows": averaged.pushed(x.rows, row),
-                "goals": averaged.pushed(x.goals, goal),
+                "rows": self._stored(x, p, x.rows, row),
+                "goals": self._stored(x, p, x.goals, goal),
+                **kept,
                 **next_slow,
                 "q_before": u.q,
                 "q_t": q_t,
@@ -237,7 +249,7 @@ class SampledInverse(AbstractBlock):
                 "m_planned": start.q + T * u.dq_r / 2,
                 "plans": ca.horzcat(x.plans[:, 1:], u.dq_r),
                 "queue": ca.horzcat(x.queue[:, 1:], u.dq_sent if self.supervised else dq_c),
-                "begun": 1,
+                "count": x.count + 1,
             },
         )
 
@@ -245,7 +257,8 @@ class SampledInverse(AbstractBlock):
         """What the estimate's error does from sample to sample, and what servo and robot obey in between."""
         averaged, robot = self._averaged(p), p.robot
         u_applied, _, _, _, h, g = self._sample(u, x, p)
-        row, goal = self._lesson(x, p, u_applied, h, g)
+        new, aim = self._lesson(x, p, u_applied, h, g)
+        row, goal, kept = self._meant(x, p, new, aim)
         stored = [(x.rows[k, :].T, x.goals[k, :].T) for k in range(self.replay)]
         pid = self.servo == "pid"
         gain = truth.K_D if pid else truth.K_P
@@ -270,7 +283,10 @@ class SampledInverse(AbstractBlock):
         moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
         return SampledCertificate(
             steps=(steps,),
-            kept=(Kept("rows", row.T), Kept("goals", goal.T)),
+            kept=(
+                *(Kept(name, item.T, self._turn(x)) for name, item in (("rows", row), ("goals", goal))),
+                *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
+            ),
             relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
             constants={"offset": offset},
         )
@@ -289,7 +305,7 @@ class SampledInverse(AbstractBlock):
 
     def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
         """What is learnt from h and g: nothing where the command was clipped."""
-        learns = named("learns", x.begun * (ca.fabs(u_applied) < p.u_max))
+        learns = named("learns", (x.count > 0) * (ca.fabs(u_applied) < p.u_max))
         return self._averaged(p).of_joint(learns) * h, learns * g
 
     def _averaged(self, p: Signals) -> AveragedServo:
@@ -302,6 +318,24 @@ class SampledInverse(AbstractBlock):
         change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
         Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
         return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
+
+    def _meant(self, x: Signals, p: Signals, row: SX, goal: SX) -> tuple[SX, SX, dict[str, SX]]:
+        """The mean of a new row and those before it, of which there are few at first; and what is kept of them."""
+        if self.average == 1:
+            return row, goal, {}
+        averaged, number = self._averaged(p), named("number", ca.fmax(1, ca.fmin(x.count, self.average)))
+        late = {"late_rows": averaged.pushed(x.late_rows, row), "late_goals": averaged.pushed(x.late_goals, goal)}
+        mean = named("mean_row", (row + averaged.total(x.late_rows)) / number)
+        return mean, named("mean_goal", (goal + averaged.total(x.late_goals)) / number), late
+
+    def _stored(self, x: Signals, p: Signals, rows: SX, new: SX) -> SX:
+        """The rows with a new one, each time that its turn has come."""
+        pushed = self._averaged(p).pushed(rows, new)
+        return pushed if self.stride == 1 else ca.if_else(self._turn(x), pushed, rows)
+
+    def _turn(self, x: Signals) -> SX:
+        """True at each sample whose row is stored."""
+        return 1 if self.stride == 1 else x.turn < 1
 
     def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
         """Theta after a new row, the stored ones, and the new one again, in its box."""

@@ -6,7 +6,7 @@ From the one statement come the simulation, the generated code, the certificate,
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, final
@@ -21,7 +21,7 @@ from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, 
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
 from dmframe.parameter import read, spec_of, specs
-from dmframe.port import Adapted, Element, Port, Side, State
+from dmframe.port import PERIOD, TIME, Adapted, Element, Port, Side, State
 
 if TYPE_CHECKING:
     from dmframe.block.evaluate import Values
@@ -230,6 +230,15 @@ class AbstractBlock(BaseModel):
         return notebook.heading(type_name(type(self)), (self.__doc__ or "").split("\n")[0]) + notebook.table(
             rows, ("parameter", "value", "unit")
         )
+
+    @classmethod
+    def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
+        """The parameters with which a graph's key ``reality`` puts the block in, where the graph leaves them open.
+
+        None where it has no place in a graph whose blocks hand out these signals.
+        """
+        needed = (port for port in cls.inputs if not (port.optional or port.drawn or port in (TIME, PERIOD)))
+        return {} if all(port.name in signals for port in needed) else None
 
     @classmethod
     def contract(cls, where: str) -> list[DmframeError]:

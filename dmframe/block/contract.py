@@ -129,6 +129,7 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
         elif port.drawn and port.drawn not in DISTRIBUTIONS:
             yield f"the input {port.name} is drawn from {port.drawn}, unknown; {nearest(port.drawn, DISTRIBUTIONS)}"
     yield from _ahead_breaches(block)
+    yield from _stand_in_breaches(block)
     yield from _print_breaches(block)
     yield from _source_breaches(block)
     yield from _parameter_breaches(block)
@@ -156,6 +157,25 @@ def _ahead_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the input {port.name} looks ahead, and is drawn or a derivative too; choose one"
         elif (inputs[of].shape, inputs[of].unit) != (port.shape, port.unit):
             yield f"the input {port.name} is {of} some samples later, and has another shape or unit"
+
+
+def _stand_in_breaches(block: type[AbstractBlock]) -> Iterator[str]:
+    """What stands in for a signal on its way between controller and robot is one of the plant's, and has its shape."""
+    inputs, outputs = {port.name: port for port in block.inputs}, [port.name for port in block.outputs]
+    for port in (*block.inputs, *block.outputs):
+        if port.told and port.name not in outputs:
+            yield f"the input {port.name} says what a run tells of it; an output does"
+        if not port.instead_of:
+            continue
+        if port.name not in outputs:
+            yield f"the input {port.name} stands in for {port.instead_of}; an output does"
+        elif block.side is not Side.PLANT:
+            yield f"the output {port.name} stands in for {port.instead_of}, and the block is no plant; make it one"
+        elif (original := inputs.get(port.instead_of)) is None:
+            near = nearest(port.instead_of, inputs)
+            yield f"the output {port.name} stands in for {port.instead_of}, which is no input; {near}"
+        elif (original.shape.split(), original.unit) != (port.shape.split(), port.unit):
+            yield f"the output {port.name} stands in for {port.instead_of}, and has another shape or unit"
 
 
 def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:

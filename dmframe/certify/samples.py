@@ -10,7 +10,7 @@ stand for means over a sample of what the plant's motion obeys, and that relatio
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
 
@@ -222,6 +222,9 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
     def joined(pieces: Sequence[SX]) -> list[SX]:
         return loop.crossed([ca.SX(piece) for piece in pieces])
 
+    def when(value: SX) -> SX:
+        return value if isinstance(value, int) else joined([value])[0]
+
     def squares(terms: Sequence[Square]) -> tuple[Square, ...]:
         return tuple(term.with_pieces(joined(term.pieces)) for term in terms)
 
@@ -237,7 +240,7 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
         squares(stated.decrease),
         squares(stated.residual),
         tuple(item.with_pieces(joined(item.pieces)) for item in stated.steps),
-        tuple(Kept(item.state, joined([item.newest])[0]) for item in stated.kept),
+        tuple(replace(item, newest=joined([item.newest])[0], when=when(item.when)) for item in stated.kept),
         tuple(Relation(of_the_plant(item.momentum), of_the_plant(item.rest)) for item in stated.relations),
         tuple(loop.crossed([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
         {key: ca.SX(value) for key, value in stated.constants.items()},
@@ -299,6 +302,8 @@ def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:
         if state.shape != item.theta.shape or not ca.is_equal(item.theta, state, 2):
             yield f"the steps of {item.estimate} start from something else than that state"
     for memory in part.kept:
+        if not ca.SX(memory.when).is_scalar():
+            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
         if not memory.fits(own[memory.state]):
             shape, one = own[memory.state].shape, memory.newest.shape
             yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"

@@ -166,6 +166,10 @@ def run(
         Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
     engine: Annotated[str, typer.Option(metavar="ENGINE", help="auto, compiled or interpreted.")] = "auto",
+    reality: Annotated[
+        str | None,
+        typer.Option(metavar="SET", help="Put what is real between controller and robot: ur; none,ur runs both."),
+    ] = None,
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     page: Annotated[bool, typer.Option("--page", help="Write each graph's live page beside its results.")] = False,
@@ -180,8 +184,9 @@ def run(
     from dmframe.cli.graphs import graphs_of
     from dmframe.cli.run import run_graphs
 
+    real = [] if reality is None else [f"reality={reality}"]
     return run_graphs(
-        graphs_of(graph, overrides, trust=trust),
+        graphs_of(graph, [*real, *overrides], trust=trust),
         until=until,
         out=out,
         engine=cast("Choice", engine),  # where it is used, it is checked

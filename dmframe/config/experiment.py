@@ -18,6 +18,7 @@ from dmframe.config.document import Document, mapping_of, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
 from dmframe.config.overrides import changed, overridden, put
 from dmframe.config.places import placed
+from dmframe.config.reality import names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
@@ -189,7 +190,10 @@ class Experiment:
         DmframeError
             All faults of the values at once.
         """
-        document, overrides = changed(self.document, values, KEYS)
+        document, overrides = self.document, tuple[str, ...]()
+        for part in split(values):
+            document, told = changed(document, part, KEYS)
+            document, overrides = _expanded(document, find_block), (*overrides, *told)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
         made = experiment_of(document)
         return replace(made, name=self.name, overrides=(*self.overrides, *mine), swapped=self.swapped)
@@ -227,8 +231,23 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     -----
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
-    document = overridden(read_file(find_graph(str(source))), overrides, KEYS)
+    document = with_overrides(read_file(find_graph(str(source))), overrides)
     return replace(experiment_of(document), overrides=tuple(overrides))
+
+
+def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:
+    """The document with ``--set`` values put in; what they say of ``reality`` first, so that its blocks are there."""
+    first = [text for text in overrides if names_reality(text.partition("=")[0])]
+    document = _expanded(overridden(document, first, KEYS), find)
+    return overridden(document, [text for text in overrides if text not in first], KEYS)
+
+
+def _expanded(document: Document, find: Find) -> Document:
+    """With the blocks of its key ``reality``; what is left out is told on stderr."""
+    found = with_reality(document, Path(document.name).parent, find)
+    for notice in found.notices:
+        sys.stderr.write(f"{visible(notice)}\n")
+    return found.document
 
 
 def experiment_of(document: Document, find: Find = find_block) -> Experiment:
@@ -237,6 +256,7 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
     Raises what `load_experiment` does.
     """
     path = Path(document.name)
+    document = _expanded(document, find)
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:

@@ -149,6 +149,11 @@ class GraphFile(Section):
         {},
         description="blocks of the controller to compare with, in the place of those of that name; null leaves one out",
     )
+    reality: str | dict[str, Any] | None = Field(
+        None,
+        description="what stands between controller and robot: a packaged set such as ur, or {like: ur, block type: "
+        "{parameter: value}}; none for nothing",
+    )
     uncertain: dict[str, Any] = Field(
         {}, description="true parameters known only up to an interval, {servo.K_D: [600, 1000]}; for verify"
     )

@@ -19,6 +19,8 @@ from dmframe.units import shorten
 
 LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may hold dots, as ``servo.K_D`` does: what follows the section's name is one key."""
+NAMED: Final = {"robot": "model", "reality": "like"}
+"""Sections that may be a name alone, and the key which that is short for."""
 _COMMENT = re.compile(r"(?:^|\s)#")
 
 
@@ -151,8 +153,8 @@ def _put(node: Node, keys: Sequence[str], value: Node, said: str) -> Node:
     if not rest:
         entries[first] = (replace(key, said=said), value)
         return replace(node, value=entries)
-    if first == "robot" and isinstance(held.value, str):  # its name alone
-        held = replace(held, value={"model": (held, held)})
+    if first in NAMED and isinstance(held.value, str):  # its name alone
+        held = replace(held, value={NAMED[first]: (held, held)})
     if held.value is not None and not isinstance(held.value, dict):
         raise ValueFault(f"{said}: {first} holds no keys")
     entries[first] = (key, _put(held, rest, value, said))

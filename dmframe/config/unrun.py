@@ -13,9 +13,7 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.declared import INHERITED, LISTS, Declared, declared
 from dmframe.config.document import Document, read_file
-from dmframe.config.experiment import Experiment, experiment_of
-from dmframe.config.grammar import KEYS
-from dmframe.config.overrides import overridden
+from dmframe.config.experiment import Experiment, experiment_of, with_overrides
 from dmframe.config.places import placed
 from dmframe.config.renamed import SECTIONS
 from dmframe.diagram.diagram import declared_outputs
@@ -125,7 +123,7 @@ def look_at(source: str, overrides: Sequence[str] = ()) -> Unrun | None:
     DmframeError
         All faults of the graph's text and of the values in it, each with its place.
     """
-    document = overridden(read_file(find_graph(source)), overrides, KEYS)
+    document = with_overrides(read_file(find_graph(source)), overrides)
     base, why = Path(document.name).parent, dict[tuple[str, str], str]()
     for section, name, kind in _own_types(document):
         try:

@@ -87,6 +87,7 @@ def wire_blocks(
                 faults.append(found)
             else:
                 sources[end] = found
+    _lead_through(blocks, outputs, sources)
     return sources, [*faults, *_unforeseen(blocks, sources)]
 
 
@@ -105,6 +106,56 @@ def _unforeseen(blocks: Mapping[str, AbstractBlock], sources: Mapping[End, Sourc
             f"found {found}; only the future of a function of time is known",
             path=("blocks", name),
         )
+
+
+@final
+@dataclass(frozen=True)
+class Way:
+    """How a signal goes from one side to the other: through which stand-ins, and to whom."""
+
+    origin: Wire
+    through: tuple[Wire, ...]
+    readers: tuple[End, ...]
+
+
+def ways(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Way]:
+    """Each signal that has stand-ins (`Port.instead_of`), as wired."""
+    stands = _stand_ins(blocks, outputs, sources)
+    found = list[Way]()
+    for origin, chain in stands.items():
+        members = {wire.block for wire, _ in chain}
+        readers = [end for end, source in sources.items() if source == chain[-1][0] and end[0] not in members]
+        found.append(Way(origin, tuple(wire for wire, _ in chain), tuple(readers)))
+    return found
+
+
+def _stand_ins(
+    blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
+) -> dict[Wire, list[tuple[Wire, End]]]:
+    """The stand-ins of each signal in the order of the file, each with the input that it stands for."""
+    roots, found = dict[Wire, Wire](), dict[Wire, list[tuple[Wire, End]]]()
+    for name in blocks:
+        for port in outputs.get(name, {}).values():
+            source = sources.get((name, port.instead_of)) if port.instead_of else None
+            if isinstance(source, Wire) and source.block != name:
+                wire = Wire(name, port.name)
+                roots[wire] = roots.get(source, source)
+                found.setdefault(roots[wire], []).append((wire, (name, port.instead_of)))
+    return found
+
+
+def _lead_through(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: dict[End, Source]) -> None:
+    """Lead what has stand-ins through them, in the order of the file."""
+    for origin, chain in _stand_ins(blocks, outputs, sources).items():
+        inside = {end for _, end in chain}
+        for (_, end), (before, _) in zip(chain[1:], chain, strict=False):
+            sources[end] = before
+        last = chain[-1][0]
+        measured = outputs[last.block][last.port].access is Access.MEASURED
+        for end, source in sources.items():
+            for_plant = blocks[end[0]].side is Side.PLANT
+            if source == origin and end not in inside and for_plant is not measured:
+                sources[end] = last
 
 
 def _explicit(

@@ -38,6 +38,10 @@ CONSTANTS: Final[Mapping[str, str]] = {
     "a_k": "a_k",
     "gravity": "g_0",
     "friction_velocity": "v_0",
+    "velocity_limits": "v_max",
+    "effort_limits": "tau_max",
+    "lower_limits": "q_min",
+    "upper_limits": "q_max",
 }
 """The robot's numbers that blocks read, by how they print."""
 
@@ -46,6 +50,10 @@ MEANINGS: Final[Mapping[str, str]] = {
     "a_k": "the true translations between joints, and to the tool",
     "g_0": "the acceleration of gravity",
     "v_0": "the velocity over which Coulomb friction turns its sign, the robot's friction_velocity",
+    "v_max": "the joints' largest velocities, as the robot's URDF states them",
+    "tau_max": "the joints' largest torques, as the robot's URDF states them",
+    "q_min": "the lower ends of the joints' ranges, as the robot's URDF states them",
+    "q_max": "the upper ends of the joints' ranges, as the robot's URDF states them",
 }
 """What those are, beside a law that holds them."""
 
@@ -159,6 +167,8 @@ class ReadRobot:
         }
         self.inertia, self.a_k = self.numbers["inertia"], self.numbers["a_k"]
         self.gravity, self.friction_velocity = self.numbers["gravity"], self.numbers["friction_velocity"]
+        self.velocity_limits, self.effort_limits = self.numbers["velocity_limits"], self.numbers["effort_limits"]
+        self.lower_limits, self.upper_limits = self.numbers["lower_limits"], self.numbers["upper_limits"]
 
     def _call(self, method: str, **arguments: Expression) -> Any:
         given = {name: value for name, value in arguments.items() if value is not None}

@@ -57,6 +57,8 @@ def _said(node: Node) -> Iterator[tuple[str, str]]:
             yield unicode_name(name), f"where {bare} starts, the parameter of its name"
         case Name(name) if name.endswith(GIVEN):
             yield unicode_name(name), f"the parameter {name.removesuffix(GIVEN)}"
+        case Applied("floor"):
+            yield "floor(a)", "the largest whole number that is not above a"
         case Derivative():
             yield "∂a/∂q", "the Jacobian: a row for each element of a, a column for each of q"
         case Piece(_, rows, columns):

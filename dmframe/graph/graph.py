@@ -136,6 +136,21 @@ class Graph:
         """The same graph, run for another time, ``20`` or ``"20 s"``."""
         return Graph(self.experiment.with_duration(seconds("until", duration)))
 
+    def reality(self, like: str | Mapping[str, Any] = "ur") -> Graph:
+        """The graph with what stands between controller and robot, as its key ``reality`` has it.
+
+        Parameters
+        ----------
+        like
+            A packaged set, or block types with their parameters, ``{"like": "ur", "transport_delay": {"samples": 2}}``.
+
+        Raises
+        ------
+        DmframeError
+            A set or a block type that there is not, and parameters that do not fit.
+        """
+        return self.set(reality=like)
+
     def baseline(self) -> Graph:
         """The graph with the blocks of its key ``baseline``. Raises `MissingError` where it has none."""
         return Graph(self.experiment.baseline())

@@ -185,6 +185,7 @@ def _said(state: State) -> str:
 def _port(port: Port) -> tuple[str, ...]:
     said = [] if port.access is Access.INTERNAL else [port.access.value]
     said += [f"derivative of {port.derivative_of}"] * bool(port.derivative_of) + ["optional"] * port.optional
+    said += [f"stands in for {port.instead_of}"] * bool(port.instead_of) + ["a run tells of it"] * bool(port.told)
     said += [f"drawn anew at each sample, {port.drawn}"] * bool(port.drawn)
     said += [f"{port.ahead_of}, {_samples(port.ahead)} later"] * bool(port.ahead_of)
     return port.name, unicode_name(port.name), f"({port.shape})", port.unit or "-", ", ".join(said)

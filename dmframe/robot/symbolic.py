@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import copy
 import itertools
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
@@ -21,6 +22,9 @@ from numpy.typing import NDArray
 from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import INERTIAL, Inertial
 from dmframe.robot.rational import Matrix, Vector, decimal
+
+NO_LIMIT = 1e9
+"""What stands for a limit that a robot does not state: a number, since infinity is none in compiled code."""
 
 
 @final
@@ -279,6 +283,26 @@ class SymbolicRobot:
         """v_0 of `coulomb`, SX [rad/s]."""
         return self._friction.symbol
 
+    @property
+    def velocity_limits(self) -> Any:
+        """Of the joints, DM (n) [rad/s]; `NO_LIMIT` where the robot states none."""
+        return _limits(joint.velocity if joint.velocity > 0 else math.inf for joint in self.chain.joints)
+
+    @property
+    def effort_limits(self) -> Any:
+        """Of the joints' torques, DM (n) [N m]; likewise."""
+        return _limits(joint.effort if joint.effort > 0 else math.inf for joint in self.chain.joints)
+
+    @property
+    def lower_limits(self) -> Any:
+        """Of the joints' angles, DM (n) [rad]; likewise, below zero."""
+        return -_limits(-joint.lower for joint in self.chain.joints)
+
+    @property
+    def upper_limits(self) -> Any:
+        """Of the joints' angles, DM (n) [rad]; likewise."""
+        return _limits(joint.upper for joint in self.chain.joints)
+
     def _task(self, rows: Any) -> Any:
         return ca.densify(rows[["xyz".index(letter) for letter in self.chain.axes], :])
 
@@ -345,6 +369,10 @@ class Body:
         product = shift @ skew(h + self.mass * p * 0.5)
         turned = R @ self.inertia @ R.T
         return Body(self.mass, h + self.mass * p, _symmetric(turned - product - product.T))
+
+
+def _limits(values: Iterable[float]) -> Any:
+    return ca.DM([min(value, NO_LIMIT) for value in values])
 
 
 def _bodies(parameters: Any) -> list[Body]:

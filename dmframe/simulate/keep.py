@@ -12,6 +12,7 @@ import numpy as np
 from dmframe.diagram import Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
 from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
+from dmframe.simulate.told import telling
 
 MOST_NUMBERS = 500_000_000
 """Numbers that a run keeps at most; 4 GB."""
@@ -72,7 +73,7 @@ class Keeping:
 def keeping(
     diagram: Diagram, log: Log, recorded: Sequence[Signal], matrices: Sequence[Signal], period: float, ticks: int
 ) -> Keeping:
-    """Resolve a `Log`; `matrices` are those whose rank is watched, which are always kept.
+    """Resolve a `Log`; `matrices`, whose rank is watched, are always kept, and so is what a run tells of.
 
     Raises `UnknownNameError` for a signal that there is not, `EngineError` where it would be more than `MOST_NUMBERS`.
     """
@@ -85,7 +86,7 @@ def keeping(
         path = ("log", "signals")
         raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in diagram.loop.followed for label in pair[:2])}
-    wanted |= {matrix.label for matrix in matrices}
+    wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in telling(diagram)}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
     for item in items:
         size = (item.symbol if isinstance(item, Variable) else item.expression).numel()

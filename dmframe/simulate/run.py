@@ -25,6 +25,7 @@ from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import Made, check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
+from dmframe.simulate.told import between, exceptions, telling
 from dmframe.units import plain
 
 LATER = 1.5
@@ -248,7 +249,10 @@ class Prepared:
     ) -> Recording:
         times = self.step.instants.times(np.arange(len(rows)) * self.keeping.every)
         items = {item.label: (item, rows[:, part]) for item, part in self.keeping.columns}
-        ranked = ranks(self.matrices, {label: values for label, (_, values) in items.items()}, times)
+        columns = {label: values for label, (_, values) in items.items()}
+        ranked = ranks(self.matrices, columns, times)
+        told = exceptions(diagram, telling(diagram), columns, times)
+        way = between(diagram)
         for matrix in self.matrices:
             del items[matrix.label]
         return Recording(
@@ -264,6 +268,8 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
+                *([way] if way else []),
+                *told,
                 *self.notices,
                 *self.keeping.notices,
                 *engine.notices,

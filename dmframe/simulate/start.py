@@ -15,7 +15,7 @@ from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Followed, columns, stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, listed, raise_all
 from dmframe.port import Side
 from dmframe.simulate.instants import DRAWN, Instants
 
@@ -288,18 +288,40 @@ def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
 def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made, instants: Instants) -> None:
     """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
     loop, drawn = diagram.loop, instants.rows(0, 1)[0, DRAWN:]
-    for variable in loop.variables:
-        if variable.label in values:
-            continue
-        expression = _said(diagram, variable.block, made).get(variable.name)
+    for variable, expression in _in_order(diagram, [v for v in loop.variables if v.label not in values], made):
         if expression is None:
             values[variable.label] = np.zeros(variable.symbol.shape)
             continue
         known = [v for v in loop.variables if v.label in values]
         key = ("start", variable.label, *(v.label for v in known))
-        function = _once(made, key, partial(_stated, diagram, expression, known))
+        function = _once(made, key, partial(_function, diagram, expression, known))
         now = function(0, loop.p_values, _column(known, values), drawn, instants.period)
         values[variable.label] = np.asarray(now.full().ravel())
+
+
+def _in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Iterator[tuple[Variable, SX | None]]:
+    """Open states with what their blocks say, in the leaves of states, those first on which others depend."""
+    said = dict[str, SX | None]()
+    for variable in waiting:
+        stated = _said(diagram, variable.block, made).get(variable.name)
+        key = ("joined", variable.label)
+        said[variable.label] = None if stated is None else _once(made, key, partial(_joined, diagram, stated))
+    open_states = list(waiting)
+    while open_states:
+        symbols = {v.label: ca.vec(v.symbol) for v in open_states}
+
+        def ready(variable: Variable, symbols: Mapping[str, SX] = symbols) -> bool:
+            expression = said[variable.label]
+            return expression is None or not ca.depends_on(expression, stack(symbols.values()))
+
+        free = [variable for variable in open_states if ready(variable)]
+        if not free:
+            names = listed([variable.label for variable in open_states])
+            path = ("blocks", open_states[0].block)
+            raise StartError(f"start: {names} each wait for another's start; give one of them under start", path=path)
+        for variable in free:
+            yield variable, said[variable.label]
+        open_states = [variable for variable in open_states if variable not in free]
 
 
 def _goal(loop: ClosedLoop, wanted: Any) -> Any:
@@ -307,14 +329,20 @@ def _goal(loop: ClosedLoop, wanted: Any) -> Any:
     return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(wanted))])
 
 
-def _stated(diagram: Diagram, expression: Any, known: Sequence[Variable]) -> Any:
-    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
+def _joined(diagram: Diagram, expression: Any) -> Any:
+    """What a block says, in states, parameters, time, what is drawn, and T."""
     loop = diagram.loop
     resolver = diagram.resolver
     leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some for this start alone
     (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
+    return ca.vec(joined)
+
+
+def _function(diagram: Diagram, joined: Any, known: Sequence[Variable]) -> Any:
+    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
+    loop = diagram.loop
     inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
-    return ca.Function("at_start", inputs, [ca.vec(joined)])
+    return ca.Function("at_start", inputs, [joined])
 
 
 def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -355,16 +383,13 @@ def symbolic_start(
     for variable in loop.plant:
         if not _has_start(diagram, variable, made):
             values.setdefault(variable.label, ca.SX.zeros(variable.symbol.numel()))
-    for variable in loop.variables:
-        if variable.label in values:
-            continue
-        said = _said(diagram, variable.block, made).get(variable.name)
+    for variable, said in _in_order(diagram, [v for v in loop.variables if v.label not in values], made):
         known = [v for v in loop.variables if v.label in values]
         column = stack(values[v.label] for v in known)
         values[variable.label] = (
             ca.SX.zeros(variable.symbol.numel())
             if said is None
-            else _stated(diagram, said, known)(0, loop.p, column, first, loop.period)
+            else _function(diagram, said, known)(0, loop.p, column, first, loop.period)
         )
     found = stack(values[variable.label] for variable in loop.variables)
     return found, ca.substitute(loop.held(loop.state), loop.state, found)

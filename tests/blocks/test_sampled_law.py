@@ -5,20 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
+import casadi as ca
 import numpy as np
 import pytest
 from sampled_by_hand import Observer, Plant, SampledLaw, closed_loop, rms
-from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, ur10
+from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
-from dmframe.port import Port, Side, State
-from dmframe.simulate import Recording, simulate
+from dmframe.errors import DmframeError
+from dmframe.port import Access, Port, Side, State
+from dmframe.robot.parameters import DynamicParameters
+from dmframe.simulate import Log, Recording, simulate
 from dmframe_blocks._averaged_servo import averaged_servo
 
 BLOCKS = block_types()
+SLOW, FAST = "ur10_slow_sampled", "ur10_fast_sampled"
 ARM = load_experiment("ur10_slow_sampled").robot
 SERVO = averaged_servo(ARM, "pid", frozenset(("viscous", "coulomb")))
 
@@ -40,24 +44,39 @@ class Line(AbstractBlock):
         return Equations(outputs={"dq_late": late}, next={"first": u.dq_c, "second": x.first})
 
 
+class Encoder(AbstractBlock):
+    """Hands out the pose in whole steps."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("q_seen", "n", "rad", Access.MEASURED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"q_seen": ca.floor(u.q / STEP + 0.5) * STEP})
+
+
 def run(
     name: str = "ur10_slow_sampled",
     duration: float = 100.0,
-    overrides: tuple[str, ...] = (),
+    *overrides: str,
     delay: int = 0,
+    told: int | None = None,
+    encoder: bool = False,
     start: Mapping[str, Any] | None = None,
+    engine: Any = "interpreted",
 ) -> Recording:
-    """A packaged graph, its commands late by a delay that is told to whoever asks for it."""
-    if delay:
-        told = [part for part in ("task", "inverse") if part == "task" or name != "ur10_slow_kinematic_inverse"]
-        overrides = (*overrides, *(f"{part}.delay={delay}" for part in told))
+    """A packaged graph, its commands late by a delay that it is told, unless it is told another, its pose in steps."""
     graph = load_experiment(name, list(overrides))
     blocks, wires = dict(graph.blocks), dict(graph.file.wires)
     if delay:
         blocks["line"], wires["servo.dq_c"] = Line(samples=delay), "line.dq_late"
+    if encoder:
+        blocks["encoder"], wires["inverse.q"] = Encoder(), "encoder.q_seen"
+    for part in ("task", "inverse"):
+        blocks[part] = type(blocks[part])(**{**dict(blocks[part]), "delay": delay if told is None else told})
     diagram = Diagram.build(blocks, wires, graph.robot)
     given = {**graph.start, **(start or {})}
-    return simulate(diagram, duration, clock=graph.file.clock, start=given, engine="interpreted")
+    return simulate(diagram, duration, clock=graph.file.clock, start=given, engine=engine)
 
 
 def error(recorded: Recording) -> np.ndarray:
@@ -69,41 +88,204 @@ def by_hand(law: SampledLaw, ticks: int) -> dict[str, np.ndarray]:
     return closed_loop(law, Plant(law.arm, START, K_D, K_P, no_integral), PATH, ticks)
 
 
-@pytest.mark.parametrize("filtered", [True, False])
-def test_tick_by_tick_it_does_what_the_law_by_hand_does(filtered: bool) -> None:
-    ticks = 60
-    law = SampledLaw(ur10(), T, tau=2.0 if filtered else None)
+@pytest.mark.parametrize(("tau", "average", "stride"), [(2.0, 1, 1), (None, 1, 1), (2.0, 3, 2)])
+def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, average: int, stride: int) -> None:
+    ticks = 40
+    law = SampledLaw(ur10(), T, tau=tau, average=average, stride=stride)
     hand = by_hand(law, ticks)
-    mine = run(duration=ticks * T, overrides=("task.damping=0", f"inverse.filtered={str(filtered).lower()}"))
+    told = {"filtered": str(tau is not None).lower(), "average": average, "stride": stride}
+    mine = run(SLOW, ticks * T, "task.damping=0", *(f"inverse.{name}={value}" for name, value in told.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
         found = error(mine) if label is None else mine[label]
         np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
-    # the hand keeps what it has learnt at a tick, a state what it had before
-    learnt = mine["inverse.theta"][1 : ticks + 1]
+    # the hand keeps what it has learnt at a tick, a state what it had before; columns of zeros, which the block leaves
+    # out, learn nothing
+    learnt = mine["inverse.theta"][ticks]
     for i, part in enumerate(SERVO.joints):
-        used = np.abs(hand["theta"][-1, i]) > 0  # columns of zeros, which the block leaves out, learn nothing
-        assert np.sum(used) <= part.stop - part.start
-        np.testing.assert_allclose(learnt[-1, part][:3], hand["theta"][-1, i, :3], atol=1e-7)
-        np.testing.assert_allclose(learnt[-1, part][-2:], hand["theta"][-1, i, -2:], atol=1e-7)
-        np.testing.assert_allclose(np.linalg.norm(learnt[-1, part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
-    # a law that forgot its last repetition would not pass
-    assert np.max(np.abs(hand["u"] - by_hand(type(law)(ur10(), T, tau=law.tau, stored=3), ticks)["u"])) > 1e-4
+        np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
+        np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
+
+
+def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
+    whole, short = (by_hand(SampledLaw(ur10(), T, stored=stored), 40) for stored in (20, 3))
+    assert np.max(np.abs(whole["u"] - short["u"])) > 1e-4
 
 
 @pytest.mark.parametrize("delay", [1, 2])
 def test_behind_a_delay_it_does_what_the_law_by_hand_does(delay: int) -> None:
-    ticks = 60
+    ticks = 40
     hand = by_hand(SampledLaw(ur10(), T, delay=delay), ticks)
-    mine = run(duration=ticks * T, overrides=("task.damping=0",), delay=delay)
+    mine = run(SLOW, ticks * T, "task.damping=0", delay=delay)
     np.testing.assert_allclose(mine["line.dq_late"][:ticks], hand["u"], atol=3e-4)  # Newton's steps are not the same
     np.testing.assert_allclose(mine["arm.q"][:ticks], hand["q"], atol=1e-4)
-    untold = run(duration=ticks * T, overrides=("task.damping=0",))
+    untold = run(SLOW, ticks * T, "task.damping=0", delay=delay, told=delay - 1)
     assert np.max(np.abs(untold["arm.q"][:ticks] - hand["q"])) > 3e-3
 
 
 def test_the_observer_does_what_that_by_hand_does() -> None:
     for delay in (0, 1, 2):
-        hand = by_hand(Observer(ur10(), T, delay=delay), 60)
-        mine = run("ur10_slow_observer", 60 * T, ("task.damping=0",), delay)
-        np.testing.assert_allclose(mine["arm.q"][:60], hand["q"], atol=1e-8)
+        hand = by_hand(Observer(ur10(), T, delay=delay), 40)
+        mine = run("ur10_slow_observer", 40 * T, "task.damping=0", delay=delay)
+        np.testing.assert_allclose(mine["arm.q"][:40], hand["q"], atol=1e-8)
     assert rms(error(run("ur10_slow_observer"))) == pytest.approx(0.28, abs=0.01)
+
+
+def test_it_tracks_to_a_tenth_of_a_millimetre_where_the_kinematic_controller_has_five() -> None:
+    law, kinematic = run(SLOW, 100.0), load_experiment("ur10_slow_kinematic")
+    diagram, clock = kinematic.diagram(), kinematic.file.clock
+    other = simulate(diagram, 100.0, clock=clock, start=kinematic.start, engine="interpreted")
+    assert rms(error(law)) < 0.04
+    assert not law["inverse.guarded"].any()
+    assert rms(error(other)) == pytest.approx(5.36, abs=0.02)
+
+
+def test_behind_a_delay_and_an_encoder_it_stays_below_two_tenths() -> None:
+    late = run(SLOW, 100.0, delay=1, encoder=True)
+    assert rms(error(late)) < 0.1
+    assert rms(error(run("ur10_slow_observer", 100.0, delay=1, encoder=True))) == pytest.approx(0.56, abs=0.02)
+
+
+def test_a_target_that_is_known_but_for_a_constant_is_as_good_where_rows_are_filtered() -> None:
+    off = {"servo.q_c": list(START + 0.01)}
+    filtered, plain = (run(SLOW, 40.0, f"inverse.filtered={word}", start=off) for word in ("true", "false"))
+    assert rms(error(filtered)) < 0.2
+    # z grows without bound
+    assert rms(error(plain)) > 3 * rms(error(filtered))
+
+
+def test_a_pi_servo_has_a_row_of_its_own() -> None:
+    graph = load_experiment(SLOW, ["inverse.servo=pi", "inverse.k_I=1.8", "inverse.k_I_box=[0.2, 6]", "task.damping=0"])
+    gains = {"K_P": [800, 800, 400], "K_I": [1760, 1760, 880]}
+    servo = BLOCKS["pi_servo"](**gains)
+    diagram = Diagram.build({**graph.blocks, "servo": servo}, {}, graph.robot)
+    law = simulate(diagram, 60.0, clock=T, start=graph.start, engine="interpreted")
+    assert rms(error(law)) < 0.1
+    hand = by_hand(SampledLaw(ur10(), T, pid=False), 40)
+    np.testing.assert_allclose(law["inverse.dq_c"][:40], hand["u"], atol=1e-8)
+
+
+def inverse(**options: Any) -> Any:
+    return BLOCKS["sampled_inverse"](w_0=1 / 800, **options)
+
+
+def states(**values: Any) -> dict[str, Any]:
+    """A sampled inverse at rest at START, in its second sample."""
+    n, size = 3, SERVO.size
+    return {
+        "theta": np.zeros(size),
+        "rows": np.zeros((20, size)),
+        "goals": np.zeros((20, n)),
+        "psi_slow": np.zeros(size),
+        "q_before": START,
+        "q_t": START,
+        "m_before": START,
+        "m_planned": START,
+        "plans": np.zeros((n, 1)),
+        "queue": np.zeros((n, 1)),
+        "count": 1.0,
+        **values,
+    }
+
+
+def heavy(scale: float) -> np.ndarray:
+    """Parameters with the robot's own inertia, times a scale, and the start's gains."""
+    theta = np.zeros(SERVO.size)
+    names = [element.name for element in SERVO.elements]
+    inertial = [element.name for element in DynamicParameters(ARM).elements]
+    body = dict(zip(inertial, np.ravel(np.array(ARM.inertia, dtype=float)), strict=True))
+    for place, name in enumerate(names):
+        if name.startswith(("k_P", "k_I")):
+            theta[place] = 1.8 if name.startswith("k_P") else 1.2
+        elif name.partition("_")[2] in body:
+            theta[place] = scale * body[name.partition("_")[2]] / 800
+    return theta
+
+
+def test_where_the_momentum_is_no_safe_slope_it_is_left_out_of_the_command() -> None:
+    given = {"q": START, "dq_r": [0.1, 0.2, -0.1], "T": 0.02}
+    found = {scale: inverse().evaluate(given, states(theta=heavy(scale)), robot=ARM) for scale in (1.0, -3.0, 300.0)}
+    # M/(800 T) of the UR10 is about 1: safe; times -3 it is no slope upwards, times 300 steeper than 4
+    assert [float(values.outputs["guarded"]) for values in found.values()] == [0.0, 1.0, 1.0]
+    steady = inverse().evaluate(given, states(theta=heavy(-3.0), plans=np.array([[0.1], [0.2], [-0.1]])), robot=ARM)
+    np.testing.assert_allclose(steady.outputs["dq_c"], found[-3.0].outputs["dq_c"])  # whatever was planned before
+    moved = inverse().evaluate(given, states(theta=heavy(1.0), plans=np.array([[0.1], [0.2], [-0.1]])), robot=ARM)
+    assert np.max(np.abs(moved.outputs["dq_c"] - found[1.0].outputs["dq_c"])) > 0.05
+
+
+def test_a_joint_whose_command_was_clipped_learns_nothing_from_that_sample() -> None:
+    far = inverse(u_max=0.5).evaluate({"q": START, "dq_r": [0.1, 2.0, -3.0], "T": T}, states(), robot=ARM)
+    assert np.all(np.abs(far.outputs["dq_c"]) <= 0.5)
+    assert far.outputs["dq_c"][1] == 0.5
+    assert far.outputs["dq_c"][2] == -0.5
+    moved = {"q": START + 0.01, "dq_r": np.zeros(3), "T": T}
+    queue = np.array([[0.2], [0.5], [0.2]])
+    learnt = inverse(u_max=0.5).evaluate(moved, states(queue=queue, theta=heavy(1.0)), robot=ARM).next
+    change = learnt["theta"] - heavy(1.0)
+    changed = [bool(np.any(np.abs(change[part]) > 1e-9)) for part in SERVO.joints]
+    assert changed == [True, False, True]
+    assert not np.any(learnt["rows"][0, SERVO.joints[1]])
+    first = inverse().evaluate(moved, states(queue=queue, theta=heavy(1.0), count=0.0), robot=ARM).next
+    np.testing.assert_allclose(first["theta"], heavy(1.0), atol=1e-12)  # before the first sample nothing is known
+
+
+def test_what_a_row_teaches_never_raises_the_storage_but_by_its_residual() -> None:
+    rng = np.random.default_rng(4)
+    Gamma, truth, theta, nu = rng.uniform(0.5, 2, SERVO.size), *rng.normal(size=(2, SERVO.size)), 1e-5
+
+    def storage(estimate: Any) -> float:
+        return float(np.sum((np.asarray(estimate).ravel() - truth) ** 2 / Gamma))
+
+    for eta in (0.0, 0.3):
+        h = rng.normal(size=SERVO.size)
+        sums = np.array([h[part] @ truth[part] for part in SERVO.joints]) + eta
+        weights = [nu + h[part] @ (Gamma[part] * h[part]) for part in SERVO.joints]
+        after = SERVO.projected(ca.DM(theta), ca.DM(h), ca.DM(sums), ca.DM(Gamma), nu)
+        allowed = sum(eta**2 / weight for weight in weights)
+        assert storage(after) <= storage(theta) + allowed
+        # a gain of 2.5 in place of one below 1 breaks it
+        beyond = theta + 2.5 * (np.asarray(after).ravel() - theta)
+        assert storage(beyond) > storage(theta) + (allowed if eta == 0 else -np.inf)
+
+
+def test_the_task_law_takes_the_tool_to_its_goal_at_the_end_of_the_sample() -> None:
+    arm, q, goal = ur10(), START + 0.02, PATH(T)
+    path = {"x_d": PATH(0), "x_d_1": goal, "x_d_2": PATH(2 * T), "x_d_3": PATH(3 * T), "T": T}
+    off = arm.position(q) - PATH(0)
+    for options, expected in (
+        ({"gamma": 1.0}, goal + off - T * arm.jacobian(q) @ arm.jacobian(q).T @ off),
+        ({"Lambda": 3.0}, goal + (1 - 3 * T) * off),
+        ({"Lambda": 3.0, "delay": 1}, PATH(2 * T) + (1 - 3 * T) * (arm.position(q) - goal)),
+    ):
+        task = BLOCKS["sampled_tracking"](damping=0.0, **options)
+        v = task.evaluate({"q_start": q, **path}, robot=ARM).outputs["dq_r"]
+        np.testing.assert_allclose(arm.position(q + T * v), expected, atol=1e-7)
+    straight = BLOCKS["sampled_tracking"](gamma=1.0).evaluate({"q_start": [START[0], START[1], 0.0], **path}, robot=ARM)
+    assert np.all(np.abs(straight.outputs["dq_r"]) < 50)  # a stretched arm: the damping keeps it slow
+    for wrong in ({}, {"gamma": 1.0, "Lambda": 3.0}):
+        with pytest.raises(DmframeError, match="expected one of gamma, by J', and Lambda, by the inverse of J"):
+            BLOCKS["sampled_tracking"](**wrong)
+
+
+def test_the_inverse_of_the_jacobian_alone_is_five_times_better_than_its_transpose() -> None:
+    graph = load_experiment("ur10_slow_kinematic_inverse")
+    found = simulate(graph.diagram(), 60.0, clock=T, start=graph.start, engine="interpreted")
+    assert 0.9 < rms(error(found)) < 1.2
+
+
+def test_on_a_fast_clock_an_encoder_asks_for_the_mean_of_several_rows() -> None:
+    assert rms(error(run(FAST, 16.0, delay=1, encoder=True))) < 0.3
+    alone = run(FAST, 16.0, "inverse.average=1", "inverse.stride=1", delay=1, encoder=True)
+    assert rms(error(alone)) > 0.5
+    assert alone["inverse.guarded"].mean() > 0.2
+
+
+def test_results_hold_the_estimate_and_leave_its_memory_out() -> None:
+    recorded = run(SLOW, 10 * T)
+    assert recorded["inverse.theta"].shape == (11, SERVO.size)
+    assert "inverse.rows" not in recorded.states
+    graph = load_experiment(SLOW)
+    asked = simulate(
+        graph.diagram(), 3 * T, clock=T, start=graph.start, engine="interpreted", log=Log(signals=("inverse.rows",))
+    )
+    assert asked["inverse.rows"].shape == (4, 20 * SERVO.size)
+    assert "inverse.theta" not in asked.states

@@ -38,7 +38,8 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
 
 
 @pytest.mark.parametrize(
-    ("servo", "options"), [(PID, {}), (PI, {}), (PID, {"filtered": False}), (PID, {"delay": 1}), (PI, {"replay": 1})]
+    ("servo", "options"),
+    [(PID, {}), (PI, {}), (PID, {"filtered": False}), (PID, {"delay": 1}), (PI, {"average": 2, "stride": 3})],
 )
 def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any]) -> None:
     found = verdict(servo, **options)

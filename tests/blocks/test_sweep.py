@@ -20,7 +20,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdWN")
+LETTERS = set("nmpkhcdWAN")
 # the baseline has nothing to prove; a proof over samples is no certificate in continuous time
 UNPROVED = {"kinematic_command", "velocity_probe", "disturbance_observer"}
 UNPROVED |= {"sampled_tracking", "sampled_inverse", "sampled_supervisor"}
@@ -42,6 +42,27 @@ blocks:
   arm:      {type: manipulator}
 """,
 }
+BETWEEN = """
+  encoder:  {type: encoder, step: 47.94 urad}
+  readings: {type: measurement_delay}
+  way:      {type: transport_delay}
+  limits:   {type: command_limits}
+  ramp:     {type: command_ramp, acceleration: 4}
+  friction: {type: friction_compensation, coulomb: 0.1}
+  drive:    {type: torque_limits}
+  stops:    {type: joint_stops}
+  gears:    {type: elastic_joints, stiffness: 4000, damping: 10, inertia: 0.1}
+"""
+LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
+EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
+EXAMPLES["loaded_manipulator"] = LOADED
+
+# no proof in continuous time reaches what stands between controller and robot
+UNPROVED = {
+    "kinematic_command",
+    "loaded_manipulator",
+    *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
+} - {"joint_stops"}  # which may only tell
 
 
 def types_in(file: Path) -> set[str]:

@@ -1,4 +1,4 @@
-"""The packaged graphs that differ in more than numbers."""
+"""The packaged graphs that differ in more than numbers, and a few that hold every block."""
 
 from __future__ import annotations
 
@@ -14,3 +14,15 @@ def structures() -> list[str]:
         blocks = sorted((block, entry["type"], sorted(entry)) for block, entry in data["blocks"].items())
         found.setdefault(f"{blocks}, {data.get('wires')}", name)
     return list(found.values())
+
+
+def every_block() -> list[str]:
+    """Few graphs that hold every packaged graph's blocks between them, one of a redundant robot of 7 joints."""
+    kinds = {name: {entry["type"] for entry in read_file(graphs()[name]).data["blocks"].values()} for name in graphs()}
+    names = sorted(kinds, key=lambda name: (name.endswith("_full"), name))
+    found, left = ["panda_full"], set[str]().union(*kinds.values()) - kinds["panda_full"]
+    while left:
+        most = max(names, key=lambda name: len(kinds[name] & left))
+        found.append(most)
+        left -= kinds[most]
+    return found

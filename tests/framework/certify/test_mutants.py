@@ -42,19 +42,21 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """Three of a block's at most, from all over its equations; `make mutants` tries them all."""
+    """One of a block's, from the middle of its equations; `make mutants` tries them all."""
     found = list(mutants)
-    return found[:: -(-len(found) // 3)]
+    return found[len(found) // 2 :][:1]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
-    """What becomes of each, in one loop after the other; of a block with few faults in up to three, until one tells."""
-    results, faults = [], Counter(mutant.owner for mutant in mutants)
+    """What becomes of each: of a block's in up to three loops, the least first, until one tells; of others in turn."""
+    results = []
     for turn, mutant in enumerate(mutants):
-        blocks = mutant.owner in known_blocks()
-        fitting = small([mutant.owner]) if blocks else small()
-        for further in range(min(3, len(fitting)) if blocks and faults[mutant.owner] < 3 else 1):
-            result = judged(mutant, fitting[(turn + further) % len(fitting)])
+        if mutant.owner in known_blocks():
+            fitting = sorted(small([mutant.owner]), key=lambda loop: (loop.robot.n, len(loop.specs)))[:3]
+        else:
+            fitting = [small()[turn % len(small())]]
+        for loop in fitting:
+            result = judged(mutant, loop)
             if result.outcome != "equivalent":
                 break
         results.append(result)
@@ -67,7 +69,7 @@ def test_of_some_faults_in_the_equations_of_every_block_none_is_proved_unless_dv
     mutants = [mutant for kind in provable for mutant in some(block_mutants(kind, blocks[kind]))]
     results = tried(mutants)
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert len(results) >= 2 * len(provable)
+    assert len(results) == len(provable)
     acting = [r for r in results if r.outcome != "no diagram" and r.reason != "the rates are unchanged"]
     assert Counter(result.outcome for result in acting)["refuted"] > 0.8 * len(acting)
     # V does not weigh a redundant robot's self-motion; without a term in the error any reference falls along V
@@ -92,7 +94,7 @@ def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothi
 def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> None:
     mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ not in LAW]
     provable = [mutant for mutant in mutants if homes(mutant.owner, loops())]
-    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::300])
+    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::700])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
 
@@ -100,9 +102,9 @@ def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> N
 @pytest.mark.parametrize("which", LIBRARY)
 def test_faults_in_the_plant_library_are_refuted_or_make_another_robot(which: str) -> None:
     mutants = list(library_mutants(which))
-    results = tried(mutants[:: max(1, len(mutants) // 12)])
+    results = tried(mutants[:: max(1, len(mutants) // 5)])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert Counter(result.outcome for result in results)["refuted"] >= 4
+    assert Counter(result.outcome for result in results)["refuted"] >= 2
 
 
 def test_a_source_has_no_part_in_the_claim() -> None:

@@ -45,6 +45,10 @@ def judges_truly(tab: Browser, page: Path) -> None:
 BROWSERS = {"chromium": chromium, "firefox": firefox}
 
 
+IN_ONE = pytest.mark.parametrize("tab", ["chromium"], indirect=True)
+"""For what asks no more of a browser than JavaScript; what touches an interface of its own runs in both."""
+
+
 @pytest.fixture(scope="module", params=BROWSERS)
 def tab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with BROWSERS[request.param](tmp_path_factory.mktemp("profile")) as found:
@@ -61,6 +65,7 @@ def test_a_page_from_a_disk_says_truly_what_is_proved_where_its_sliders_stand(ta
     judges_truly(tab, saved(tmp_path, assembled(content("ur10_fast"))))
 
 
+@IN_ONE
 def test_a_page_whose_margins_were_wrong_would_be_noticed(tab: Browser, tmp_path: Path) -> None:
     right = assembled(content("ur10_fast"))
     wrong = right.replace("strict ? margin > 0 : margin >= 0", "true")
@@ -105,6 +110,7 @@ def test_a_slider_stays_under_the_pointer_whatever_the_verdict_says(
     assert len(places_under_the_pointer(tab, saved(tmp_path, assembled(content("ur10_fast"))), size)) == 1
 
 
+@IN_ONE
 def test_a_verdict_that_pushes_the_sliders_down_would_be_noticed(tab: Browser, tmp_path: Path) -> None:
     html = assembled(content("ur10_fast"))
     page = saved(tmp_path, html.replace("height: var(--tall);", "", 1))
@@ -124,6 +130,7 @@ def test_an_address_keeps_what_was_moved(tab: Browser, tmp_path: Path) -> None:
     assert tab.said == []
 
 
+@IN_ONE
 def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_path: Path) -> None:
     moved = "task.alpha_bar=1.5&inverse.Lambda=4&path.center[0]=0.2&start[1]=-0.1&clock=0.5"
     tab.opened(saved(tmp_path, assembled(content("arm2_joint"))), f"#{moved}")
@@ -184,6 +191,7 @@ def test_a_page_simulates_and_shows_what_the_command_on_it_gives(
     shows_its_run(tab, saved(tmp_path, with_its_run(assembled(content(name)))), moved)
 
 
+@IN_ONE
 @pytest.mark.parametrize(
     ("right", "wrong"),
     [
@@ -217,6 +225,7 @@ baseline:
 """
 
 
+@IN_ONE
 def test_the_command_on_a_baselines_page_runs_the_baseline(tab: Browser, tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(BASELINE)
     page = saved(tmp_path, dm.load(tmp_path / "own.yaml").set({"task.alpha_bar": 3}).baseline().page().html)
@@ -245,6 +254,7 @@ def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_p
     assert tab.said == []
 
 
+@IN_ONE
 def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, tmp_path: Path) -> None:
     page, now = saved(tmp_path, assembled(content("arm2_joint"))), "Number(document.getElementById('scrub').value)"
     tab.opened(page)
@@ -253,14 +263,15 @@ def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, 
     assert tab.value(now) == 0
     tab.value("document.getElementById('play').click()")
     tab.until(f"{now} > 0.05")
-    if isinstance(tab, Chromium):  # the other knows what its reader wants before it starts
-        tab.motion(True)
-        tab.opened(page)
-        tab.until(f"{now} > 0.05")
-        tab.motion(False)
+    assert isinstance(tab, Chromium)  # the other knows what its reader wants before it starts
+    tab.motion(True)
+    tab.opened(page)
+    tab.until(f"{now} > 0.05")
+    tab.motion(False)
     assert tab.said == []
 
 
+@IN_ONE
 def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path: Path) -> None:
     tab.sized(360, 740)
     tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
@@ -283,6 +294,7 @@ def test_a_page_is_small_and_asks_for_nothing(name: str) -> None:
     assert not re.search(r"(src|href)=[\"'](?!data:)|@import|url\(|fetch\(|importScripts|https?:", html)
 
 
+@IN_ONE
 def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_path: Path) -> None:
     page, notice = saved(tmp_path, assembled(content("arm2_joint"))), "document.getElementById('notice').textContent"
     tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
@@ -304,6 +316,7 @@ def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Pa
         assert tab.until(f"{HEADLINE} === {headline!r} && {SAYS}.includes({says!r})")
 
 
+@IN_ONE
 @pytest.mark.parametrize(
     "title", ["</script><script>alert(1)</script> & \"q\" 'x' \U0001f600 @DATA@ \\1", "x" * 10_000]
 )
@@ -332,6 +345,7 @@ def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browse
     assert tab.said == []
 
 
+@IN_ONE
 def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are_too_long(
     tab: Browser, tmp_path: Path
 ) -> None:
@@ -344,6 +358,7 @@ def test_a_proved_loop_that_diverges_at_the_integrators_steps_says_that_they_are
     assert tab.said == []
 
 
+@IN_ONE
 def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser, tmp_path: Path) -> None:
     path = "{type: sinusoid, center: [45 deg], amplitude: [30 deg], rate: [0.9 rad/s]}"
     text = f"dmframe: 1\nclock: 2 ms\nduration: 1 s\nblocks:\n  path: {path}\n"

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config.experiment import Experiment, load_experiment
+from dmframe.diagram import Diagram
 from dmframe.errors import StartError, ValueFault
+from dmframe.port import Port, Side, State
 from dmframe.simulate import simulate, start_state
 from dmframe_plants.arm2 import closed_form
 
@@ -111,3 +116,47 @@ def test_a_pose_out_of_reach_or_of_the_limits_is_refused(tmp_path: Path) -> None
         begin(tmp_path, q=[4, 0])
     with pytest.raises(ValueFault, match=r"start\.near: expected 2 finite numbers, found 3"):
         begin(tmp_path, TASK, near=[1, 2, 3])
+
+
+class Follower(AbstractBlock):
+    """Starts where what drives it starts."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (Port("a"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("b"),)
+    states: ClassVar[tuple[State, ...]] = (State("z", sampled=True),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"b": x.z}, next={"z": 0.5 * u.a})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+        return {"z": 2 * u.a + 1}
+
+
+class Leader(AbstractBlock):
+    """Starts at three."""
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("b"),)
+    states: ClassVar[tuple[State, ...]] = (State("y"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"b": x.y}, {"y": 0 * x.y})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+        return {"y": ca.SX(3)}
+
+
+def test_starts_are_found_in_the_order_in_which_they_need_one_another_whatever_the_files() -> None:
+    blocks = {"last": Follower(), "middle": Follower(), "first": Leader()}
+    diagram = Diagram.build(blocks, {"last.a": "middle.b", "middle.a": "first.b"})
+    assert [variable.block for variable in diagram.loop.variables] == ["last", "middle", "first"]
+    np.testing.assert_array_equal(start_state(diagram, {}), [15, 7, 3])
+
+
+def test_starts_that_wait_for_one_another_are_told() -> None:
+    diagram = Diagram.build({"one": Follower(), "two": Follower()}, {"one.a": "two.b", "two.a": "one.b"})
+    with pytest.raises(StartError) as caught:
+        start_state(diagram, {})
+    assert str(caught.value) == ("start: one.z and two.z each wait for another's start; give one of them under start")
+    np.testing.assert_array_equal(start_state(diagram, {"two.z": 4}), [9, 4])

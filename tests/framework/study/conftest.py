@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, final
 
 import pytest
 
 from dmframe import plotting
-from dmframe.study import report, tune_page
+from dmframe.study import execute, report, tune_page
+from dmframe.study.chunks import Chunk
+from dmframe.study.computed import Computable, Computed, Failed, compute
+from dmframe.study.execute import State, run_study
 from dmframe.study.plan import Study, load_study
 
 ARM = """\
@@ -40,10 +43,66 @@ def arm(tmp_path: Path) -> Path:
     return path
 
 
+@final
+class Here:
+    """In place of worker processes, where it is not them that is tested: this one computes each chunk at once."""
+
+    count = 1
+
+    def __init__(self, study: Computable, workers: int | None) -> None:
+        self._study = study
+        self._ended = list[tuple[Chunk, Computed | Failed]]()
+
+    def submit(self, chunk: Chunk) -> None:
+        self._ended.append((chunk, compute(self._study, chunk)))
+
+    def ended(self, timeout: float) -> tuple[Chunk, Computed | Failed] | None:
+        return self._ended.pop(0) if self._ended else None
+
+    def __enter__(self) -> Here:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Studies run in this process."""
+    monkeypatch.setattr(execute, "Pool", Here)
+
+
+@pytest.fixture
+def finish(monkeypatch: pytest.MonkeyPatch) -> Callable[..., State]:
+    """Go on with a study in this process, whichever processes it began in."""
+
+    def finished(study: Computable, out: Path) -> State:
+        with monkeypatch.context() as patch:
+            patch.setattr(execute, "Pool", Here)
+            return run_study(study, out)
+
+    return finished
+
+
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made but not drawn, which takes most of a report's time: for tests that read its words alone."""
+    without_drawing(monkeypatch)
 
+
+@pytest.fixture(scope="module")
+def undrawn_page() -> Callable[[Callable[[], Path]], Path]:
+    """The same around one page that several tests read."""
+
+    def made(page: Callable[[], Path]) -> Path:
+        with pytest.MonkeyPatch.context() as patch:
+            without_drawing(patch)
+            return page()
+
+    return made
+
+
+def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     def files_of(figure: object, name: str, about: str) -> dict[str, bytes]:
         return {f"{name}.png": b"", f"{name}.svg": b"<svg></svg>"}
 

@@ -7,7 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from dmframe.study import cluster
 from dmframe.study.beside import packed
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computed, Failed, versions
-from dmframe.study.execute import run_study
+from dmframe.study.execute import State, run_study
 
 QUIET = {"DASK_DISTRIBUTED__DASHBOARD__LINK": "", "DASK_DISTRIBUTED__WORKER__DAEMON": "False"}
 
@@ -50,7 +50,9 @@ def free() -> str:
         return str(found.getsockname()[1])
 
 
-def test_workers_client_and_scheduler_are_killed_one_after_another(tmp_path: Path) -> None:
+def test_workers_client_and_scheduler_are_killed_one_after_another(
+    tmp_path: Path, finish: Callable[..., State]
+) -> None:
     out, gates = tmp_path / "out", tmp_path / "gates"
     gates.mkdir()
     close(gates, "0-8", "1-24", "2-0")
@@ -77,7 +79,7 @@ def test_workers_client_and_scheduler_are_killed_one_after_another(tmp_path: Pat
             kept, computed, lost = said(second).split("|")
         assert lost == f"--scheduler {place}: the scheduler has gone"
     assert int(computed) + 8 * len(before) == int(kept) < 120
-    last = run_study(StandIn(), out, workers=1)  # in this process's own pool: the folder is the same
+    last = finish(StandIn(), out)  # without a scheduler: the folder is the same
     assert last.computed == 120 - int(kept)
     check(out)
 

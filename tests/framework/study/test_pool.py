@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import final
 
@@ -13,7 +14,7 @@ from study_processes import check, client, close, files, gate, kill, said, wait_
 from dmframe.study import execute
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computed, Failed, compute
-from dmframe.study.execute import AHEAD, run_study
+from dmframe.study.execute import AHEAD, State, run_study
 from dmframe.study.pool import Pool
 
 
@@ -24,13 +25,15 @@ def gates(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_study_has_each_run_once_and_computes_nothing_a_second_time(tmp_path: Path) -> None:
+def test_a_study_has_each_run_once_and_computes_nothing_a_second_time(
+    tmp_path: Path, finish: Callable[..., State]
+) -> None:
     out = tmp_path / "out"
     assert run_study(StandIn(), out, workers=2, chunk=8).computed == 120
     check(out)
     again = run_study(StandIn(), out, workers=2)
     assert (again.computed, again.kept, again.complete) == (0, 120, True)
-    assert run_study(StandIn(samples=60), out, workers=1).computed == 60
+    assert finish(StandIn(samples=60), out).computed == 60
     check(out, samples=60)
 
 
@@ -44,7 +47,9 @@ def test_a_worker_that_is_killed_costs_its_chunk_alone(tmp_path: Path, gates: Pa
     check(out)
 
 
-def test_workers_end_with_a_client_that_is_killed_and_the_next_goes_on(tmp_path: Path, gates: Path) -> None:
+def test_workers_end_with_a_client_that_is_killed_and_the_next_goes_on(
+    tmp_path: Path, gates: Path, finish: Callable[..., State]
+) -> None:
     out = tmp_path / "out"
     close(gates, "1-8")
     running = client(out, gates, workers=1)
@@ -54,11 +59,11 @@ def test_workers_end_with_a_client_that_is_killed_and_the_next_goes_on(tmp_path:
         running.communicate()
     before = files(out)
     assert len(before) > 6 - AHEAD  # six came before the gate
-    assert run_study(StandIn(), out, workers=1).computed == 120 - 8 * len(before)
+    assert finish(StandIn(), out).computed == 120 - 8 * len(before)
     check(out)
 
 
-def test_at_ctrl_c_no_process_stays_and_rows_do(tmp_path: Path, gates: Path) -> None:
+def test_at_ctrl_c_no_process_stays_and_rows_do(tmp_path: Path, gates: Path, finish: Callable[..., State]) -> None:
     out = tmp_path / "out"
     close(gates, "1-8", "1-16")
     running = client(out, gates, workers=2)
@@ -68,11 +73,13 @@ def test_at_ctrl_c_no_process_stays_and_rows_do(tmp_path: Path, gates: Path) -> 
         wait_for_end(second)
     _, told = running.communicate(timeout=60)
     assert "KeyboardInterrupt" in told
-    assert run_study(StandIn(), out, workers=1).kept == 120
+    assert finish(StandIn(), out).kept == 120
     check(out)
 
 
-def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(tmp_path: Path, gates: Path) -> None:
+def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(
+    tmp_path: Path, gates: Path, finish: Callable[..., State]
+) -> None:
     out = tmp_path / "out"
     (gates / "poison-0-8").touch()
     (gates / "fault-2-32").touch()
@@ -84,7 +91,7 @@ def test_a_chunk_that_fails_three_times_is_named_and_the_rest_goes_on(tmp_path: 
     }
     (gates / "poison-0-8").unlink()
     (gates / "fault-2-32").unlink()
-    assert run_study(StandIn(gates=gates), out, workers=1).computed == 16
+    assert finish(StandIn(gates=gates), out).computed == 16
     check(out)
 
 

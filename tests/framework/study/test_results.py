@@ -71,13 +71,17 @@ def folder(tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., tuple[Path, str]]:
-    """The same with its report, which is drawn once for all tests that only read it: the folder, and what it says."""
+def page(
+    tmp_path_factory: pytest.TempPathFactory, undrawn_page: Callable[[Callable[[], Path]], Path]
+) -> Callable[..., tuple[Path, str]]:
+    """The same with its report, made once for all tests that only read it, where runs diverge with its figures."""
 
     @cache
     def made(figures: Figures = steady, text: str = "") -> tuple[Path, str]:
         place = write(tmp_path_factory.mktemp("study"), figures, text)
-        return place, words(write_report(place, proofs=False))
+        made_now = partial(write_report, place, proofs=False)
+        drawn = made_now() if figures is breaking else undrawn_page(made_now)
+        return place, words(drawn)
 
     return made
 
@@ -215,6 +219,7 @@ def test_the_page_says_of_which_graph_and_how_long_it_speaks(page: Callable[...,
     assert f"Graph {graph}; runs of {duration:g} s." in said
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_commands_of_a_page_work_where_it_was_written(
     folder: Callable[..., Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -300,7 +305,7 @@ def test_of_few_runs_no_influence_is_told(folder: Callable[..., Path]) -> None:
 @pytest.mark.parametrize("method", ["random", "sobol"])
 def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: Path, method: str) -> None:
     named = 0
-    for seed in range(20):
+    for seed in range(10):
 
         def figures(study: Study, point: int, drawn: Mapping[str, np.ndarray], seed: int = seed) -> dict[str, Any]:
             return {"rms_final": np.random.default_rng(seed).uniform(1, 2, len(drawn["servo.K_D"]))}
@@ -312,7 +317,7 @@ def test_what_decides_is_named_only_where_chance_does_not_explain_it(tmp_path: P
         said = "What decides" in repr(list(summary(told)))
         named += said
         assert not said or max(shares) >= WORTH
-    assert named <= 4  # of twenty, where each is to be wrong one time in twenty
+    assert named <= 2  # of ten, where each is to be wrong one time in twenty
 
 
 def test_a_setting_that_could_not_be_made_is_not_forgotten_in_the_answer(folder: Callable[..., Path]) -> None:

@@ -1,0 +1,124 @@
+"""A robot's encoders, as its maker hands out what they measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.parameter import Diagonal, NonNegative, Positive, Scalar
+from dmframe.port import PERIOD, Access, Port, Side, State
+
+
+@final
+class Encoder(AbstractBlock):
+    r"""Rounds the joint angles to whole steps, with noise; velocities are differences of what it reads.
+
+    .. math::
+
+        q_m          &= \mathrm{step} \operatorname{floor}(q / \mathrm{step} + 1/2), \quad x_m = f(q_m)   \tag{1} \\
+        \dot q_m     &= (q_m - q_{old}) / T, \quad q_{old}^+ = q_m   \tag{2}
+
+    With `noise`, what is rounded is :math:`q + \mathrm{noise}\, \eta`. The differences are those from one sample to the
+    next; with a `time_constant` they are filtered, with :math:`c = \exp(-T / \mathrm{time\_constant})` and
+    :math:`v_{old}` the result of one sample ago:
+
+    .. math::
+
+        \dot q_m = c\, v_{old} + (1 - c) (q_m - q_{old}) / T   \tag{3}
+
+    A maker's own electronics take differences faster than a controller samples, over a `window`. What is read that long
+    before is the rounded :math:`2 \zeta - q`, Pade's first approximation of it:
+
+    .. math::
+
+        \dot q_m = (q_m - \mathrm{step} \operatorname{floor}((2 \zeta - q) / \mathrm{step} + 1/2)) / \mathrm{window},
+        \quad \dot \zeta = 2 (q - \zeta) / \mathrm{window}   \tag{4}
+
+    The tool's position is the maker's own, from the encoders through the true lengths. The servo and all figures keep
+    the arm's true pose, which no controller can read any more.
+
+    Parameters
+    ----------
+    step : diagonal (n,), rad, > 0
+        One step of the encoder; of 17 bits a turn, 47.94 urad.
+    noise : diagonal (n,), rad, >= 0
+        Standard deviation of what is added to each reading, drawn anew at each sample.
+    window : scalar, s, > 0
+        Time over which the maker takes the differences; without it, a sample.
+    time_constant : scalar, s, > 0
+        Of the filter of differences over a sample; without it they are not filtered.
+    tool_from : encoders or sensor
+        Where the tool's position comes from: the encoders, or a sensor of its own that is perfect.
+
+    Notes
+    -----
+    A difference over a time is late by half of it. Under a jitter of the samples T stays the nominal period, as for a
+    maker who does not measure it. Not for: the ripple of an encoder within a turn, its offset, or backlash.
+
+    References
+    ----------
+    [FranklinPowell1998]_ for rounding and differences.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("x", "m", "m"),
+        PERIOD,
+        Port("eta", "n", drawn="normal"),
+        Port("eta_old", "n", drawn="normal"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q_m", "n", "rad", Access.MEASURED, instead_of="q"),
+        Port("dq_m", "n", "rad/s", Access.MEASURED, derivative_of="q_m", instead_of="dq"),
+        Port("x_m", "m", "m", Access.MEASURED, optional=True, instead_of="x"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("q_old", "n", "rad", optional=True, sampled=True),
+        State("v_old", "n", "rad/s", optional=True, sampled=True),
+        State("zeta", "n", "rad", optional=True),
+    )
+
+    step: Diagonal = Positive("n", "rad")
+    noise: Diagonal | None = NonNegative("n", "rad", default=None)
+    window: Scalar | None = Positive("", "s", default=None)
+    time_constant: Scalar | None = Positive("", "s", default=None)
+    tool_from: Literal["encoders", "sensor"] = "encoders"
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Encoder:
+        if self.window is not None and self.time_constant is not None:
+            raise ValueError("expected a window or a time_constant, found both; the filter is of differences a sample")
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (4)."""
+        read = self._read(u.q, u.eta, p)
+        outputs = {"q_m": read}
+        if self.tool_from == "encoders":
+            outputs["x_m"] = p.robot.position(read)
+        if "window" in p:
+            before = self._read(2 * x.zeta - u.q, u.eta_old, p)
+            velocity = (read - before) / p.window
+            return Equations({**outputs, "dq_m": velocity}, rates={"zeta": 2 * (u.q - x.zeta) / p.window})
+        difference = (read - x.q_old) / u.T
+        if "time_constant" not in p:
+            return Equations({**outputs, "dq_m": difference}, next={"q_old": read})
+        c = ca.exp(-u.T / p.time_constant)
+        velocity = c * x.v_old + (1 - c) * difference
+        return Equations({**outputs, "dq_m": velocity}, next={"q_old": read, "v_old": velocity})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest, where it has been."""
+        return {"q_old": self._read(u.q, u.eta, p), "v_old": 0 * u.q, "zeta": u.q}
+
+    def _read(self, q: Any, eta: Any, p: Signals) -> Any:
+        noisy = q + p.noise * eta if "noise" in p else q
+        return p.step * ca.floor(noisy / p.step + 0.5)

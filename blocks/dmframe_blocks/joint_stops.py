@@ -1,0 +1,88 @@
+"""Where a robot's joints end."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.parameter import Diagonal, NonNegative, Positive, Real
+from dmframe.port import Port, Side
+
+
+@final
+class JointStops(AbstractBlock):
+    r"""Tells where a joint is beyond its range and, with a stiffness, pushes it back.
+
+    .. math::
+
+        \mathrm{beyond} = \max(q - q_{max}, 0) - \max(q_{min} - q, 0)   \tag{1}
+
+    and, with a stiffness,
+
+    .. math::
+
+        u_{stop} = u - K^{-1} (\mathrm{stiffness}\, \mathrm{beyond}
+            + \mathrm{damping}\, \max(\mathrm{beyond}, -\mathrm{beyond})\, \dot q)   \tag{2}
+
+    The range is that of the robot's URDF, unless `lower` and `upper` say another.
+    A damping that grows with the depth makes a contact begin and end without a jump. Without a stiffness nothing
+    pushes: the run tells, and the robot goes on.
+
+    Parameters
+    ----------
+    lower, upper : list (n,), rad
+        The range; without them, that of the robot's URDF, where it states one.
+    stiffness : diagonal (n,), N m/rad, > 0
+        Of the stop. A stiff one asks for short steps: 1e4 N m/rad on a light link rings at 1 kHz.
+    damping : diagonal (n,), N m s/rad^2, >= 0
+        Of the stop.
+
+    Notes
+    -----
+    Not for: a maker who stops the robot before it gets there.
+
+    References
+    ----------
+    [HuntCrossley1975]_
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("u", "n", "V"),
+        Port("K", "n", "N m/V"),
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("u_stop", "n", "V", optional=True, instead_of="u"),
+        Port("beyond", "n", "rad", told="a joint is beyond its range"),
+    )
+
+    lower: Diagonal | None = Real("n", "rad", default=None)
+    upper: Diagonal | None = Real("n", "rad", default=None)
+    stiffness: Diagonal | None = Positive("n", "N m/rad", default=None)
+    damping: Diagonal = NonNegative("n", "N m s/rad^2", default=0.0)
+
+    @model_validator(mode="after")
+    def _both(self) -> JointStops:
+        if (self.lower is None) != (self.upper is None):
+            raise ValueError("expected both lower and upper, or neither, found one")
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        lower, upper = (p.lower, p.upper) if "lower" in p else (p.robot.lower_limits, p.robot.upper_limits)
+        beyond = ca.fmax(u.q - upper, 0) - ca.fmax(lower - u.q, 0)
+        if "stiffness" not in p:
+            return Equations({"beyond": beyond})
+        push = p.stiffness * beyond + p.damping * ca.fmax(beyond, -beyond) * u.dq
+        return Equations({"beyond": beyond, "u_stop": u.u - push / u.K})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """Nothing is stored where nothing pushes; of a stop that does, nothing is proved."""
+        return None if "stiffness" in p else Certificate()

@@ -1,0 +1,137 @@
+"""A rigid serial manipulator whose tool takes up a load, and puts it down again."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, ClassVar, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.linalg import solve_spd
+from dmframe.naming import named, operation
+from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
+from dmframe.port import TIME, Access, Port, Side, State
+
+
+@final
+class LoadedManipulator(AbstractBlock):
+    r"""The robot, with a point mass at its tool that changes in steps.
+
+    .. math::
+
+        M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q)   \tag{1}
+
+    where a are the inertial parameters with the mass that is there now. Nobody is told of it: the maker's servo goes on
+    compensating its share of the gravity of the robot alone, and controllers adapt, or do not.
+
+    Parameters
+    ----------
+    payload : list, kg
+        Masses at the tool, one after another.
+    payload_at : list, s
+        When each of them is there, increasing; before the first there is none. With ``payload: [2, 0]`` and
+        ``payload_at: [10, 20]``, 2 kg from 10 s to 20 s.
+    viscous : diagonal (n,), N m s/rad, >= 0
+        Viscous friction of the joints' own.
+    coulomb : diagonal (n,), N m, >= 0
+        Coulomb friction, D.
+    K : diagonal (n,), N m/V, > 0
+        Torque a volt.
+    maker_gravity : scalar, >= 0
+        Share of the robot's own gravity that the maker's servo compensates.
+    maker_viscous : diagonal (n,), N m s/rad, >= 0
+        Viscous friction that the maker's servo compensates.
+
+    Notes
+    -----
+    The velocity goes on as it is where the mass changes, as if it had moved along before. Nothing is proved of it. Not
+    for: a load with an extent, or one that swings.
+
+    References
+    ----------
+    [Siciliano2009]_ Section 7.2.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), TIME)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad", Access.MEASURED),
+        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Port("x", "m", "m", Access.MEASURED),
+        Port("dx", "m", "m/s", derivative_of="x"),
+        Port("ddq", "n", "rad/s^2", derivative_of="dq"),
+        Port("g", "n", "N m"),
+        Port("K", "n", "N m/V"),
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+        Port("g_share"),
+        Port("load", "", "kg"),
+    )
+    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+
+    payload: Vector = Real("*", "kg", spread=False)
+    payload_at: Vector = Real("*", "s", spread=False)
+    viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
+    coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
+    K: Diagonal = Positive("n", "N m/V", default=1.0)
+    maker_gravity: Scalar = NonNegative(default=0.0)
+    maker_viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
+
+    @model_validator(mode="after")
+    def _one_mass_a_time(self) -> LoadedManipulator:
+        masses, times = self.payload, self.payload_at
+        if len(masses) != len(times):
+            raise ValueError(f"expected as many masses as payload_at has times, found {len(masses)} and {len(times)}")
+        if any(mass < 0 for mass in masses):
+            raise ValueError(f"expected masses of 0 or above, found {list(masses)}")
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError(f"expected increasing times, found {list(times)}")
+        return self
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        robot = p.robot
+        load = at_time(u.t, p.payload, p.payload_at)
+        a = named("a", with_mass(robot.inertia, robot.a_k[-3:], load))
+        carried = p.maker_gravity * robot.gravity_torque(x.q)
+        moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), a) - carried
+        viscous = p.viscous - p.maker_viscous
+        friction = viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
+        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u - friction - moving)
+        return Equations(
+            outputs={
+                "q": x.q,
+                "dq": x.dq,
+                "x": robot.position(x.q),
+                "dx": robot.jacobian(x.q) @ x.dq,
+                "ddq": ddq,
+                "g": robot.gravity_torque(x.q, a) - carried,
+                "K": p.K,
+                "B": viscous,
+                "D": p.coulomb,
+                "g_share": 1 - p.maker_gravity,
+                "load": load,
+            },
+            rates={"q": x.dq, "dq": ddq},
+        )
+
+
+@operation
+def at_time(t: Any, values: Any, times: Any) -> Any:
+    """The last of the values whose time has come, 0 before the first."""
+    now = 0
+    for k in range(values.numel()):
+        now = now + (values[k] - (values[k - 1] if k else 0)) * (t >= times[k])
+    return now
+
+
+@operation
+def with_mass(inertia: Any, r: Any, mass: Any) -> Any:
+    """The inertial parameters with a point mass on the last link, r from its joint's origin."""
+    x, y, z = ca.vertsplit(r)
+    # m, m r and m (|r|^2 I - r r'), in the order of `dmframe.robot.parameters.Inertial`
+    point = ca.vertcat(1, x, y, z, y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+    return ca.vertcat(inertia[:-10], inertia[-10:] + mass * point)

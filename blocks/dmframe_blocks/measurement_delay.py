@@ -1,0 +1,102 @@
+"""The way of a measurement from the robot to the controller: late."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.parameter import NonNegative, Scalar
+from dmframe.port import Access, Port, Side, State
+
+_MEASURED = ("q", "dq", "x")
+
+
+@final
+class MeasurementDelay(AbstractBlock):
+    r"""Hands out what was measured some samples ago: the joints, the tool and, of a servo, its target position.
+
+    Of each measured signal the last five are kept, the newest first. With d `samples` controllers read :math:`s_d`,
+    what was measured d samples ago; with a further `share` :math:`(1 - share) s_d + share\, s_{d+1}`.
+
+    Before the start the robot has stood still.
+
+    Parameters
+    ----------
+    samples : 0 to 4
+        Whole samples of delay.
+    share : scalar, >= 0
+        Of a further sample, below 1. What was measured between samples is not kept: a straight line is put between.
+    target : sent or none
+        Whether the servo's target position is measured too, and comes late; none for a robot without one.
+
+    Notes
+    -----
+    Not for: accelerations, which no maker hands out and which `accelerometer` reads at once.
+
+    References
+    ----------
+    [AstromWittenmark1997]_ Section 3.2.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("x", "m", "m"),
+        Port("q_c", "n", "rad", optional=True),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q_late", "n", "rad", Access.MEASURED, instead_of="q"),
+        Port("dq_late", "n", "rad/s", Access.MEASURED, derivative_of="q_late", instead_of="dq"),
+        Port("x_late", "m", "m", Access.MEASURED, instead_of="x"),
+        Port("q_c_late", "n", "rad", Access.MEASURED, optional=True, instead_of="q_c"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("q_line", "n 5", "rad", sampled=True),
+        State("dq_line", "n 5", "rad/s", sampled=True),
+        State("x_line", "m 5", "m", sampled=True),
+        State("q_c_line", "n 5", "rad", optional=True, sampled=True),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"),)
+
+    samples: Literal[0, 1, 2, 3, 4] = 1
+    share: Scalar | None = NonNegative(default=None)
+    target: Literal["sent", "none"] = "sent"
+
+    @model_validator(mode="after")
+    def _below_one(self) -> MeasurementDelay:
+        if self.share is not None and self.share >= 1:
+            raise ValueError(f"expected a share below 1, found {self.share:g}; raise samples")
+        return self
+
+    @classmethod
+    def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
+        """With the target position of a servo, where there is one."""
+        if super().fitting(signals) is None:
+            return None
+        return {} if "q_c" in signals else {"target": "none"}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Columns of the lines, the newest measurement before them."""
+        outputs, after = dict[str, Any](), dict[str, Any]()
+        for name in self._measured:
+            line = ca.horzcat(getattr(u, name), getattr(x, f"{name}_line"))
+            late = line[:, self.samples]
+            if "share" in p:
+                late = (1 - p.share) * late + p.share * line[:, self.samples + 1]
+            outputs[f"{name}_late"], after[f"{name}_line"] = late, line[:, :5]
+        return Equations(outputs, next=after)
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """As if the robot had always stood there."""
+        rest = {"q": u.q, "dq": 0 * u.dq, "x": u.x, "q_c": truth.q}
+        return {f"{name}_line": ca.repmat(rest[name], 1, 5) for name in self._measured}
+
+    @property
+    def _measured(self) -> tuple[str, ...]:
+        return (*_MEASURED, "q_c") if self.target == "sent" else _MEASURED

@@ -1,0 +1,55 @@
+"""The most that a robot's drives give."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.parameter import Diagonal, Positive
+from dmframe.port import Port, Side
+
+
+@final
+class TorqueLimits(AbstractBlock):
+    r"""Cuts the voltage of each motor off where its torque is at its limit.
+
+    .. math::
+
+        u_{lim}           &= K^{-1} \min(\max(K u, -\tau_{max}), \tau_{max})   \tag{1} \\
+        \tau_{excess}     &= K (u - u_{lim})   \tag{2}
+
+    The limits :math:`\tau_{max}` are those of the robot's URDF, unless `torque` says others. It stands between servo
+    and arm. The servo does not know: its integrator goes on, and winds up. A run tells where
+    something was cut off.
+
+    Parameters
+    ----------
+    torque : diagonal (n,), N m, > 0
+        Limits at the joints; without it, those of the robot's URDF.
+
+    Notes
+    -----
+    Not for: a limit that falls with the velocity, heat, or a servo that stops its integrator at the limit.
+
+    References
+    ----------
+    [Siciliano2009]_ Section 5.2.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), Port("K", "n", "N m/V"))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("u_lim", "n", "V", instead_of="u"),
+        Port("tau_excess", "n", "N m", told="a motor's torque is beyond its limit, and cut off"),
+    )
+
+    torque: Diagonal | None = Positive("n", "N m", default=None)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        torque = p.torque if "torque" in p else p.robot.effort_limits
+        limited = ca.fmin(ca.fmax(u.K * u.u, -torque), torque) / u.K
+        return Equations({"u_lim": limited, "tau_excess": u.K * (u.u - limited)})

@@ -1,0 +1,127 @@
+"""The way of a command from the controller to the robot: late, at times later still, at times lost."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+from pydantic import model_validator
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.parameter import NonNegative, Scalar
+from dmframe.port import Port, Side, State
+
+_CARRIED: Mapping[str, tuple[str, ...]] = {
+    "velocity": ("dq_c",),
+    "position": ("dq_c", "q_t"),
+    "torque": ("tau_c",),
+}
+
+
+@final
+class TransportDelay(AbstractBlock):
+    r"""Hands each command on some samples late, the same to all joints.
+
+    Of the command the last five are kept, the newest first. With d `samples` it hands on :math:`c_d`, the command of d
+    samples ago; with a `share` s of a further one :math:`(1 - s) c_d + s c_{d+1}`; or, with a probability `late`,
+    :math:`c_{d+1}` instead of :math:`c_d`. With a probability `lost` nothing arrives, and the robot goes on with what
+    it was handed last.
+
+    Before the first command arrives the robot is at rest where it is, and held against gravity.
+
+    Parameters
+    ----------
+    carries : velocity, position or torque
+        What is commanded: `dq_c`, `dq_c` with `q_t`, or `tau_c`.
+    samples : 0 to 4
+        Whole samples of delay.
+    share : scalar, >= 0
+        Of a further sample, below 1. A command is held for a sample, so that the exact delay would change it within
+        one. The mean over the sample is handed on instead: its integral, the servo's q_c, is exact at each sample and,
+        between samples, off by at most a quarter of a sample times the change of the command.
+    late : scalar, >= 0
+        Probability, at each sample, that the command is one sample later.
+    lost : scalar, >= 0
+        Probability, at each sample, that nothing arrives.
+
+    Notes
+    -----
+    A late command is one that has not come by the sample at which it is due; with a delay of d or d + 1 the robot then
+    has the command before it. Not for: delays that differ by more, or commands that overtake one another.
+
+    References
+    ----------
+    [AstromWittenmark1997]_ Section 3.2 for delays of a share of a sample.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c", "n", "rad/s", optional=True),
+        Port("q_t", "n", "rad", optional=True),
+        Port("tau_c", "n", "N m", optional=True),
+        Port("chance", "2", drawn="uniform"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_c_late", "n", "rad/s", optional=True, instead_of="dq_c"),
+        Port("q_t_late", "n", "rad", optional=True, instead_of="q_t"),
+        Port("tau_c_late", "n", "N m", optional=True, instead_of="tau_c"),
+    )
+    states: ClassVar[tuple[State, ...]] = (
+        State("dq_c_line", "n 5", "rad/s", optional=True, sampled=True),
+        State("q_t_line", "n 5", "rad", optional=True, sampled=True),
+        State("tau_c_line", "n 5", "N m", optional=True, sampled=True),
+        State("dq_c_last", "n", "rad/s", optional=True, sampled=True),
+        State("q_t_last", "n", "rad", optional=True, sampled=True),
+        State("tau_c_last", "n", "N m", optional=True, sampled=True),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("g", "n", "N m"))
+
+    carries: Literal["velocity", "position", "torque"] = "velocity"
+    samples: Literal[0, 1, 2, 3, 4] = 1
+    share: Scalar | None = NonNegative(default=None)
+    late: Scalar | None = NonNegative(default=None)
+    lost: Scalar | None = NonNegative(default=None)
+
+    @model_validator(mode="after")
+    def _one_more(self) -> TransportDelay:
+        if self.share is not None and self.late is not None:
+            raise ValueError("expected share or late, found both")
+        if self.share is not None and self.share >= 1:
+            raise ValueError(f"expected a share below 1, found {self.share:g}; raise samples")
+        for name in ("late", "lost"):
+            if (value := getattr(self, name)) is not None and value > 1:
+                raise ValueError(f"expected {name} to be a probability, at most 1, found {value:g}")
+        return self
+
+    @classmethod
+    def fitting(cls, signals: Collection[str]) -> Mapping[str, Any] | None:
+        """What is commanded there."""
+        found = {"q_t": "position", "dq_c": "velocity", "tau_c": "torque"}
+        return next(({"carries": word} for name, word in found.items() if name in signals), None)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Columns of the line, the newest command before them."""
+        outputs, after = dict[str, Any](), dict[str, Any]()
+        for name in _CARRIED[self.carries]:
+            line = ca.horzcat(getattr(u, name), getattr(x, f"{name}_line"))
+            arrived, before = line[:, self.samples], line[:, self.samples + 1]
+            if "share" in p:
+                arrived = (1 - p.share) * arrived + p.share * before
+            if "late" in p:
+                arrived = ca.if_else(u.chance[0] < 2 * p.late - 1, before, arrived)
+            if "lost" in p:
+                arrived = ca.if_else(u.chance[1] < 2 * p.lost - 1, getattr(x, f"{name}_last"), arrived)
+                after[f"{name}_last"] = arrived
+            outputs[f"{name}_late"] = arrived
+            after[f"{name}_line"] = line[:, :5]
+        return Equations(outputs, next=after)
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """Nothing has been sent: the robot holds still."""
+        found = dict[str, SX]()
+        for name in _CARRIED[self.carries]:
+            rest = 0 * u.dq_c if name == "dq_c" else truth.q if name == "q_t" else truth.g
+            found |= {f"{name}_line": ca.repmat(rest, 1, 5), f"{name}_last": rest}
+        return found

@@ -1,0 +1,139 @@
+"""What reality does to every packaged controller: ``python docs/study/robustness.py [--draw] [GRAPH...]``.
+
+Each controller that commands a servo runs ideal, behind an encoder, behind a sample of delay too, and with a load that
+it is handed halfway besides, on four clocks. A law that has to be told of a delay is told. Rows go to
+``robustness.csv``, where one that is there is not computed again, and from there to the page; ``--draw`` does the last
+alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+import dmframe as dm
+from dmframe.errors import DmframeError
+from dmframe.port import Side
+from dmframe.units import plain
+
+FOLDER = Path(__file__).parent
+PAGE, TABLE = FOLDER / "robustness.md", FOLDER / "robustness.csv"
+CLOCKS: Final = ("8 ms", "20 ms", "40 ms", "90 ms")
+SECONDS: Final = 60.0
+ENCODER: Final = {"encoder": {"step": "47.94 urad"}}
+DELAYED: Final = ENCODER | {"transport_delay": {"samples": 1}}
+CASES: Final[dict[str, dict[str, Any]]] = {"ideal": {}, "encoder": ENCODER, "delay": DELAYED, "load": DELAYED}
+HEADS: Final = ("graph", "clock", "case", "rms_final", "unit", "most_after", "diverged_at")
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+
+
+def controllers() -> list[str]:
+    """Packaged graphs that command a closed servo and have an error."""
+    found = []
+    for name in dm.graphs():
+        graph = dm.load(name)
+        plant = [block for block in graph.blocks.values() if block.side is Side.PLANT]
+        servo = any(port.name == "dq_c" for block in plant for port in block.inputs)
+        if servo and graph.clock is not None:
+            found.append(name)
+    return found
+
+
+def changed(name: str, clock: str, case: str) -> dm.Graph:
+    """One controller in one reality; half of the robot's arm's usual load comes at half time."""
+    graph = dm.load(name)
+    reality = dict(CASES[case])
+    if case == "load":
+        reality["loaded_manipulator"] = {"payload": [_load(graph)], "payload_at": [f"{SECONDS / 2} s"]}
+    graph = graph.set({"clock": clock, "duration": f"{SECONDS} s"})
+    if "transport_delay" in reality:
+        told = {label: block for label, block in graph.blocks.items() if "delay" in type(block).model_fields}
+        graph = graph.set({f"{label}.delay": 1 for label in told})
+    return graph.reality(reality) if reality else graph
+
+
+def _load(graph: dm.Graph) -> str:
+    """Some 5 kg at a UR10: a sixth of what its links weigh."""
+    robot = graph.diagram.robot
+    assert robot is not None  # it has a servo
+    return f"{sum(float(link[0]) for link in robot.inertia) / 6:.1f} kg"
+
+
+def row_of(name: str, clock: str, case: str) -> dict[str, Any]:
+    """What a run says; a graph that cannot be run so has an empty row."""
+    empty = dict.fromkeys(HEADS, "") | {"graph": name, "clock": clock, "case": case}
+    try:
+        run = changed(name, clock, case).run(progress=False)
+    except DmframeError:
+        return empty
+    error, at = run.error, run.divergence.time if run.divergence else ""
+    if error is None:
+        return empty
+    after = error.norm[run.time >= SECONDS / 2]
+    figures = {} if run.divergence else {"rms_final": error.rms_final, "most_after": float(max(after))}
+    return empty | {"unit": error.unit, "diverged_at": at} | figures
+
+
+def table(rows: list[dict[str, str]]) -> Iterator[str]:
+    """As the page shows it: a table a clock."""
+    for clock in CLOCKS:
+        yield f"\n### {clock}\n"
+        yield "| graph | ideal | encoder | and a sample of delay | and a load at 30 s (peak) |"
+        yield "|---|---|---|---|---|"
+        names = dict.fromkeys(row["graph"] for row in rows)
+        for name in names:
+            mine = {row["case"]: row for row in rows if (row["graph"], row["clock"]) == (name, clock)}
+            if len(mine) == len(CASES):
+                yield f"| `{name}` | {' | '.join(_cell(mine[case], case) for case in CASES)} |"
+
+
+def _cell(row: dict[str, str], case: str) -> str:
+    if row["diverged_at"]:
+        return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
+    if not row["rms_final"]:
+        return "-"
+    told = plain(float(row["rms_final"]), row["unit"])
+    return f"{told} ({plain(float(row['most_after']), row['unit'])})" if case == "load" else told
+
+
+def write(rows: list[dict[str, Any]]) -> None:
+    """The table, beside the page and in it."""
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, HEADS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    draw()
+
+
+def draw() -> None:
+    """The page from the table."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    PAGE.write_text("".join([before, BEGIN, "\n", "\n".join(table(rows)), "\n", END, after]), encoding="utf-8")
+
+
+def main(words: list[str]) -> None:
+    """Compute what is missing, row by row, and write each as it comes."""
+    if "--draw" in words:
+        draw()
+        return
+    rows = list[dict[str, Any]]()
+    if TABLE.exists():
+        with TABLE.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+    done = {(row["graph"], row["clock"], row["case"]) for row in rows}
+    for name in words or controllers():
+        for clock in CLOCKS:
+            for case in (case for case in CASES if (name, clock, case) not in done):
+                rows.append(row_of(name, clock, case))
+                sys.stderr.write(f"{name} {clock} {case}\n")
+        write(rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

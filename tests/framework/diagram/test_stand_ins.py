@@ -1,0 +1,146 @@
+"""Outputs that stand in for a signal on its way between controller and plant."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import pytest
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.diagram import Diagram
+from dmframe.diagram.wiring import Wire
+from dmframe.errors import DmframeError
+from dmframe.port import Access, Port, Side, State
+
+Ports = ClassVar[tuple[Port, ...]]
+PLANT: Any = Side.PLANT
+
+
+class Law(AbstractBlock):
+    """v = -y."""
+
+    inputs: Ports = (Port("y"),)
+    outputs: Ports = (Port("v", access=Access.COMMANDED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"v": -u.y})
+
+
+class Cart(AbstractBlock):
+    """dy = v."""
+
+    side: ClassVar[Side] = PLANT
+    inputs: Ports = (Port("v"),)
+    outputs: Ports = (Port("y", access=Access.MEASURED),)
+    states: ClassVar[tuple[State, ...]] = (State("y"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"y": x.y}, {"y": u.v})
+
+
+class Watch(AbstractBlock):
+    """Reads the true y, on the plant's side."""
+
+    side: ClassVar[Side] = PLANT
+    inputs: Ports = (Port("y"),)
+    outputs: Ports = (Port("seen"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"seen": u.y})
+
+
+class Sensor(AbstractBlock):
+    """y_m = 2 y."""
+
+    side: ClassVar[Side] = PLANT
+    inputs: Ports = (Port("y"),)
+    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"y_m": 2 * u.y})
+
+
+class Line(AbstractBlock):
+    """Halves a command, and stands in for one that nobody sends."""
+
+    side: ClassVar[Side] = PLANT
+    inputs: Ports = (Port("v"), Port("w", optional=True))
+    outputs: Ports = (Port("half", instead_of="v"), Port("w_half", instead_of="w"))
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"half": u.v / 2, "w_half": u.w / 2})
+
+
+def wired(wires: dict[str, str] | None = None, **blocks: AbstractBlock) -> dict[str, str]:
+    diagram = Diagram.build({"law": Law(), "cart": Cart(), "watch": Watch(), **blocks}, wires)
+    return {
+        f"{block}.{port}": f"{source.block}.{source.port}"
+        for (block, port), source in diagram.sources.items()
+        if isinstance(source, Wire)
+    }
+
+
+PLAIN = {"law.y": "cart.y", "cart.v": "law.v", "watch.y": "cart.y"}
+
+
+def test_without_one_all_is_as_it_was() -> None:
+    assert wired() == PLAIN
+
+
+def test_a_measured_one_stands_in_for_controllers_and_the_plant_reads_on() -> None:
+    assert wired(sensor=Sensor()) == {**PLAIN, "law.y": "sensor.y_m", "sensor.y": "cart.y"}
+
+
+def test_any_other_stands_in_for_the_plant() -> None:
+    assert wired(line=Line()) == {**PLAIN, "cart.v": "line.half", "line.v": "law.v"}
+
+
+def test_several_are_a_chain_in_the_order_of_the_file() -> None:
+    found = wired(b=Sensor(), a=Sensor(), two=Line(), one=Line())
+    chain = {"b.y": "cart.y", "a.y": "b.y_m", "law.y": "a.y_m", "two.v": "law.v", "one.v": "two.half"}
+    assert found == {**PLAIN, **chain, "cart.v": "one.half"}
+
+
+def test_a_wire_to_the_signal_leads_through_them_and_one_to_a_stand_in_is_taken_at_its_word() -> None:
+    through = wired({"law.y": "cart.y", "sensor.y": "cart.y"}, sensor=Sensor())
+    assert through["law.y"] == "sensor.y_m"
+    word = wired({"watch.y": "sensor.y_m"}, sensor=Sensor())
+    assert word["watch.y"] == "sensor.y_m"
+    first = wired({"law.y": "b.y_m"}, b=Sensor(), a=Sensor())
+    assert (first["law.y"], first["a.y"]) == ("b.y_m", "b.y_m")
+
+
+def test_each_stands_in_for_the_signal_that_drives_it_not_for_all_of_that_name() -> None:
+    two = {"other": Law(), "wheel": Cart(), "sensor": Sensor()}
+    wires = {"law.y": "cart.y", "other.y": "wheel.y", "cart.v": "law.v", "wheel.v": "other.v", "watch.y": "cart.y"}
+    found = wired({**wires, "sensor.y": "wheel.y"}, **two)
+    assert (found["law.y"], found["other.y"]) == ("cart.y", "sensor.y_m")
+
+
+def test_a_diagram_says_which_ways_signals_go() -> None:
+    diagram = Diagram.build({"law": Law(), "cart": Cart(), "b": Sensor(), "a": Sensor(), "line": Line()})
+    said = {f"{way.origin.block}.{way.origin.port}": [wire.block for wire in way.through] for way in diagram.ways}
+    assert said == {"cart.y": ["b", "a"], "law.v": ["line"]}
+    assert [way.readers for way in diagram.ways] == [(("law", "y"),), (("cart", "v"),)]
+
+
+def broken(**members: Any) -> type[AbstractBlock]:
+    return type("Broken", (Sensor,), {"__module__": __name__, **members})
+
+
+@pytest.mark.parametrize(
+    ("members", "text"),
+    [
+        ({"outputs": (Port("y_m", instead_of="z"),)}, "the output y_m stands in for z, which is no input; choose"),
+        ({"outputs": (Port("y_m", "3", instead_of="y"),)}, "the output y_m stands in for y, and has another shape or"),
+        ({"outputs": (Port("y_m", "", "m", instead_of="y"),)}, "stands in for y, and has another shape or unit"),
+        ({"side": Side.CONTROLLER}, "the output y_m stands in for y, and the block is no plant; make it one"),
+        ({"inputs": (Port("y", instead_of="y"),)}, "the input y stands in for y; an output does"),
+        ({"inputs": (Port("y", told="much"),)}, "the input y says what a run tells of it; an output does"),
+        ({"outputs": (Port("y_m", told=3),)}, "expected the told of the port 'y_m' in outputs to be a text, found 3"),
+    ],
+)
+def test_what_a_block_declares_of_it_has_to_fit(members: dict[str, Any], text: str) -> None:
+    with pytest.raises(DmframeError) as caught:
+        Diagram.build({"law": Law(), "cart": Cart(), "own": broken(**members)()})
+    assert text in str(caught.value)
