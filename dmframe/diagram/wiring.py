@@ -84,11 +84,31 @@ def wire_blocks(
                 continue
             found = _by_name(name, port, outputs, optional=port.optional and not block.needs(port.name))
             if isinstance(found, DmframeError):
-                faults.append(found)
-            else:
-                sources[end] = found
+                commanded = _as_the_plant(block, port, blocks, chosen)
+                if commanded is None:
+                    faults.append(found)
+                    continue
+                found = commanded
+            sources[end] = found
     _lead_through(blocks, outputs, sources)
     return sources, [*faults, *_unforeseen(blocks, sources)]
+
+
+def _as_the_plant(
+    block: AbstractBlock, port: Port, blocks: Mapping[str, AbstractBlock], chosen: Mapping[End, Source]
+) -> Source | None:
+    """For an input that something stands in for: the command that the graph file wires to the plant's of that name."""
+    if all(output.instead_of != port.name for output in block.outputs):
+        return None
+    commands = {
+        source
+        for (reader, name), source in chosen.items()
+        if name == port.name
+        and blocks[reader].side is Side.PLANT
+        and isinstance(source, Wire)
+        and blocks[source.block].side is Side.CONTROLLER
+    }
+    return commands.pop() if len(commands) == 1 else None
 
 
 def _unforeseen(blocks: Mapping[str, AbstractBlock], sources: Mapping[End, Source]) -> Iterator[WiringError]:
