@@ -47,7 +47,7 @@ class Start(NamedTuple):
     """Where a sample starts: pose, target, sum of the errors; middle pose and average velocity of the sample before."""
 
     q: Any
-    q_t: Any
+    target: Any
     z: Any
     m_before: Any
     v_before: Any

@@ -21,8 +21,8 @@ class DisturbanceObserver(AbstractBlock):
 
     .. math::
 
-        y         &= u_{applied} - (q - q_{before}) / T                  \tag{1} \\
-        \dot q_c  &= \mathrm{clip}(\dot q_r + y, u_{max})               \tag{2} \\
+        \mathrm{lag} &= u_{applied} - (q - q_{before}) / T                  \tag{1} \\
+        \dot q_c  &= \mathrm{clip}(\dot q_r + \mathrm{lag}, u_{max})               \tag{2} \\
         q_{start} &= q, \quad q_{before}^+ = q                           \tag{3}
 
     It is the regression of `sampled_inverse` with one column, the constant 1, and no memory: what the commands and the
@@ -30,7 +30,7 @@ class DisturbanceObserver(AbstractBlock):
     servo nor robot, and learns nothing. :math:`u_{applied}`, the first of `queue`, is the command that acted.
 
     A command acts `delay` samples later. The robot is then taken to be where the commands until then lead it, the
-    disturbance staying as it is, so that :math:`q_{start}` gains :math:`T (u - y)` for each of them.
+    disturbance staying as it is, so that :math:`q_{start}` gains :math:`T (u - \mathrm{lag})` for each of them.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ class DisturbanceObserver(AbstractBlock):
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_c", "n", "rad/s", Access.COMMANDED),
         Port("q_start", "n", "rad"),
-        Port("y", "n", "rad/s"),
+        Port("lag", "n", "rad/s"),
     )
     states: ClassVar[tuple[State, ...]] = (
         State("q_before", "n", "rad", sampled=True),
@@ -85,12 +85,12 @@ class DisturbanceObserver(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
         u_applied, waiting = named("u_applied", x.queue[:, 0]), x.queue[:, 1:]
-        y = u_applied - (u.q - x.q_before) / u.T
-        dq_c = clip(u.dq_r + y, p.u_max)
+        lag = u_applied - (u.q - x.q_before) / u.T
+        dq_c = clip(u.dq_r + lag, p.u_max)
         q_start = u.q
         for k in range(self.delay):
-            q_start = q_start + u.T * (waiting[:, k] - y)
+            q_start = q_start + u.T * (waiting[:, k] - lag)
         return Equations(
-            outputs={"dq_c": dq_c, "q_start": q_start, "y": y},
+            outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag},
             next={"q_before": u.q, "queue": ca.horzcat(waiting, u.dq_sent if self.supervised else dq_c)},
         )

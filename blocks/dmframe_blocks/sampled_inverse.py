@@ -36,7 +36,7 @@ class SampledInverse(AbstractBlock):
 
     Averaged over a sample from kT to (k+1)T with the command u held, servo and robot are linear in constants of each
     joint, from measured positions alone. With v = (q(k+1) - q(k))/T, the middle pose m = q + T v/2, the servo's target
-    q_t, e = m - q_t - T u/2 and z the sum of T e over the samples before:
+    target, e = m - target - T u/2 and z the sum of T e over the samples before:
 
         y = u - v = psi' theta,    psi = (e, z + T e/2, 1, [Y_p(m, v) - Y_p before]/T - Y_c(m, v) + Y_g(m), v, phi(v))
 
@@ -113,7 +113,7 @@ class SampledInverse(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (12) and (32), read over a sample.
+    [WangTAC2020]_, whose inverses of both servos it reads over a sample.
     """
 
     uses_robot: ClassVar[bool] = True
@@ -151,7 +151,7 @@ class SampledInverse(AbstractBlock):
         State("psi_slow", "c", sampled=True, optional=True, recorded=False),
         State("y_slow", "n", "rad/s", sampled=True, optional=True),
         State("q_before", "n", "rad", sampled=True),
-        State("q_t", "n", "rad", sampled=True),
+        State("q_aim", "n", "rad", sampled=True),
         State("z", "n", "rad s", sampled=True),
         State("m_before", "n", "rad", sampled=True),
         State("v_before", "n", "rad/s", sampled=True),
@@ -203,7 +203,7 @@ class SampledInverse(AbstractBlock):
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, as if nothing had been commanded in the sample before."""
         averaged, still = self._averaged(p), 0 * u.q
-        begins = {"q_before": u.q, "q_t": u.q, "m_before": u.q, "m_planned": u.q}
+        begins = {"q_before": u.q, "q_aim": u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
@@ -216,10 +216,10 @@ class SampledInverse(AbstractBlock):
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
-        q_t, z = x.q_t + T * u_applied, x.z + T * (middle - x.q_t - T * u_applied / 2)
+        target, z = x.q_aim + T * u_applied, x.z + T * (middle - x.q_aim - T * u_applied / 2)
         if self.stride > 1:
             kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
-        start, slow, next_slow = Start(u.q, q_t, z, middle, v), 0 * y, dict[str, SX]()
+        start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
             psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
             y_slow = named("y_next", x.y_slow + T / p.tau * (y - x.y_slow))
@@ -242,7 +242,7 @@ class SampledInverse(AbstractBlock):
                 **kept,
                 **next_slow,
                 "q_before": u.q,
-                "q_t": q_t,
+                "q_aim": target,
                 "z": z,
                 "m_before": middle,
                 "v_before": v,
@@ -298,9 +298,9 @@ class SampledInverse(AbstractBlock):
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
         u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / u.T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.q_t, x.z, x.m_before, x.v_before), v, u_applied, u.T))
-        y = named("y", u_applied - v)
-        h, g = (named("h", psi - x.psi_slow), named("g", y - x.y_slow)) if self.filtered else (psi, y)
+        psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, u.T))
+        y = named("y_row", u_applied - v)
+        h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
         return u_applied, v, psi, y, h, g
 
     def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
@@ -314,7 +314,7 @@ class SampledInverse(AbstractBlock):
     def _psi(self, p: Signals, start: Start, v: SX, command: SX, T: SX, *, momentum: SX = 1) -> SX:
         """The row of a sample with average velocity v under a command; `momentum` 0 leaves that's change out."""
         robot, m = p.robot, start.q + T * v / 2
-        e = m - start.q_t - T * command / 2
+        e = m - start.target - T * command / 2
         change = (robot.momentum_regressor(m, v) - robot.momentum_regressor(start.m_before, start.v_before)) / T
         Y = momentum * change - robot.kinetic_regressor(m, v) + robot.gravity_regressor(m)
         return self._averaged(p).row(e, start.z + T * e / 2, ca.DM.ones(robot.n), Y, v, robot.coulomb(v))
@@ -339,7 +339,7 @@ class SampledInverse(AbstractBlock):
 
     def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
         """Theta after a new row, the stored ones, and the new one again, in its box."""
-        learnt, Gamma, box = self._averaged(p).learnt, named("Gamma", self._gamma(p)), named("box", self._box(p))
+        learnt, Gamma, box = self._averaged(p).learnt, named("sizes", self._gamma(p)), named("box", self._box(p))
         return learnt(x.theta, h, g, x.rows, x.goals, Gamma, p.nu, box)
 
     def _gamma(self, p: Signals) -> SX:
@@ -375,9 +375,9 @@ class SampledInverse(AbstractBlock):
         if self.filtered:
             slow = named(f"slow_{k}", slow + T / p.tau * (left(v) + averaged.offset(theta) - slow))
         middle = named(f"m_{k}", start.q + T * v / 2)
-        z = named(f"z_{k}", start.z + T * (middle - start.q_t - T * command / 2))
-        q_t = named(f"q_t_{k}", start.q_t + T * command)
-        return Start(named(f"q_{k}", start.q + T * v), q_t, z, middle, v), slow
+        z = named(f"z_{k}", start.z + T * (middle - start.target - T * command / 2))
+        target = named(f"target_{k}", start.target + T * command)
+        return Start(named(f"q_{k}", start.q + T * v), target, z, middle, v), slow
 
     def _command(self, u: Signals, x: Signals, p: Signals, theta: SX, start: Start, slow: SX, safe: SX) -> SX:
         """The command under which dq_r is what theta predicts, momentum from plan to plan, within its bounds."""

@@ -19,23 +19,23 @@ from dmframe.terms import clip
 class SampledSupervisor(AbstractBlock):
     r"""Sends the command of one of three predictors: none, the column of ones alone, or all columns.
 
-    Each predicts :math:`y = u - v`, what the joints fall short of a command over a sample: `none` predicts zero, so
-    that it commands :math:`\dot q_r` itself; `disturbance_observer` the last sample's y; `sampled_inverse` what it has
+    Each predicts :math:`\mathrm{lag} = u - v`, what the joints fall short of a command over a sample: `none` predicts
+    zero, so that it commands :math:`\dot q_r` itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has
     learnt. Their errors in the sample that is over are
 
     .. math::
 
-        \varepsilon_0 &= y, \quad \varepsilon_1 = y - y_{before}, \quad \varepsilon_2 = \varepsilon   \tag{1}
+        \varepsilon_0 &= \mathrm{lag}, \quad \varepsilon_1 = \mathrm{lag} - \mathrm{lag}_{before}, \quad \varepsilon_2 = \varepsilon   \tag{1}
 
     and :math:`E_i` is the largest :math:`|\varepsilon_i|^2` of the last `window` samples. The best has the least E. It
     takes over from the one in command, c, where
 
     .. math:: E_{best} < \mathrm{hysteresis} \cdot E_c   \tag{2}
 
-    *Trip.* While none is in command, :math:`Y = \max(E_0, \mathrm{quiet}^2)` is kept; it stays as it is under another.
+    *Trip.* While none is in command, :math:`\mathrm{scale} = \max(E_0, \mathrm{quiet}^2)` is kept; it stays as it is under another.
     Where
 
-    .. math:: |\varepsilon_c|^2 > \mathrm{trip}^2\, Y   \tag{3}
+    .. math:: |\varepsilon_c|^2 > \mathrm{trip}^2\, \mathrm{scale}   \tag{3}
 
     none takes over at once and stays for `dwell`, and then twice, four times, ... as long: a predictor that is wrong
     only when it is in command, such as one with a wrong delay, errs ever more rarely. It begins so, too: none commands
@@ -43,7 +43,7 @@ class SampledSupervisor(AbstractBlock):
 
     All three learn from what is sent. What an estimate's error does from sample to sample does not ask how the command
     came about, so that switching leaves the proof of `sampled_inverse` as it is. The task's error obeys the same bound
-    with the error of the one in command, which (3) keeps below `trip` times the square root of Y but for the sample
+    with the error of the one in command, which (3) keeps below `trip` times the square root of scale but for the sample
     that trips.
 
     Parameters
@@ -55,7 +55,7 @@ class SampledSupervisor(AbstractBlock):
     hysteresis : scalar, > 0
         Below one: by how much the best must be better.
     trip : scalar, > 0
-        How often as large as y an error may be.
+        How often as large as the lag an error may be.
     quiet : scalar, rad/s, > 0
         An error smaller than `trip` times this does not trip, also where the robot has only stood still.
     dwell : scalar, s, > 0
@@ -80,7 +80,7 @@ class SampledSupervisor(AbstractBlock):
         Port("dq_full", "n", "rad/s"),
         Port("q_column", "n", "rad"),
         Port("q_full", "n", "rad"),
-        Port("y", "n", "rad/s"),
+        Port("lag", "n", "rad/s"),
         Port("epsilon", "n", "rad/s"),
         PERIOD,
     )
@@ -94,8 +94,8 @@ class SampledSupervisor(AbstractBlock):
     states: ClassVar[tuple[State, ...]] = (
         State("chosen", sampled=True),
         State("errors", "3 N", "rad^2/s^2", sampled=True, recorded=False),
-        State("y_before", "n", "rad/s", sampled=True),
-        State("Y", "", "rad^2/s^2", sampled=True),
+        State("lag_before", "n", "rad/s", sampled=True),
+        State("scale", "", "rad^2/s^2", sampled=True),
         State("rest", "", "s", sampled=True),
         State("next_rest", "", "s", sampled=True),
         State("trips", sampled=True),
@@ -116,16 +116,16 @@ class SampledSupervisor(AbstractBlock):
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """At rest, none in command."""
-        return {"rest": p.dwell, "next_rest": 2 * p.dwell, "Y": p.quiet * p.quiet}
+        return {"rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
-        epsilons = ca.horzcat(u.y, u.y - x.y_before, u.epsilon)
+        epsilons = ca.horzcat(u.lag, u.lag - x.lag_before, u.epsilon)
         squares = named("squares", ca.sum1(epsilons * epsilons).T)
         errors = named("errors_new", ca.horzcat(squares, x.errors[:, :-1]))
         E = [named(f"E_{i}", ca.mmax(errors[i, :])) for i in range(3)]
 
-        tripped = named("tripped", (x.chosen > 0) * (_of(x.chosen, *ca.vertsplit(squares)) > p.trip * p.trip * x.Y))
+        tripped = named("tripped", (x.chosen > 0) * (_of(x.chosen, *ca.vertsplit(squares)) > p.trip * p.trip * x.scale))
         rest = named("rest_new", ca.if_else(tripped, x.next_rest, ca.fmax(0, x.rest - u.T)))
         best = named("best", ca.if_else(E[2] < ca.fmin(E[0], E[1]), 2, ca.if_else(E[1] < E[0], 1, 0)))
         better = _of(best, *E) < p.hysteresis * _of(x.chosen, *E)
@@ -144,8 +144,8 @@ class SampledSupervisor(AbstractBlock):
             next={
                 "chosen": chosen,
                 "errors": errors,
-                "y_before": u.y,
-                "Y": ca.if_else(chosen > 0, x.Y, ca.fmax(E[0], p.quiet * p.quiet)),
+                "lag_before": u.lag,
+                "scale": ca.if_else(chosen > 0, x.scale, ca.fmax(E[0], p.quiet * p.quiet)),
                 "rest": rest,
                 "next_rest": ca.if_else(tripped, 2 * x.next_rest, x.next_rest),
                 "trips": x.trips + tripped,

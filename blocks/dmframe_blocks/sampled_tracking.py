@@ -61,7 +61,7 @@ class SampledTracking(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eq. (30), read over a sample.
+    [WangTAC2020]_, whose Section V gives the law in continuous time.
     """
 
     uses_robot: ClassVar[bool] = True

@@ -177,7 +177,7 @@ def states(**values: Any) -> dict[str, Any]:
         "goals": np.zeros((20, n)),
         "psi_slow": np.zeros(size),
         "q_before": START,
-        "q_t": START,
+        "q_aim": START,
         "m_before": START,
         "m_planned": START,
         "plans": np.zeros((n, 1)),
