@@ -20,20 +20,21 @@ class SampledSupervisor(AbstractBlock):
     r"""Sends the command of one of three predictors: none, the column of ones alone, or all columns.
 
     Each predicts :math:`\mathrm{lag} = u - v`, what the joints fall short of a command over a sample: `none` predicts
-    zero, so that it commands :math:`\dot q_r` itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has
-    learnt. Their errors in the sample that is over are
+    zero, so that it commands :math:`\dot q_r` itself; `disturbance_observer` the last sample's; `sampled_inverse` what
+    it has learnt. Their errors in the sample that is over are
 
     .. math::
 
-        \varepsilon_0 &= \mathrm{lag}, \quad \varepsilon_1 = \mathrm{lag} - \mathrm{lag}_{before}, \quad \varepsilon_2 = \varepsilon   \tag{1}
+        \varepsilon_0 &= \mathrm{lag}, \quad \varepsilon_1 = \mathrm{lag} - \mathrm{lag}_{before}, \quad
+            \varepsilon_2 = \varepsilon   \tag{1}
 
-    and :math:`E_i` is the largest :math:`|\varepsilon_i|^2` of the last `window` samples. The best has the least E. It
-    takes over from the one in command, c, where
+    and :math:`E_i` is the largest :math:`|\varepsilon_i|^2` of the last `compared` samples. The best has the least E.
+    It takes over from the one in command, c, where
 
     .. math:: E_{best} < \mathrm{hysteresis} \cdot E_c   \tag{2}
 
-    *Trip.* While none is in command, :math:`\mathrm{scale} = \max(E_0, \mathrm{quiet}^2)` is kept; it stays as it is under another.
-    Where
+    *Trip.* While none is in command, :math:`\mathrm{scale} = \max(E_0, \mathrm{quiet}^2)` is kept; it stays as it is
+    under another. Where
 
     .. math:: |\varepsilon_c|^2 > \mathrm{trip}^2\, \mathrm{scale}   \tag{3}
 
@@ -50,7 +51,7 @@ class SampledSupervisor(AbstractBlock):
     ----------
     delay : 0, 1 or 2
         Whole samples from a command to its effect, as the predictors have it.
-    window : number, > 1
+    compared : number, > 1
         Samples over which errors are compared.
     hysteresis : scalar, > 0
         Below one: by how much the best must be better.
@@ -59,7 +60,8 @@ class SampledSupervisor(AbstractBlock):
     quiet : scalar, rad/s, > 0
         An error smaller than `trip` times this does not trip, also where the robot has only stood still.
     dwell : scalar, s, > 0
-        How long none is in command at first; longer than `window`, so that what has tripped is not judged by its fall.
+        How long none is in command at first; longer than those samples, so that what has tripped is not judged by its
+        fall.
     u_max : diagonal (n,), rad/s, > 0
         The largest command.
 
@@ -103,7 +105,7 @@ class SampledSupervisor(AbstractBlock):
     )
 
     delay: Literal[0, 1, 2] = 0
-    window: int = Field(10, ge=2)
+    compared: int = Field(10, ge=2)
     hysteresis: Scalar = Positive(default=0.7)
     trip: Scalar = Positive(default=2.0)
     quiet: Scalar = Positive("", "rad/s", default=0.01)
@@ -112,7 +114,7 @@ class SampledSupervisor(AbstractBlock):
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """N samples are compared; d commands act now or wait."""
-        return {"N": self.window, "d": self.delay + 1}
+        return {"N": self.compared, "d": self.delay + 1}
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """At rest, none in command."""

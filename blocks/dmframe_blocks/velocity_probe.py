@@ -16,7 +16,7 @@ class VelocityProbe(AbstractBlock):
     .. math::
 
         \dot q_c = \begin{cases}
-            \dot q_r + \mathrm{amplitude} \cdot \mathrm{sign}(\mathrm{toss}) & k T < \mathrm{lasting} \\
+            \dot q_r + \mathrm{probe} \cdot \mathrm{sign}(\mathrm{toss}) & k T < \mathrm{lasting} \\
             \dot q_r & \mathrm{then} \end{cases}   \tag{1}
 
     Smooth motion alone does not show how late the robot answers, since a delay looks like inertia. `dmframe delay` fits
@@ -24,7 +24,7 @@ class VelocityProbe(AbstractBlock):
 
     Parameters
     ----------
-    amplitude : diagonal (n,), rad/s, > 0
+    probe : diagonal (n,), rad/s, > 0
         Small against the motion, large against what the encoder's noise makes of velocities.
     lasting : scalar, s, > 0
         How long it goes on.
@@ -46,10 +46,10 @@ class VelocityProbe(AbstractBlock):
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
     states: ClassVar[tuple[State, ...]] = (State("since", "", "s", sampled=True),)
 
-    amplitude: Diagonal = Positive("n", "rad/s", default=0.01)
+    probe: Diagonal = Positive("n", "rad/s", default=0.01)
     lasting: Scalar = Positive("", "s", default=3.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        probe = (x.since < p.lasting) * p.amplitude * (2 * (u.toss > 0) - 1)
-        return Equations(outputs={"dq_c": u.dq_r + probe}, next={"since": x.since + u.T})
+        added = (x.since < p.lasting) * p.probe * (2 * (u.toss > 0) - 1)
+        return Equations(outputs={"dq_c": u.dq_r + added}, next={"since": x.since + u.T})
