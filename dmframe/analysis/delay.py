@@ -45,8 +45,8 @@ class FittedDelay:
     jitter
         How much the delay changes from sample to sample, as a root mean square.
     roughness
-        How quickly commands change: their second differences over their first ones, of the smoothest joint. Random
-        commands have 1.7, smooth ones nearly zero.
+        How quickly commands change: the median of their second differences over that of their first ones, of the
+        smoothest joint. Random commands have more than one, smooth ones nearly zero.
     period
         Of the samples [s].
     """
@@ -113,7 +113,7 @@ def fitted_delay(q: Any, dq_c: Any, period: float) -> FittedDelay:
     alike = _DELAYS[excess - excess[place] < 4]
     left, lags = fits[place]
     d, step = float(_DELAYS[place]), float(_DELAYS[1])
-    first, second = (np.sqrt(np.mean(np.diff(u, order, axis=0) ** 2, axis=0)) for order in (1, 2))
+    first, second = (np.median(np.abs(np.diff(u, order, axis=0)), axis=0) for order in (1, 2))
     roughness = float(np.min(second / np.maximum(first, 1e-30)))
     return FittedDelay(d, float(np.ptp(alike) + step) / 2, _jitter(left, u, d, lags, period), roughness, period)
 
