@@ -20,6 +20,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from dmframe.analysis.delay import fitted_delay
     from dmframe.errors import DmframeError
     from dmframe.graph.graph import Graph, load
     from dmframe.graph.runs import Runs, compare
@@ -41,6 +42,7 @@ _HOMES: Final = {
     "blocks": "graph.shelf",
     "compare": "graph.runs",
     "draw": "graph.shortcuts",
+    "fitted_delay": "analysis.delay",
     "graphs": "graph.shelf",
     "load": "graph.graph",
     "load_study": "study.plan",
@@ -62,6 +64,7 @@ __all__ = [
     "blocks",
     "compare",
     "draw",
+    "fitted_delay",
     "graphs",
     "load",
     "load_study",

@@ -38,6 +38,8 @@ class DisturbanceObserver(AbstractBlock):
         Whole samples from a command to its effect. It must be right: told none where there is one, it diverges.
     u_max : diagonal (n,), rad/s, > 0
         The largest command.
+    supervised : true or false
+        Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is observed.
 
     Notes
     -----
@@ -48,7 +50,12 @@ class DisturbanceObserver(AbstractBlock):
     [YoucefToumiIto1990]_, time delay control, for commands of velocity.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"), PERIOD)
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq_r", "n", "rad/s"),
+        Port("dq_sent", "n", "rad/s", optional=True),
+        PERIOD,
+    )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_c", "n", "rad/s", Access.COMMANDED),
         Port("q_start", "n", "rad"),
@@ -61,10 +68,15 @@ class DisturbanceObserver(AbstractBlock):
 
     delay: Literal[0, 1, 2] = 0
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
+    supervised: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """D commands act now or wait."""
         return {"d": self.delay + 1}
+
+    def needs(self, port: str) -> bool:
+        """What is sent, where another block decides it."""
+        return self.supervised and port == "dq_sent"
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest."""
@@ -80,5 +92,5 @@ class DisturbanceObserver(AbstractBlock):
             q_start = q_start + u.T * (waiting[:, k] - lag)
         return Equations(
             outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag},
-            next={"q_before": u.q, "queue": ca.horzcat(waiting, dq_c)},
+            next={"q_before": u.q, "queue": ca.horzcat(waiting, u.dq_sent if self.supervised else dq_c)},
         )

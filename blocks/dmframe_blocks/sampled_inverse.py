@@ -104,6 +104,8 @@ class SampledInverse(AbstractBlock):
         The largest command.
     margin : scalar, >= 0
         Of the slope above 1/2.
+    supervised : true or false
+        Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is learnt from.
 
     Notes
     -----
@@ -115,7 +117,12 @@ class SampledInverse(AbstractBlock):
     """
 
     uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"), PERIOD)
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq_r", "n", "rad/s"),
+        Port("dq_sent", "n", "rad/s", optional=True),
+        PERIOD,
+    )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_c", "n", "rad/s", Access.COMMANDED),
         Port("q_start", "n", "rad"),
@@ -179,6 +186,7 @@ class SampledInverse(AbstractBlock):
     friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0))
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     margin: Scalar = NonNegative(default=0.05)
+    supervised: bool = False
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the parameters of all joints."""
@@ -187,6 +195,10 @@ class SampledInverse(AbstractBlock):
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """W rows are stored, A are averaged with a new one; d commands act now or wait."""
         return {**super().sizes(robot), "W": self.replay, "A": self.average - 1, "d": self.delay + 1}
+
+    def needs(self, port: str) -> bool:
+        """What is sent, where another block decides it."""
+        return self.supervised and port == "dq_sent"
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, as if nothing had been commanded in the sample before."""
@@ -236,7 +248,7 @@ class SampledInverse(AbstractBlock):
                 "v_before": v,
                 "m_planned": start.q + T * u.dq_r / 2,
                 "plans": ca.horzcat(x.plans[:, 1:], u.dq_r),
-                "queue": ca.horzcat(x.queue[:, 1:], dq_c),
+                "queue": ca.horzcat(x.queue[:, 1:], u.dq_sent if self.supervised else dq_c),
                 "count": x.count + 1,
             },
         )

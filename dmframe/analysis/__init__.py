@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
 from dmframe.analysis.emulation import EmulationLimit, emulation_limits
 from dmframe.analysis.figures import bode_svg, nyquist_svg
 from dmframe.analysis.linear import Linear, linearise, tick_jacobian
@@ -18,6 +19,7 @@ from dmframe.analysis.tie import TieGain, least_K_c, tie_gains
 __all__ = [
     "Bracket",
     "EmulationLimit",
+    "FittedDelay",
     "JointLoop",
     "Linear",
     "LoopAnalysis",
@@ -33,6 +35,7 @@ __all__ = [
     "bode_svg",
     "emulation_limits",
     "equilibrium",
+    "fitted_delay",
     "frozen",
     "largest_stable_period",
     "least_K_c",
@@ -46,6 +49,7 @@ __all__ = [
     "proved_schur",
     "rank_region",
     "rank_summary",
+    "recorded_delay",
     "servo_transfer",
     "simulated_period",
     "summary",

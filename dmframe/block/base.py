@@ -140,6 +140,11 @@ class AbstractBlock(BaseModel):
         """Letters that this block binds by itself, ``{"p": 36}``; `robot` is the chain, or None."""
         return {letter: len(elements) for letter, elements in self.elements(robot).items()}
 
+    def needs(self, port: str) -> bool:
+        """Whether an optional input has to be driven, as this block is set."""
+        del port
+        return False
+
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """What a letter counts that this block binds, element by element: names and units for results."""
         del robot

@@ -50,6 +50,7 @@ app = typer.Typer(
 SCHEMA = "dmframe.schema.json"
 """Beside a new graph; the editors' YAML server finds it by the graph's first line."""
 HORIZON = "20"
+RECORD = "3"
 
 
 def _version(wanted: bool) -> None:
@@ -262,6 +263,26 @@ def analyse(
         as_json=as_json,
     )
     return 0
+
+
+@app.command()
+def delay(
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    until: Annotated[str | None, typer.Option(metavar="S", help="Length of the record.", show_default=RECORD)] = None,
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Run a graph that probes its robot, and fit how many samples later than commanded it moves.
+
+    Prints what to tell the blocks; or why no delay may be told, with exit status 1.
+    """
+    from dmframe.cli.delay import delay_of
+    from dmframe.cli.graphs import one_graph
+    from dmframe.cli.options import quantity
+
+    duration = quantity("--until", until or RECORD, "s")
+    return delay_of(one_graph(graph, overrides, trust=trust), duration=duration, as_json=as_json)
 
 
 @app.command()

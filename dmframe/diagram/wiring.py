@@ -82,13 +82,33 @@ def wire_blocks(
             if end in chosen:
                 sources[end] = chosen[end]
                 continue
-            found = _by_name(name, port, outputs)
+            found = _by_name(name, port, outputs, optional=port.optional and not block.needs(port.name))
             if isinstance(found, DmframeError):
-                faults.append(found)
-            else:
-                sources[end] = found
+                commanded = _as_the_plant(block, port, blocks, chosen)
+                if commanded is None:
+                    faults.append(found)
+                    continue
+                found = commanded
+            sources[end] = found
     _lead_through(blocks, outputs, sources)
     return sources, [*faults, *_unforeseen(blocks, sources)]
+
+
+def _as_the_plant(
+    block: AbstractBlock, port: Port, blocks: Mapping[str, AbstractBlock], chosen: Mapping[End, Source]
+) -> Source | None:
+    """For an input that something stands in for: the command that the graph file wires to the plant's of that name."""
+    if all(output.instead_of != port.name for output in block.outputs):
+        return None
+    commands = {
+        source
+        for (reader, name), source in chosen.items()
+        if name == port.name
+        and blocks[reader].side is Side.PLANT
+        and isinstance(source, Wire)
+        and blocks[source.block].side is Side.CONTROLLER
+    }
+    return commands.pop() if len(commands) == 1 else None
 
 
 def _unforeseen(blocks: Mapping[str, AbstractBlock], sources: Mapping[End, Source]) -> Iterator[WiringError]:
@@ -175,7 +195,7 @@ def _explicit(
     return chosen, faults
 
 
-def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
+def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Source | DmframeError:
     if port == TIME:
         return Time()
     if port == PERIOD:
@@ -197,7 +217,7 @@ def _by_name(name: str, port: Port, outputs: Outputs) -> Source | DmframeError:
         )
     if port.derivative_of:
         return Derived(port.derivative_of)
-    if port.optional:
+    if optional:
         return Zero()
     known = {key for ports in outputs.values() for key in ports}
     return WiringError(

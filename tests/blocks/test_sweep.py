@@ -20,9 +20,10 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdWA")
+LETTERS = set("nmpkhcdWAN")
 # the baseline has nothing to prove; a proof over samples is no certificate in continuous time
-UNPROVED = {"kinematic_command", "sampled_tracking", "sampled_inverse", "disturbance_observer"}
+UNPROVED = {"kinematic_command", "velocity_probe", "disturbance_observer"}
+UNPROVED |= {"sampled_tracking", "sampled_inverse", "sampled_supervisor"}
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {

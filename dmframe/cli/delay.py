@@ -1,0 +1,26 @@
+"""``dmframe delay``: how many samples late a robot answers, and what to tell the blocks."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from dmframe.analysis.delay import recorded_delay
+from dmframe.cli.streams import tell
+from dmframe.graph import Graph
+
+NONE_TOLD = 1
+
+
+def delay_of(graph: Graph, *, duration: float, as_json: bool) -> int:
+    """Run one graph, fit its delay and print it; returns the exit status."""
+    found = recorded_delay(graph.run(duration).recording)
+    if as_json:
+        told = None if found.refused else found.whole
+        tell(json.dumps({"graph": graph.name, **asdict(found), "delay": told, "refused": found.refused}, indent=2))
+    elif found.refused:
+        tell(f"{graph.name}: {found}")
+    else:
+        tell(f"{graph.name}: {found}")
+        tell(f"to use it, under blocks, of each block that has this parameter: delay: {found.whole}")
+    return NONE_TOLD if found.refused else 0

@@ -1,0 +1,99 @@
+"""The delay that is fitted: right behind every line and in noise, and refused where there is none to be told."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from test_sampled_supervisor import Line
+
+import dmframe as dm
+from dmframe.analysis.delay import FittedDelay, fitted_delay, recorded_delay
+from dmframe.catalogue import block_types
+from dmframe.config.experiment import load_experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import ValueFault
+from dmframe.simulate import Recording, simulate
+
+
+@functools.cache
+def run(name: str, clock: str, line: Line, *, probe: bool = True, seed: int = 1) -> Recording:
+    """A packaged path, followed by the kinematic controller, its commands probing, for 3 s."""
+    graph = load_experiment(name, [f"clock={clock}"])
+    blocks, wires = {**graph.blocks, "line": line}, dict(graph.file.wires)
+    if probe:
+        blocks["inverse"] = block_types()["velocity_probe"]()
+    wires |= {"servo.dq_c": "line.dq_late", "line.dq_c": "inverse.dq_c"}
+    diagram = Diagram.build(blocks, wires, graph.robot)
+    return simulate(diagram, 3.0, clock=graph.file.clock, start=graph.start, engine="interpreted", seed=seed)
+
+
+def fit(recorded: Recording, noise: float = 0.0) -> FittedDelay:
+    q, clock = np.asarray(recorded["arm.q"]), recorded.clock
+    assert clock is not None
+    noisy = q + noise * np.random.default_rng(5).standard_normal(q.shape)
+    return fitted_delay(noisy, recorded["inverse.dq_c"], clock)
+
+
+@pytest.mark.parametrize("name", ["ur10_slow_kinematic", "ur10_fast_kinematic"])
+@pytest.mark.parametrize("clock", ["90 ms", "20 ms"])
+def test_whole_delays_are_found_also_in_noise(name: str, clock: str) -> None:
+    for samples in (0, 1, 2):
+        recorded = run(name, clock, Line(samples=samples))
+        for noise in (0.0, 3e-5, 1e-4):
+            found = fit(recorded, noise)
+            assert found.whole == samples, (samples, noise, str(found))
+            assert abs(found.samples - samples) <= (0.1 if noise == 0 else 0.25)
+            assert found.half_width < 0.3
+        assert recorded_delay(recorded) == fit(recorded)
+
+
+@pytest.mark.parametrize("clock", ["90 ms", "20 ms"])
+@pytest.mark.parametrize("samples", [0, 1])
+def test_a_delay_that_changes_at_random_is_refused(clock: str, samples: int) -> None:
+    for seed in (1, 2):
+        recorded = run("ur10_slow_kinematic", clock, Line(samples=samples, random=True), seed=seed)
+        for noise in (0.0, 1e-4):
+            found = fit(recorded, noise)
+            assert found.refused, str(found)
+            with pytest.raises(ValueFault, match=r"delay: \d\.\d\d \+- "):
+                _ = found.whole
+
+
+def test_a_delay_longer_than_the_blocks_know_is_refused() -> None:
+    assert "longer than 2 samples" in fit(run("ur10_slow_kinematic", "90 ms", Line(samples=3))).refused
+
+
+def test_half_a_sample_is_no_whole_number_of_samples() -> None:
+    """Of joints that follow at once; each command held for a sample, the answer half a sample later."""
+    rng = np.random.default_rng(3)
+    u = 0.2 + 0.01 * np.sign(rng.standard_normal((60, 2)))
+    late = 0.5 * u + 0.5 * np.vstack([u[:1], u[:-1]])
+    q = np.vstack([np.zeros((1, 2)), np.cumsum(0.05 * late, axis=0)])
+    found = fitted_delay(q, u, 0.05)
+    assert found.samples == pytest.approx(0.5, abs=0.06)
+    assert "no whole number" in found.refused
+    assert fitted_delay(np.vstack([np.zeros((1, 2)), np.cumsum(0.05 * u, axis=0)]), u, 0.05).whole == 0
+
+
+@pytest.mark.parametrize("clock", ["90 ms", "20 ms"])
+def test_smooth_motion_does_not_show_a_delay(clock: str) -> None:
+    for name in ("ur10_slow_kinematic", "ur10_fast_kinematic"):
+        assert "does not show it" in fit(run(name, clock, Line(samples=1), probe=False)).refused
+
+
+def test_what_does_not_belong_together_is_told() -> None:
+    u, q = np.zeros((40, 2)), np.zeros((41, 2))
+    for positions, commands, period, text in (
+        (q[:, :1], u, 0.1, "as many joints"),
+        (q[:12], u, 0.1, r"at least 28 samples, found 11; record 3 s"),
+        (q, u, 0.0, "a period above zero"),
+        (q * np.nan, u, 0.1, "finite"),
+    ):
+        with pytest.raises(ValueFault, match=text):
+            fitted_delay(positions, commands, period)
+
+
+def test_it_is_public() -> None:
+    assert dm.fitted_delay is fitted_delay

@@ -1,0 +1,27 @@
+"""``dmframe delay``: what to tell the blocks, or why nothing."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+
+def test_it_prints_what_to_tell_the_blocks(dmframe: Any) -> None:
+    said = dmframe("delay", "ur10_slow_probe")
+    assert said.status == 0
+    assert "samples of 90 ms" in said.out
+    assert said.out.endswith("delay: 0\n")
+
+
+def test_motion_that_does_not_show_it_is_refused(dmframe: Any) -> None:
+    said = dmframe("delay", "ur10_slow_kinematic", "--json")
+    assert said.status == 1
+    told = json.loads(said.out)
+    assert told["delay"] is None
+    assert "does not show it" in told["refused"]
+
+
+def test_what_has_no_clock_has_no_delay(dmframe: Any) -> None:
+    said = dmframe("delay", "theorem_1")
+    assert said.status == 2
+    assert "expected a graph with a clock" in said.err
