@@ -15,14 +15,15 @@ from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
 from dmframe.certify.hypotheses import of_the_plant
-from dmframe.certify.identity import BITS
+from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
 from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram import Diagram
-from dmframe.exact import ZeroTest, zero_test
+from dmframe.diagram.closed_loop import stack
+from dmframe.exact import Tape, ZeroTest, zero_test
 from dmframe.exact.rational import Interval
 
 SIGNS = "V is positive, what it loses and gains not negative"
@@ -71,7 +72,7 @@ def prove_over_samples(
     controls = sampled_controls(claim, symbols, seed=own)
     numbers = Numbers(claim.base, uncertain)
     conditions, assumptions = _conditions(claim, numbers)
-    outcome, reason = _judged(conditions, controls)
+    outcome, reason = _judged(conditions, controls, _empty(claim, symbols, own))
     return SampledProof(
         claim,
         test,
@@ -95,9 +96,26 @@ def sampled_symbols(claim: SampledClaim, uncertain: Mapping[str, Any]) -> Symbol
     return Symbols((*symbols_of(claim.base, uncertain).groups, *constants))
 
 
+def _empty(claim: SampledClaim, symbols: Symbols, seed: int) -> list[str]:
+    """What is identically zero, of which then nothing would be said."""
+    named = list[tuple[str, SX]]()
+    for part in claim.parts:
+        if part.stored:
+            named.append((f"{part.block}: V(next) - V", claim.change(part)))
+        for role, terms in (("V", part.storage), ("what V loses", part.decrease)):
+            named += [(f"{part.block}: term {place} of {role}", t.value) for place, t in enumerate(terms, start=1)]
+        named += [(f"{part.block}: the rows of {s.estimate}", stack(h for h, _ in s.rows)) for s in part.steps]
+        named += [(f"{part.block}: the rest of a relation", ca.SX(item.rest)) for item in part.relations]
+    tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))
+    outputs = at_random_point(tape, symbols, seed)
+    return [name for (name, _), values in zip(named, outputs, strict=True) if not any(values)]
+
+
 def _judged(
-    conditions: Sequence[Checked], controls: Sequence[Control]
+    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]
 ) -> tuple[Literal["proved", "not_applicable"], str]:
+    if empty:
+        return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         told = ", ".join(missed) or "there are none"
@@ -156,6 +174,9 @@ def _boxed(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> tuple[
             decided(text, "lower <= true value <= upper", LEMMA, _least(room[known], numbers), False, room[known])
         )
     left = sorted({row % true.shape[0] for row in range(room.shape[0]) if row not in known})
+    if left:
+        width, name = (upper - lower)[left], f"{part.block}: box of {item.estimate} holds something"
+        checked.append(decided(name, "lower <= upper", LEMMA, _least(width, numbers), False, width))
     said = f"{text}, in {len(left)} of {true.shape[0]} elements, which are constants that nobody knows"
     return checked, [Assumption(said, LEMMA)] if left else []
 
