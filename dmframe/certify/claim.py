@@ -143,8 +143,8 @@ class Claim:
     def risks(self) -> Mapping[str, tuple[tuple[int, SX], ...]]:
         """What each block's equations divide by, or need to be defined, with the instruction that does."""
         return {
-            name: tuple(risky([*model.equations.outputs.values(), *model.equations.rates.values()]))
-            for name, model in self.diagram.models.items()
+            name: tuple(risky([*of.outputs.values(), *of.rates.values(), *of.next.values()]))
+            for name, of in ((name, model.equations) for name, model in self.diagram.models.items())
         }
 
     @cached_property

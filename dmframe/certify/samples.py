@@ -82,7 +82,8 @@ class SampledClaim:
     parts
         The blocks that claim something.
     silent
-        Those without a certificate, of which nothing is said and nothing is needed.
+        Those without a certificate, and controllers with one of continuous time, of which nothing is said and nothing
+        is needed.
     next
         What each sampled state becomes, by label, measured and commanded signals substituted.
     """
@@ -96,6 +97,14 @@ class SampledClaim:
     def V(self) -> SX:
         """The Lyapunov function."""
         return total([part.V for part in self.parts])
+
+    @property
+    def left(self) -> str:
+        """What V may gain, in words."""
+        unexplained = any(part.steps for part in self.parts)
+        beside = any(part.residual for part in self.parts)
+        kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * beside
+        return " and ".join(kinds) or "nothing"
 
     @cached_property
     def symbols(self) -> Mapping[str, SX]:
@@ -137,7 +146,7 @@ class SampledClaim:
             rate = self.along_the_plant(relation.momentum)
             yield _equal(part.block, "what the plant's motion obeys", rate, -relation.rest)
         for left in part.solved:
-            yield Equality(part.block, "the equation that its output solves", left, ca.fabs(left))
+            yield Equality(part.block, "the equation that its output solves", left, 1 + ca.fabs(left))
 
     def along_the_plant(self, expression: SX) -> SX:
         """d/dt while the plant moves between two samples, its commands free."""
@@ -166,7 +175,7 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     if not any(item.storage or item.steps for item in claiming.values()):
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
-    parts = tuple(_part(diagram, name, item) for name, item in claiming.items())
+    parts = tuple(_told_part(diagram, name, item) for name, item in claiming.items())
     base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
     sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
     moved = diagram.loop.crossed([_put_back(diagram, variable) for variable in sampled])
@@ -239,8 +248,19 @@ def _certificates(diagram: Diagram) -> tuple[dict[str, Certificate | SampledCert
         waiting = list(faults)
     for text in conflicts(diagram, stated):
         raise NotApplicableError(text)
+    other = {name for name, item in found.items() if isinstance(item, Certificate)}
+    silent += (name for name in other if diagram.blocks[name].side is Side.CONTROLLER)
     order = {name: found[name] for name in diagram.blocks if name in found}
     return order, tuple(name for name in diagram.blocks if name in silent), stated
+
+
+def _told_part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPart:
+    """What it claims; raises `NotApplicableError` where that holds no expressions, such as an MX."""
+    try:
+        with told_by(name, "certificate()"):
+            return _part(diagram, name, stated)
+    except BlockError as error:
+        raise NotApplicableError(error.text) from None
 
 
 def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPart:

@@ -14,15 +14,18 @@ from dmframe.certificate import SX, Assumption, NormalisedSteps
 from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
-from dmframe.certify.hypotheses import of_the_plant
+from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
+from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
+from dmframe.certify.sample_domains import domains
 from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.errors import listed
 from dmframe.exact import Tape, ZeroTest, zero_test
 from dmframe.exact.rational import Interval
 
@@ -66,6 +69,8 @@ def prove_over_samples(
     digest = sha256(f"{seed}:{diagram.fingerprint}:{function.serialize()}".encode()).digest()
     own = int.from_bytes(digest[:8], "big")
     test = replace(zero_test(function, values=symbols.fixed, trials=trials, seed=own, bits=BITS), seed=seed)
+    if not test.zero and (reason := doubt(claimed, symbols, own, "what a sample does")):
+        return SampledProof(claim, test, reason, "not_applicable")
     if not test.zero:
         found = refute(claimed, symbols, seed=own)
         return SampledProof(claim, test, f"{found.says} is not what the block claims", "refuted", found)
@@ -79,7 +84,7 @@ def prove_over_samples(
         reason,
         outcome,
         conditions=tuple(conditions),
-        assumptions=tuple(dict.fromkeys([*assumptions, *_hypotheses(claim)])),
+        assumptions=tuple(dict.fromkeys([*assumptions, *domains(claim, symbols, own), *_hypotheses(claim, symbols)])),
         controls=controls,
         statements=tuple(_statements(claim)),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
@@ -134,6 +139,7 @@ def _conditions(claim: SampledClaim, numbers: Numbers) -> tuple[list[Checked], l
     claiming = {part.block for part in claim.parts}
     stated = [(name, item) for name, item in conditions_stated(claim.base) if name in claiming]
     checked, assumed = decide(stated, numbers)
+    checked += dict.fromkeys(undefined(claim.base, numbers))
     for part in claim.parts:
         checked += _weights(part, numbers)
         for item in part.steps:
@@ -181,7 +187,7 @@ def _boxed(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> tuple[
     return checked, [Assumption(said, LEMMA)] if left else []
 
 
-def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
+def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
     """What cannot be decided from the graph."""
     yield from of_the_plant(claim.base.diagram)
     held = "samples are one period apart, and what is commanded is held from each to the next"
@@ -190,6 +196,15 @@ def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
         for item in part.steps:
             eta = f"{part.block}: eta, what the rows of {item.estimate} leave unexplained of the means over a sample"
             yield Assumption(f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH)
+        if part.steps and not part.relations:
+            text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
+            yield Assumption(text, "the means over a sample")
+        if part.residual:
+            within = symbols_in(map(ca.SX, (piece for term in part.residual for piece in term.pieces)))
+            made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
+            of = listed(made) or "parameters"
+            text = f"{part.block}: what V gains beside, made of {of}, is small: nothing bounds it"
+            yield Assumption(text, "the identity above")
     if claim.silent:
         yield Assumption(
             f"of {', '.join(claim.silent)} this proof says nothing: it holds whatever is commanded",

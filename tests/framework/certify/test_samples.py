@@ -356,6 +356,8 @@ class Filter(AbstractBlock):
                 return replace(honest, constants={"a": ca.SX.sym("k")})
             case "no_name":
                 return replace(honest, constants={"k is known\nproved": ca.SX.sym("k")})
+            case "MX":
+                return replace(honest, storage=(Square(ca.MX.sym("x", 2)),))
             case "empty":
                 return replace(honest, storage=(Square(0 * x.f),), decrease=(), residual=())
             case "time":
@@ -386,6 +388,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("sum", "expected the constant k to be a symbol, found an expression"),
         ("named_as_gain", "expected a constant's name to be one of its own, found 'a'"),
         ("no_name", "expected a constant's name to be one of its own"),
+        ("MX", "f: certificate(), "),
         ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
         ("time", "the momentum of a relation holds more than what the plant moves"),
         ("jumps", "the momentum of a relation holds more than what the plant moves"),
@@ -446,6 +449,12 @@ class Steps(AbstractBlock):
                 rows, box = ((h, y),), (one, -one)
             case "pole":
                 rows = ((h / (u.T - T), y),)
+            case "no_sample":
+                rows = ((h / (p.gain - 2), y),)
+            case "root":
+                rows = ((ca.sqrt(1 + h**2), y),)
+            case "folded":
+                rows = ((1 / (h - h[0] - 5), y),)
             case _:
                 rows = ((h, y),)
         return NormalisedSteps("w", x.w, true, p.gain * one, (2,), p.floor, rows, box)
@@ -472,3 +481,51 @@ def test_steps_that_learn_nothing_are_no_claim(lie: str, says: str) -> None:
     verdict = verify(filtered(Steps, lie=lie))
     assert verdict.outcome == "not_applicable"
     assert says in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("lie", "says"), [("root", "but only by a property of a function"), ("folded", "no more than the rounding")]
+)
+def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
+    verdict = verify(filtered(Steps, lie=lie))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason.startswith("not decided: what a sample does")
+    assert says in verdict.reason
+
+
+def assumed(diagram: Diagram) -> str:
+    verdict = verify(diagram)
+    assert verdict.outcome == "proved", verdict.reason
+    return "\n".join(item.text for item in verdict.assumptions)
+
+
+def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
+    assert "divide" not in assumed(filtered(Steps))
+    assert "divide" not in assumed(diagram())
+    assert "f: what its samples divide by stays away from zero" in assumed(filtered(Steps, lie="pole"))
+    verdict = verify(filtered(Steps, lie="no_sample"))
+    assert verdict.outcome == "not_applicable"
+    assert "f.gain-2) is not zero" in verdict.reason.replace("(-2+f.gain)", "(f.gain-2)")
+
+
+def test_it_is_said_what_nothing_bounds_and_what_nothing_ties_to_the_plant() -> None:
+    said = assumed(filtered(Steps))
+    assert "f: the plant's motion obeys what its rows say; the block states no relation that does" in said
+    assert "other: what V gains beside, made of carts.y, is small: nothing bounds it" in said
+    assert "no relation" not in assumed(diagram())
+    left = "what its data leave unexplained and a residual that nothing bounds"
+    verdict = verify(filtered(Steps))
+    assert verdict.headline == f"proved over samples, up to {left}; tracking is not part of it"
+    assert f"rises by no more than {left}" in meaning_of(verdict, T).sentence
+
+
+class Emulated(Mute):
+    """Claims something in continuous time, which a clock does not keep."""
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(x.i),), supply=ca.dot(x.i, u.y))
+
+
+def test_a_claim_in_continuous_time_is_told_not_to_be_a_part() -> None:
+    claim = sampled_claim_of(Diagram.build({"learner": Learner(), "carts": Carts(), "emulated": Emulated()}))
+    assert claim.silent == ("emulated",)
