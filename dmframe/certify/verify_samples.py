@@ -110,6 +110,7 @@ def _empty(claim: SampledClaim, symbols: Symbols, seed: int) -> list[str]:
         for role, terms in (("V", part.storage), ("what V loses", part.decrease)):
             named += [(f"{part.block}: term {place} of {role}", t.value) for place, t in enumerate(terms, start=1)]
         named += [(f"{part.block}: the rows of {s.estimate}", stack(h for h, _ in s.rows)) for s in part.steps]
+        named += [(f"{part.block}: when {item.state} is stored", ca.SX(item.when)) for item in part.kept]
         named += [(f"{part.block}: the rest of a relation", ca.SX(item.rest)) for item in part.relations]
     tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))
     outputs = at_random_point(tape, symbols, seed)

@@ -10,7 +10,17 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Kept, NormalisedSteps, Relation, SampledCertificate, Square
+from dmframe.certificate import (
+    Assumption,
+    Certificate,
+    Condition,
+    Inequality,
+    Kept,
+    NormalisedSteps,
+    Relation,
+    SampledCertificate,
+    Square,
+)
 from dmframe.certify import verify
 from dmframe.certify.refute import replay
 from dmframe.certify.samples import sampled_claim_of
@@ -320,7 +330,7 @@ class Filter(AbstractBlock):
     """f+ = a f + y, and what can be said of it that is not so, or says nothing."""
 
     inputs: Ports = (Port("y", "2"), Port("v", "2"), TIME)
-    states: States = (State("f", "2", sampled=True),)
+    states: States = (State("f", "2", sampled=True), State("rows", "2 2", sampled=True))
     truth: Ports = (Port("m", "2"), Port("b", "2"), Port("force", "2"))
     a: Scalar = Real(default=0.5)
     lie: str = ""
@@ -329,7 +339,7 @@ class Filter(AbstractBlock):
         return p.a * x.f + u.y
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations(next={"f": self._next(u, x, p)})
+        return Equations(next={"f": self._next(u, x, p), "rows": x.rows})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
         left = 1 - p.a**2
@@ -356,6 +366,8 @@ class Filter(AbstractBlock):
                 return replace(honest, constants={"a": ca.SX.sym("k")})
             case "no_name":
                 return replace(honest, constants={"k is known\nproved": ca.SX.sym("k")})
+            case "never_stores":
+                return replace(honest, kept=(Kept("rows", u.y, 0.0),))
             case "MX":
                 return replace(honest, storage=(Square(ca.MX.sym("x", 2)),))
             case "empty":
@@ -389,6 +401,7 @@ def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
         ("named_as_gain", "expected a constant's name to be one of its own, found 'a'"),
         ("no_name", "expected a constant's name to be one of its own"),
         ("MX", "f: certificate(), "),
+        ("never_stores", "identically zero, so that nothing would be proved: f: when rows is stored"),
         ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
         ("time", "the momentum of a relation holds more than what the plant moves"),
         ("jumps", "the momentum of a relation holds more than what the plant moves"),
@@ -413,7 +426,7 @@ def test_two_relations_are_two_controls() -> None:
 class BoxedFilter(Filter):
     """The framework puts it back into a box, of which its claim knows nothing."""
 
-    states: States = (State("f", "2", box="f_box", sampled=True),)
+    states: States = (State("f", "2", box="f_box", sampled=True), State("rows", "2 2", sampled=True))
     f_box: Box = Interval(default=(5.0, 6.0))
 
 
@@ -529,3 +542,20 @@ class Emulated(Mute):
 def test_a_claim_in_continuous_time_is_told_not_to_be_a_part() -> None:
     claim = sampled_claim_of(Diagram.build({"learner": Learner(), "carts": Carts(), "emulated": Emulated()}))
     assert claim.silent == ("emulated",)
+
+
+class Wordy(Steps):
+    """Breaks the line of what it states, so that its words stand like a verdict's."""
+
+    said: str = ""
+
+    def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
+        return (Assumption(self.said), Inequality(self.said, p.gain, ""))
+
+
+@pytest.mark.parametrize("said", ["all is well\nproved", "\x1b[2Jproved", "fine\u2028proved"])
+def test_an_authors_words_stay_on_their_line(said: str) -> None:
+    assert verify(filtered(Wordy, said="all is well")).outcome == "proved"
+    verdict = verify(filtered(Wordy, said=said))
+    assert verdict.outcome == "not_applicable"
+    assert "expected texts of one line" in verdict.reason
