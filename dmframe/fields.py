@@ -31,7 +31,7 @@ def _kinds(of: type) -> dict[str, Any]:
 def fault_of(name: str, kind: Any, value: Any) -> str:
     """What is wrong with a value, told of its innermost part; empty where nothing is."""
     origin, parts = get_origin(kind), get_args(kind)
-    if origin is tuple and isinstance(value, tuple):
+    if origin is tuple and type(value) is tuple:
         found = (fault_of(f"{name}[{place}]", parts[0], item) for place, item in enumerate(value))
     elif origin is Mapping and isinstance(value, Mapping):
         keys = (fault_of(f"each name of {name}", parts[0], key) for key in value)
@@ -49,12 +49,16 @@ def _values(name: str, kind: Any, value: Mapping[Any, Any]) -> Any:
 
 
 def _is(kind: Any, value: Any) -> bool:
+    """Is a value of that kind itself: a class of an author's own, made of a term, could count for something else."""
     if kind is Any:
         numbers = isinstance(value, np.ndarray) and value.ndim <= 2 and value.dtype.kind in "iuf"
         return numbers or (isinstance(value, EXPRESSIONS) and not isinstance(value, bool))
     if isinstance(kind, UnionType):
         return any(_is(part, value) for part in get_args(kind))
-    return isinstance(kind, type) and isinstance(value, kind)
+    if not isinstance(kind, type):
+        return False
+    sealed = getattr(kind, "__final__", False) or kind in (str, int)
+    return type(value) is kind if sealed else isinstance(value, kind)
 
 
 def _words(kind: Any) -> str:

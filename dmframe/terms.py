@@ -369,10 +369,18 @@ class NormalisedSteps:
         r"""The sum of :math:`\eta^2 / n`, never negative."""
         return self._taken()[3]
 
+    @property
+    def sizes(self) -> tuple[SX, ...]:
+        """The norms n of each row, by which its step divides: columns."""
+        return tuple(self._size(h) for h, _ in self.rows)
+
+    def _size(self, h: SX) -> SX:
+        return self.floor + summed(self.parts, h * h * self.gain)
+
     def _taken(self) -> tuple[SX, SX, SX, SX]:
         theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
         for h, y in self.rows:
-            size = self.floor + summed(self.parts, h * h * self.gain)
+            size = self._size(h)
             missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
             lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
             gained += ca.sum1((missed + error) ** 2 / size)

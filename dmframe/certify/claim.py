@@ -143,8 +143,8 @@ class Claim:
     def risks(self) -> Mapping[str, tuple[tuple[int, SX], ...]]:
         """What each block's equations divide by, or need to be defined, with the instruction that does."""
         return {
-            name: tuple(risky([*model.equations.outputs.values(), *model.equations.rates.values()]))
-            for name, model in self.diagram.models.items()
+            name: tuple(risky([*of.outputs.values(), *of.rates.values(), *of.next.values()]))
+            for name, of in ((name, model.equations) for name, model in self.diagram.models.items())
         }
 
     @cached_property
@@ -332,7 +332,7 @@ def _certificate(diagram: Diagram, name: str, stated: Stated) -> tuple[Certifica
         raise NotApplicableError(f"{name}: {faults[0].text}")
     with told_by(name, "certificate()"):
         certificate = diagram.blocks[name].composed_certificate(seen.u, seen.x, seen.p, seen.truth)
-    if certificate is not None and not isinstance(certificate, Certificate):
+    if certificate is not None and type(certificate) is not Certificate:
         raise NotApplicableError(f"{name}: expected a Certificate, found {type(certificate).__name__}")
     if certificate is not None:
         check_form(name, certificate)

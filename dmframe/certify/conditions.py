@@ -88,7 +88,14 @@ def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
         fault = fault_of("what it returns", tuple[Condition, ...], given)
         if fault:
             raise NotApplicableError(f"{name}: conditions(), {place_of(type(block), 'conditions')}: {fault}")
-        yield from ((name, condition) for condition in stated)
+        for condition in stated:
+            texts = [value for value in vars(condition).values() if isinstance(value, str)]
+            if unfit := next((text for text in texts if not text.isprintable()), ""):
+                raise NotApplicableError(
+                    f"{name}: conditions(), {place_of(type(block), 'conditions')}: expected texts of one line, "
+                    f"found {unfit!r}"
+                )
+            yield name, condition
 
 
 def _inequality(name: str, condition: Inequality, numbers: Numbers) -> Checked:

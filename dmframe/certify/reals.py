@@ -13,8 +13,7 @@ from decimal import Decimal
 from fractions import Fraction
 from typing import final
 
-from dmframe.certify.claim import Claim
-from dmframe.certify.identity import Equality, equalities
+from dmframe.certify.identity import Equality
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape
 from dmframe.exact.digits import UndefinedHere, at_point, decimal_of
@@ -36,12 +35,12 @@ FOLDED = 16
 """Operations on literals that may have been carried out, and rounded, while the equations were written."""
 
 BY_A_FUNCTION = (
-    "not decided: dV/dt is what the blocks claim at every real point that was tried, to 35 digits, but only by a "
+    "not decided: {of} is what the blocks claim at every real point that was tried, to 35 digits, but only by a "
     "property of a function (tanh, sqrt, sin of a sum) that the exact test does not know, or only away from where a "
     "sign or a comparison switches"
 )
 BY_ROUNDING = (
-    "not decided: dV/dt differs from what the blocks claim, but by no more than the rounding of numbers in the code "
+    "not decided: {of} differs from what the blocks claim, but by no more than the rounding of numbers in the code "
     "that were computed with before they came into an equation (0.1 + 0.2 is 0.30000000000000004); write 0.3, or make "
     "them parameters"
 )
@@ -51,13 +50,13 @@ NOWHERE = (
 )
 
 
-def doubt(claim: Claim, symbols: Symbols, seed: int) -> str:
-    """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it.
+def doubt(stated: Sequence[Equality], symbols: Symbols, seed: int, of: str = "dV/dt") -> str:
+    """Why a claim that fails in the field is not refuted yet; empty where a real point refutes it. `of` names it.
 
     Points are drawn of both signs, above zero (where roots and powers are real), and with some signals at zero (where
     signs are); one at which something is not defined is drawn again, and is no difference.
     """
-    look = _Look(equalities(claim), symbols, random.Random(seed))
+    look = _Look(stated, symbols, random.Random(seed))
     reason = ""
     for draw in (look.any_sign, look.positive, look.some_zero):
         for point in look.defined(draw, POINTS):
@@ -65,7 +64,7 @@ def doubt(claim: Claim, symbols: Symbols, seed: int) -> str:
             if found and not look.is_rounding(point):
                 return ""
             reason = BY_ROUNDING if found else reason or BY_A_FUNCTION
-    return reason or NOWHERE
+    return (reason or NOWHERE).format(of=of)
 
 
 Point = list[list[Decimal]]

@@ -21,7 +21,7 @@ from dmframe.port import Side
 
 
 @final
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fault:
     """A factor, 1 in the claim as it stands; `matters` must not be zero, or it is none."""
 
@@ -92,8 +92,8 @@ def _faulty(claim: SampledClaim, gains: Sequence[Group], copies: Sequence[SX]) -
             for word, value in (("loses", part.lost), ("gains", part.gained))
         ]
         rests = [
-            _Fault(f"{part.block}: the rest of its relation dropped", ca.SX.sym("rest"), 0, ca.sum1(item.rest))
-            for item in part.relations
+            _Fault(f"{part.block}: the rest of {which} dropped", ca.SX.sym("rest"), 0, ca.sum1(ca.SX(item.rest)))
+            for which, item in zip(_numbered("its relation", len(part.relations)), part.relations, strict=True)
         ]
         (loses, gains_too), faulty = sums, _with_rests(part, [fault.factor for fault in rests])
         if part.stored:
@@ -102,6 +102,10 @@ def _faulty(claim: SampledClaim, gains: Sequence[Group], copies: Sequence[SX]) -
         expressions += [item.expression for item in changed.of(faulty) if item.says != "V(next) - V"]
         faults += [*sums, *rests]
     return faults, expressions
+
+
+def _numbered(what: str, count: int) -> list[str]:
+    return [what] if count == 1 else [f"{what} {place}" for place in range(1, count + 1)]
 
 
 def _turned(symbol: SX, becomes: SX, factor: SX) -> SX:

@@ -21,8 +21,9 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Certificate, Kept, NormalisedSteps, Relation, SampledCertificate, Square
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.certify.identity import Equality
+from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
-from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.closed_loop import Variable, stack
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, nearest
@@ -81,7 +82,8 @@ class SampledClaim:
     parts
         The blocks that claim something.
     silent
-        Those without a certificate, of which nothing is said and nothing is needed.
+        Those without a certificate, and controllers with one of continuous time, of which nothing is said and nothing
+        is needed.
     next
         What each sampled state becomes, by label, measured and commanded signals substituted.
     """
@@ -95,6 +97,14 @@ class SampledClaim:
     def V(self) -> SX:
         """The Lyapunov function."""
         return total([part.V for part in self.parts])
+
+    @property
+    def left(self) -> str:
+        """What V may gain, in words."""
+        unexplained = any(part.steps for part in self.parts)
+        beside = any(part.residual for part in self.parts)
+        kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * beside
+        return " and ".join(kinds) or "nothing"
 
     @cached_property
     def symbols(self) -> Mapping[str, SX]:
@@ -136,7 +146,7 @@ class SampledClaim:
             rate = self.along_the_plant(relation.momentum)
             yield _equal(part.block, "what the plant's motion obeys", rate, -relation.rest)
         for left in part.solved:
-            yield Equality(part.block, "the equation that its output solves", left, ca.fabs(left))
+            yield Equality(part.block, "the equation that its output solves", left, 1 + ca.fabs(left))
 
     def along_the_plant(self, expression: SX) -> SX:
         """d/dt while the plant moves between two samples, its commands free."""
@@ -165,16 +175,43 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     if not any(item.storage or item.steps for item in claiming.values()):
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
-    parts = tuple(_part(diagram, name, item) for name, item in claiming.items())
+    parts = tuple(_told_part(diagram, name, item) for name, item in claiming.items())
     base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
     sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
-    moved = diagram.loop.crossed([variable.next for variable in sampled])
+    moved = diagram.loop.crossed([_put_back(diagram, variable) for variable in sampled])
     becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}
     claim = SampledClaim(base, parts, silent, becomes)
+    for text in _no_constants(claim):
+        raise NotApplicableError(text)
     for part in parts:
         for text in _unfit(claim, part):
             raise NotApplicableError(f"{part.block}: {text}")
     return claim
+
+
+def _put_back(diagram: Diagram, variable: Variable) -> SX:
+    """A sampled state at the next sample, back in its box or ball."""
+    held = diagram.loop.held(variable.symbol)
+    return ca.substitute([held], [variable.symbol], [ca.densify(ca.SX(variable.next))])[0]
+
+
+def _no_constants(claim: SampledClaim) -> Iterator[str]:
+    """What is called a constant that nobody knows, and is a signal, a parameter, or no symbol of its own."""
+    groups = symbols_of(claim.base).groups
+    labels = {group.label for group in groups}
+    loop, sources = claim.base.loop, claim.base.diagram.resolver.trajectories.values()
+    taken = symbols_in([*(group.symbol for group in groups), *(leaf.symbol for leaf in (*loop.crossings, *sources))])
+    taken |= symbols_in(parameter.symbol for parameter in loop.parameters)
+    for part in claim.parts:
+        for name, symbol in part.constants.items():
+            found = symbols_in([symbol])
+            if not name.isidentifier() or f"{part.block}.{name}" in labels:
+                yield f"{part.block}: expected a constant's name to be one of its own, found {name!r}"
+            if not symbol.is_dense() or not symbol.is_valid_input() or len(found) != symbol.numel():
+                yield f"{part.block}: expected the constant {name} to be a symbol, found an expression"
+            if found & taken:
+                yield f"{part.block}: expected the constant {name} to be a symbol of its own, found one of the diagram"
+            taken |= found
 
 
 def certificates_over_samples(
@@ -199,7 +236,7 @@ def certificates_over_samples(
             if certificate is None:
                 silent.append(name)
                 continue
-            if not isinstance(certificate, Certificate | SampledCertificate):
+            if type(certificate) not in (Certificate, SampledCertificate):
                 kind = type(certificate).__name__
                 raise NotApplicableError(f"{name}: expected a Certificate or a SampledCertificate, found {kind}")
             found[name] = certificate
@@ -213,8 +250,19 @@ def certificates_over_samples(
         waiting = list(faults)
     for text in conflicts(diagram, stated):
         raise NotApplicableError(text)
+    other = {name for name, item in found.items() if isinstance(item, Certificate)}
+    silent += (name for name in other if diagram.blocks[name].side is Side.CONTROLLER)
     order = {name: found[name] for name in diagram.blocks if name in found}
     return order, tuple(name for name in diagram.blocks if name in silent), stated
+
+
+def _told_part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPart:
+    """What it claims; raises `NotApplicableError` where that holds no expressions, such as an MX."""
+    try:
+        with told_by(name, "certificate()"):
+            return _part(diagram, name, stated)
+    except BlockError as error:
+        raise NotApplicableError(error.text) from None
 
 
 def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPart:
@@ -267,16 +315,31 @@ def _unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
                 yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
         if symbols_in([term.weight]) - constant:
             yield "V weighs with what moves; expected weights made of parameters"
+    weighed = symbols_in([part.V]) - constant
+    for term in part.residual:
+        for symbol in symbols_in(map(ca.SX, term.pieces)) & weighed:
+            yield (
+                f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
+                "residual made of what is not in V"
+            )
     for item in part.steps:
         for role in ("true", "gain", "floor"):
             if symbols_in([getattr(item, role)]) - constant:
                 yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
         if any(symbols_in([end]) - constant for end in item.box):
             yield f"the box of {item.estimate} moves; expected one made of parameters"
+        if symbols_in(map(ca.SX, (piece for row in item.rows for piece in row))) & symbols_in([item.theta]):
+            yield f"the rows of {item.estimate} hold {item.estimate} itself; expected what is measured or stored"
     for relation in part.relations:
         momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
         if codes(momentum) & (JUMPS | KINKS | EDGES):
             yield "the momentum of a relation jumps or has a kink, so that it has no derivative; expected a smooth one"
+        flowing = symbols_in(variable.symbol for variable in loop.flowing)
+        if symbols_in([relation.momentum]) - flowing - constant:
+            yield (
+                "the momentum of a relation holds more than what the plant moves between samples and constants: the "
+                "time, or what jumps at a sample; expected states of the plant"
+            )
 
 
 def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:

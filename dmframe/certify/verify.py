@@ -88,7 +88,7 @@ class Verdict:
         """The outcome in words, with what a proof does not reach."""
         words = self.outcome.replace("_", " ")
         if self.outcome == "proved" and self.samples is not None:
-            words += " over samples, up to what its data leave unexplained; tracking is not part of it"
+            words += f" over samples, up to {self.samples.left}; tracking is not part of it"
         if self.outcome == "proved" and self.bounds:
             grows = any(bound.times for bound in self.bounds)
             words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
@@ -177,7 +177,7 @@ def _verified(
         test = check_identity(claim, symbols, trials=trials, seed=seed)
     except ValueFault as error:
         return Verdict("not_applicable", error.text, claim, build=clock.build, check=clock.check)
-    if not test.zero and (reason := doubt(claim, symbols, seed)):
+    if not test.zero and (reason := doubt(equalities(claim), symbols, seed)):
         return Verdict("not_applicable", reason, claim, test, build=clock.build, check=clock.check)
     if not test.zero:
         refutation = refute(equalities(claim), symbols, seed=seed)

@@ -14,15 +14,19 @@ from dmframe.certificate import SX, Assumption, NormalisedSteps
 from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
-from dmframe.certify.hypotheses import of_the_plant
-from dmframe.certify.identity import BITS
+from dmframe.certify.hypotheses import of_the_plant, undefined
+from dmframe.certify.identity import BITS, at_random_point
+from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
+from dmframe.certify.sample_domains import domains
 from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram import Diagram
-from dmframe.exact import ZeroTest, zero_test
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import listed
+from dmframe.exact import Tape, ZeroTest, zero_test
 from dmframe.exact.rational import Interval
 
 SIGNS = "V is positive, what it loses and gains not negative"
@@ -65,20 +69,22 @@ def prove_over_samples(
     digest = sha256(f"{seed}:{diagram.fingerprint}:{function.serialize()}".encode()).digest()
     own = int.from_bytes(digest[:8], "big")
     test = replace(zero_test(function, values=symbols.fixed, trials=trials, seed=own, bits=BITS), seed=seed)
+    if not test.zero and (reason := doubt(claimed, symbols, own, "what a sample does")):
+        return SampledProof(claim, test, reason, "not_applicable")
     if not test.zero:
         found = refute(claimed, symbols, seed=own)
         return SampledProof(claim, test, f"{found.says} is not what the block claims", "refuted", found)
     controls = sampled_controls(claim, symbols, seed=own)
     numbers = Numbers(claim.base, uncertain)
     conditions, assumptions = _conditions(claim, numbers)
-    outcome, reason = _judged(conditions, controls)
+    outcome, reason = _judged(conditions, controls, _empty(claim, symbols, own))
     return SampledProof(
         claim,
         test,
         reason,
         outcome,
         conditions=tuple(conditions),
-        assumptions=tuple(dict.fromkeys([*assumptions, *_hypotheses(claim)])),
+        assumptions=tuple(dict.fromkeys([*assumptions, *domains(claim, symbols, own), *_hypotheses(claim, symbols)])),
         controls=controls,
         statements=tuple(_statements(claim)),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
@@ -95,9 +101,27 @@ def sampled_symbols(claim: SampledClaim, uncertain: Mapping[str, Any]) -> Symbol
     return Symbols((*symbols_of(claim.base, uncertain).groups, *constants))
 
 
+def _empty(claim: SampledClaim, symbols: Symbols, seed: int) -> list[str]:
+    """What is identically zero, of which then nothing would be said."""
+    named = list[tuple[str, SX]]()
+    for part in claim.parts:
+        if part.stored:
+            named.append((f"{part.block}: V(next) - V", claim.change(part)))
+        for role, terms in (("V", part.storage), ("what V loses", part.decrease)):
+            named += [(f"{part.block}: term {place} of {role}", t.value) for place, t in enumerate(terms, start=1)]
+        named += [(f"{part.block}: the rows of {s.estimate}", stack(h for h, _ in s.rows)) for s in part.steps]
+        named += [(f"{part.block}: when {item.state} is stored", ca.SX(item.when)) for item in part.kept]
+        named += [(f"{part.block}: the rest of a relation", ca.SX(item.rest)) for item in part.relations]
+    tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))
+    outputs = at_random_point(tape, symbols, seed)
+    return [name for (name, _), values in zip(named, outputs, strict=True) if not any(values)]
+
+
 def _judged(
-    conditions: Sequence[Checked], controls: Sequence[Control]
+    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]
 ) -> tuple[Literal["proved", "not_applicable"], str]:
+    if empty:
+        return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         told = ", ".join(missed) or "there are none"
@@ -116,6 +140,7 @@ def _conditions(claim: SampledClaim, numbers: Numbers) -> tuple[list[Checked], l
     claiming = {part.block for part in claim.parts}
     stated = [(name, item) for name, item in conditions_stated(claim.base) if name in claiming]
     checked, assumed = decide(stated, numbers)
+    checked += dict.fromkeys(undefined(claim.base, numbers))
     for part in claim.parts:
         checked += _weights(part, numbers)
         for item in part.steps:
@@ -156,11 +181,14 @@ def _boxed(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> tuple[
             decided(text, "lower <= true value <= upper", LEMMA, _least(room[known], numbers), False, room[known])
         )
     left = sorted({row % true.shape[0] for row in range(room.shape[0]) if row not in known})
+    if left:
+        width, name = (upper - lower)[left], f"{part.block}: box of {item.estimate} holds something"
+        checked.append(decided(name, "lower <= upper", LEMMA, _least(width, numbers), False, width))
     said = f"{text}, in {len(left)} of {true.shape[0]} elements, which are constants that nobody knows"
     return checked, [Assumption(said, LEMMA)] if left else []
 
 
-def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
+def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
     """What cannot be decided from the graph."""
     yield from of_the_plant(claim.base.diagram)
     held = "samples are one period apart, and what is commanded is held from each to the next"
@@ -169,6 +197,15 @@ def _hypotheses(claim: SampledClaim) -> Iterator[Assumption]:
         for item in part.steps:
             eta = f"{part.block}: eta, what the rows of {item.estimate} leave unexplained of the means over a sample"
             yield Assumption(f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH)
+        if part.steps and not part.relations:
+            text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
+            yield Assumption(text, "the means over a sample")
+        if part.residual:
+            within = symbols_in(map(ca.SX, (piece for term in part.residual for piece in term.pieces)))
+            made = [g.label for g in symbols.groups if within & symbols_in([g.symbol]) and g.kind != "parameter"]
+            of = listed(made) or "parameters"
+            text = f"{part.block}: what V gains beside, made of {of}, is small: nothing bounds it"
+            yield Assumption(text, "the identity above")
     if claim.silent:
         yield Assumption(
             f"of {', '.join(claim.silent)} this proof says nothing: it holds whatever is commanded",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certify import Verdict
+from dmframe.certify.samples import SampledClaim
 from dmframe.errors import listed
 from dmframe.report.notation import marked, signal_latex
 from dmframe.units import plain
@@ -30,7 +31,7 @@ def meaning_of(verdict: Verdict, clock: float | None) -> Meaning:
 
 def _proved(verdict: Verdict, clock: float | None) -> Meaning:
     if verdict.samples is not None:
-        return _proved_over_samples(verdict)
+        return _proved_over_samples(verdict, verdict.samples)
     sentence = _sentence_with_residual(verdict) if verdict.bounds else _sentence(verdict)
     means = (
         "The proof is an identity: $\\dot V$, differentiated along the very equations that the simulator integrates, "
@@ -42,15 +43,16 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
     return Meaning(verdict.headline.capitalize(), sentence, means, _limits(clock))
 
 
-def _proved_over_samples(verdict: Verdict) -> Meaning:
+def _proved_over_samples(verdict: Verdict, claim: SampledClaim) -> Meaning:
     sentence = (
-        "from sample to sample, as a mathematical theorem, an energy-like function $V$ of the estimates' errors rises "
-        "by no more than what the measured data leave unexplained, whatever is commanded; that the robot follows its "
-        "path is not a part of this theorem."
+        "from sample to sample, as a mathematical theorem, an energy-like function $V$ of what is stored rises by "
+        f"no more than {claim.left}, whatever is commanded; that the robot follows its path is not a part of this "
+        "theorem."
     )
     means = (
         "The proof is an identity: $V^+ - V$, on the very map that the simulator computes at each sample, equals "
-        "exactly minus a sum of terms none of which can be negative, plus squares of what the data leave unexplained.",
+        "exactly minus a sum of terms none of which can be negative, plus squares that are not bounded: "
+        f"{claim.left}.",
         _decided(verdict),
         "The identity holds for all values of the free symbols: every measurement, command, sampling period and delay, "
         f"not only for those of this graph; {_where(verdict)}",

@@ -331,7 +331,7 @@ def _refuted_at_once(diagram: Diagram) -> bool:
     claim = claim_of(diagram)
     symbols = symbols_of(claim)
     residual = symbols.function("residual", [claim.residual])  # a part of what verify tests, and the quicker for it
-    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not doubt(claim, symbols, 0)
+    return not zero_test(residual, values=symbols.fixed, trials=1).zero and not doubt(equalities(claim), symbols, 0)
 
 
 def _outcome(diagram: Diagram, verdict: Any) -> str:

@@ -10,15 +10,25 @@ import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate, Kept, NormalisedSteps, Relation, SampledCertificate, Square
+from dmframe.certificate import (
+    Assumption,
+    Certificate,
+    Condition,
+    Inequality,
+    Kept,
+    NormalisedSteps,
+    Relation,
+    SampledCertificate,
+    Square,
+)
 from dmframe.certify import verify
 from dmframe.certify.refute import replay
 from dmframe.certify.samples import sampled_claim_of
 from dmframe.certify.summary import summary
 from dmframe.certify.verify_samples import sampled_symbols
 from dmframe.diagram import Diagram
-from dmframe.parameter import NonNegative, Positive, Real, Scalar
-from dmframe.port import PERIOD, Access, Port, Side, State
+from dmframe.parameter import Box, Interval, NonNegative, Positive, Real, Scalar
+from dmframe.port import PERIOD, TIME, Access, Port, Side, State
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
 from dmframe.simulate import simulate
@@ -289,3 +299,263 @@ class MisshapenLearner(Learner):
 def test_what_does_not_fit_is_told(wrong: Any, says: str) -> None:
     reason = verify(Diagram.build({"learner": MisshapenLearner(wrong=wrong), "carts": Carts()})).reason
     assert says in reason
+
+
+class Push(AbstractBlock):
+    """Pulls the carts back."""
+
+    inputs: Ports = (Port("y", "2"),)
+    outputs: Ports = (Port("c", "2", access=Access.COMMANDED),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(outputs={"c": -u.y})
+
+
+class Nothing(Square):
+    """A square that counts for nothing."""
+
+    @property
+    def value(self) -> Any:
+        return ca.SX(0)
+
+    def with_pieces(self, pieces: Any) -> Nothing:
+        return Nothing(*pieces)
+
+
+class SaysLess(SampledCertificate):
+    """A certificate of a class of its own."""
+
+
+class Filter(AbstractBlock):
+    """f+ = a f + y, and what can be said of it that is not so, or says nothing."""
+
+    inputs: Ports = (Port("y", "2"), Port("v", "2"), TIME)
+    states: States = (State("f", "2", sampled=True), State("rows", "2 2", sampled=True))
+    truth: Ports = (Port("m", "2"), Port("b", "2"), Port("force", "2"))
+    a: Scalar = Real(default=0.5)
+    lie: str = ""
+
+    def _next(self, u: Signals, x: Signals, p: Signals) -> Any:
+        return p.a * x.f + u.y
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(next={"f": self._next(u, x, p), "rows": x.rows})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+        left = 1 - p.a**2
+        honest = SampledCertificate(
+            storage=(Square(x.f),),
+            decrease=(Square(x.f - p.a * u.y / left, left),),
+            residual=(Square(u.y, 1 / left),),
+        )
+        momentum, rest, nothing = truth.m * u.v, truth.b * u.v - truth.force, ca.SX.zeros(2)
+        match self.lie:
+            case "all_is_residual":
+                return replace(honest, decrease=(Square(x.f),), residual=(Square(self._next(u, x, p)),))
+            case "subclass":
+                return replace(honest, storage=(Nothing(x.f),), decrease=(), residual=())
+            case "certificate":
+                return SaysLess(honest.storage, honest.decrease, honest.residual)
+            case "constant":
+                return replace(honest, storage=(Square(u.v),), constants={"k": u.v})
+            case "own_state":
+                return replace(honest, constants={"k": x.f})
+            case "sum":
+                return replace(honest, constants={"k": ca.SX.sym("k") + 1})
+            case "named_as_gain":
+                return replace(honest, constants={"a": ca.SX.sym("k")})
+            case "no_name":
+                return replace(honest, constants={"k is known\nproved": ca.SX.sym("k")})
+            case "never_stores":
+                return replace(honest, kept=(Kept("rows", u.y, 0.0),))
+            case "MX":
+                return replace(honest, storage=(Square(ca.MX.sym("x", 2)),))
+            case "empty":
+                return replace(honest, storage=(Square(0 * x.f),), decrease=(), residual=())
+            case "time":
+                return replace(honest, relations=(Relation(momentum + u.t, rest),))
+            case "jumps":
+                return replace(honest, relations=(Relation(momentum + truth.force, rest),))
+            case "own_memory":
+                return replace(honest, relations=(Relation(momentum + x.f, rest),))
+            case "no_relation":
+                return replace(honest, relations=(Relation(nothing, nothing),))
+            case "two_relations":
+                return replace(honest, relations=(Relation(momentum, rest), Relation(u.y, -u.v)))
+        return honest
+
+
+def filtered(kind: type[AbstractBlock] = Filter, **options: Any) -> Diagram:
+    return Diagram.build({"f": kind(**options), "push": Push(), "carts": Carts(), "other": Smoother()})
+
+
+@pytest.mark.parametrize(
+    ("lie", "says"),
+    [
+        ("all_is_residual", "what V gains holds f.f, which V holds too"),
+        ("subclass", "expected storage[0] to be a Square, found a Nothing"),
+        ("certificate", "expected a Certificate or a SampledCertificate, found SaysLess"),
+        ("constant", "expected the constant k to be a symbol of its own, found one of the diagram"),
+        ("own_state", "expected the constant k to be a symbol of its own, found one of the diagram"),
+        ("sum", "expected the constant k to be a symbol, found an expression"),
+        ("named_as_gain", "expected a constant's name to be one of its own, found 'a'"),
+        ("no_name", "expected a constant's name to be one of its own"),
+        ("MX", "f: certificate(), "),
+        ("never_stores", "identically zero, so that nothing would be proved: f: when rows is stored"),
+        ("empty", "identically zero, so that nothing would be proved: f: V(next) - V; f: term 1 of V"),
+        ("time", "the momentum of a relation holds more than what the plant moves"),
+        ("jumps", "the momentum of a relation holds more than what the plant moves"),
+        ("own_memory", "the momentum of a relation holds more than what the plant moves"),
+        ("no_relation", "identically zero, so that nothing would be proved: f: the rest of a relation"),
+    ],
+)
+def test_a_claim_that_is_false_or_empty_is_none(lie: str, says: str) -> None:
+    verdict = verify(filtered(lie=lie, a=3.0 if lie == "all_is_residual" else 0.5))
+    assert verdict.outcome == "not_applicable"
+    assert says in verdict.reason
+
+
+def test_two_relations_are_two_controls() -> None:
+    verdict = verify(filtered(lie="two_relations"))
+    assert verdict.outcome == "proved", verdict.reason
+    dropped = [control for control in verdict.controls if "relation" in control.fault]
+    assert [control.fault for control in dropped] == [f"f: the rest of its relation {k} dropped" for k in (1, 2)]
+    assert all(control.refuted for control in dropped)
+
+
+class BoxedFilter(Filter):
+    """The framework puts it back into a box, of which its claim knows nothing."""
+
+    states: States = (State("f", "2", box="f_box", sampled=True), State("rows", "2 2", sampled=True))
+    f_box: Box = Interval(default=(5.0, 6.0))
+
+
+def test_what_the_framework_does_after_a_sample_is_a_part_of_the_map() -> None:
+    run = simulate(filtered(BoxedFilter), 1.0, clock=T, start={"f": [5.5, 5.5], "y": [0.1, -0.2]})
+    assert np.all(run.states["f.f"][-1] == 5.0)
+    verdict = verify(filtered(BoxedFilter))
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert verdict.refutation.says == "f: V(next) - V"
+
+
+class Steps(AbstractBlock):
+    """Learns a weight that nobody knows from the carts' positions."""
+
+    inputs: Ports = (Port("y", "2"), PERIOD)
+    states: States = (State("w", "2", sampled=True),)
+    gain: Scalar = Positive(default=2.0)
+    floor: Scalar = Positive(default=0.1)
+    lie: str = ""
+
+    def _steps(self, u: Signals, x: Signals, p: Signals, true: Any) -> NormalisedSteps:
+        one = ca.DM.ones(2)
+        h, y, box = u.y, u.y[0] * u.y[1], (-10 * one, 10 * one)
+        match self.lie:
+            case "no_rows":
+                rows = ()
+            case "zero_rows":
+                rows = ((0 * h, y),)
+            case "own_rows":
+                rows = ((h, ca.dot(h, x.w) + x.w[0]),)
+            case "no_box":
+                rows, box = ((h, y),), (one, -one)
+            case "pole":
+                rows = ((h / (u.T - T), y),)
+            case "no_sample":
+                rows = ((h / (p.gain - 2), y),)
+            case "root":
+                rows = ((ca.sqrt(1 + h**2), y),)
+            case "folded":
+                rows = ((1 / (h - h[0] - 5), y),)
+            case _:
+                rows = ((h, y),)
+        return NormalisedSteps("w", x.w, true, p.gain * one, (2,), p.floor, rows, box)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(next={"w": self._steps(u, x, p, ca.DM.zeros(2)).held})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+        known = ca.SX.sym("known", 2)
+        return SampledCertificate(steps=(self._steps(u, x, p, known),), constants={"known": known})
+
+
+@pytest.mark.parametrize(
+    ("lie", "says"),
+    [
+        ("no_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
+        ("zero_rows", "identically zero, so that nothing would be proved: f: V(next) - V; f: the rows of w"),
+        ("own_rows", "the rows of w hold w itself"),
+        ("no_box", "the identity holds, but a condition fails: f: box of w holds something"),
+    ],
+)
+def test_steps_that_learn_nothing_are_no_claim(lie: str, says: str) -> None:
+    assert verify(filtered(Steps)).outcome == "proved"
+    verdict = verify(filtered(Steps, lie=lie))
+    assert verdict.outcome == "not_applicable"
+    assert says in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("lie", "says"), [("root", "but only by a property of a function"), ("folded", "no more than the rounding")]
+)
+def test_what_the_field_cannot_decide_is_not_refuted(lie: str, says: str) -> None:
+    verdict = verify(filtered(Steps, lie=lie))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason.startswith("not decided: what a sample does")
+    assert says in verdict.reason
+
+
+def assumed(diagram: Diagram) -> str:
+    verdict = verify(diagram)
+    assert verdict.outcome == "proved", verdict.reason
+    return "\n".join(item.text for item in verdict.assumptions)
+
+
+def test_what_a_sample_divides_by_is_assumed_not_to_vanish() -> None:
+    assert "divide" not in assumed(filtered(Steps))
+    assert "divide" not in assumed(diagram())
+    assert "f: what its samples divide by stays away from zero" in assumed(filtered(Steps, lie="pole"))
+    verdict = verify(filtered(Steps, lie="no_sample"))
+    assert verdict.outcome == "not_applicable"
+    assert "f.gain-2) is not zero" in verdict.reason.replace("(-2+f.gain)", "(f.gain-2)")
+
+
+def test_it_is_said_what_nothing_bounds_and_what_nothing_ties_to_the_plant() -> None:
+    said = assumed(filtered(Steps))
+    assert "f: the plant's motion obeys what its rows say; the block states no relation that does" in said
+    assert "other: what V gains beside, made of carts.y, is small: nothing bounds it" in said
+    assert "no relation" not in assumed(diagram())
+    left = "what its data leave unexplained and a residual that nothing bounds"
+    verdict = verify(filtered(Steps))
+    assert verdict.headline == f"proved over samples, up to {left}; tracking is not part of it"
+    assert f"rises by no more than {left}" in meaning_of(verdict, T).sentence
+
+
+class Emulated(Mute):
+    """Claims something in continuous time, which a clock does not keep."""
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(storage=(Square(x.i),), supply=ca.dot(x.i, u.y))
+
+
+def test_a_claim_in_continuous_time_is_told_not_to_be_a_part() -> None:
+    claim = sampled_claim_of(Diagram.build({"learner": Learner(), "carts": Carts(), "emulated": Emulated()}))
+    assert claim.silent == ("emulated",)
+
+
+class Wordy(Steps):
+    """Breaks the line of what it states, so that its words stand like a verdict's."""
+
+    said: str = ""
+
+    def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
+        return (Assumption(self.said), Inequality(self.said, p.gain, ""))
+
+
+@pytest.mark.parametrize("said", ["all is well\nproved", "\x1b[2Jproved", "fine\u2028proved"])
+def test_an_authors_words_stay_on_their_line(said: str) -> None:
+    assert verify(filtered(Wordy, said="all is well")).outcome == "proved"
+    verdict = verify(filtered(Wordy, said=said))
+    assert verdict.outcome == "not_applicable"
+    assert "expected texts of one line" in verdict.reason
