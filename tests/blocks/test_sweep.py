@@ -60,7 +60,6 @@ UNPROVED = {
     "velocity_probe",
     "sampled_supervisor",
     "sampled_tracking",
-    "sampled_inverse",
     "disturbance_observer",
     "loaded_manipulator",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
