@@ -15,7 +15,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import verify
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
-from dmframe.errors import WiringError
+from dmframe.errors import DmframeError, WiringError
 from dmframe.port import Port, Side, State
 from dmframe.simulate import Recording, simulate
 from dmframe_blocks.sampled_supervisor import SampledSupervisor
@@ -222,6 +222,15 @@ def test_who_is_supervised_has_to_be_told_what_is_sent() -> None:
         _ = dm.load(graph).diagram
     graph["blocks"]["inverse"]["supervised"] = False
     _ = dm.load(graph).diagram
+
+
+def test_reality_stands_in_for_what_is_sent_and_not_for_what_a_predictor_would_send() -> None:
+    graph = arm2()
+    graph["reality"] = {"transport_delay": {"samples": 1}}
+    assert "supervisor.dq_sent through transport_delay" in " ".join(dm.load(graph).run("0.4 s").notices)
+    del graph["wires"]["servo.dq_c"]
+    with pytest.raises(DmframeError, match=r"transport_delay\.dq_c: expected one output of that name, found 2"):
+        _ = dm.load(graph).diagram
 
 
 def arm2() -> dict[str, Any]:

@@ -21,9 +21,6 @@ from dmframe.units import compatible
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
 LETTERS = set("nmpkhcdWAN")
-# the baseline has nothing to prove; a proof over samples is no certificate in continuous time
-UNPROVED = {"kinematic_command", "velocity_probe", "disturbance_observer"}
-UNPROVED |= {"sampled_tracking", "sampled_inverse", "sampled_supervisor"}
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
@@ -60,6 +57,10 @@ EXAMPLES["loaded_manipulator"] = LOADED
 # no proof in continuous time reaches what stands between controller and robot
 UNPROVED = {
     "kinematic_command",
+    "velocity_probe",
+    "sampled_supervisor",
+    "sampled_tracking",
+    "disturbance_observer",
     "loaded_manipulator",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
 } - {"joint_stops"}  # which may only tell
