@@ -9,7 +9,7 @@ import casadi as ca
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import named
+from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import PERIOD, Access, Port, State
 from dmframe.terms import clip
@@ -19,24 +19,21 @@ from dmframe.terms import clip
 class SampledSupervisor(AbstractBlock):
     r"""Sends the command of one of three predictors: none, the column of ones alone, or all columns.
 
-    Each predicts :math:`\mathrm{lag} = u - v`, what the joints fall short of a command over a sample: `none` predicts
-    zero, so that it commands :math:`\dot q_r` itself; `disturbance_observer` the last sample's; `sampled_inverse` what
-    it has learnt. Their errors in the sample that is over are
+    Each predicts what the joints fall short of a command over a sample, lag = u - v: none predicts zero, so that it
+    commands dq_r itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has learnt. Their errors
+    in the sample that is over are
 
-    .. math::
+        epsilon_0 = lag,    epsilon_1 = lag - lag_before,    epsilon_2 = epsilon
 
-        \varepsilon_0 &= \mathrm{lag}, \quad \varepsilon_1 = \mathrm{lag} - \mathrm{lag}_{before}, \quad
-            \varepsilon_2 = \varepsilon   \tag{1}
+    and E_i is the largest of their squared norms over the last `compared` samples. The best has the least E. It takes
+    over from the one in command, c, where
 
-    and :math:`E_i` is the largest :math:`|\varepsilon_i|^2` of the last `compared` samples. The best has the least E.
-    It takes over from the one in command, c, where
+        E_best < hysteresis E_c
 
-    .. math:: E_{best} < \mathrm{hysteresis} \cdot E_c   \tag{2}
+    *Trip.* While none is in command, scale = max(E_0, quiet^2) is kept; it stays as it is under another. Where the
+    squared norm of the error of the one in command has
 
-    *Trip.* While none is in command, :math:`\mathrm{scale} = \max(E_0, \mathrm{quiet}^2)` is kept; it stays as it is
-    under another. Where
-
-    .. math:: |\varepsilon_c|^2 > \mathrm{trip}^2\, \mathrm{scale}   \tag{3}
+        |epsilon_c|^2 > trip^2 scale
 
     none takes over at once and stays for `dwell`, and then twice, four times, ... as long: a predictor that is wrong
     only when it is in command, such as one with a wrong delay, errs ever more rarely. It begins so, too: none commands
@@ -44,8 +41,8 @@ class SampledSupervisor(AbstractBlock):
 
     All three learn from what is sent. What an estimate's error does from sample to sample does not ask how the command
     came about, so that switching leaves the proof of `sampled_inverse` as it is. The task's error obeys the same bound
-    with the error of the one in command, which (3) keeps below `trip` times the square root of scale but for the sample
-    that trips.
+    with the error of the one in command, which the trip keeps below `trip` times the square root of scale but for the
+    sample that trips.
 
     Parameters
     ----------
@@ -121,11 +118,12 @@ class SampledSupervisor(AbstractBlock):
         return {"rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1) to (3)."""
+        """The errors, who is in command, and what is sent."""
         epsilons = ca.horzcat(u.lag, u.lag - x.lag_before, u.epsilon)
         squares = named("squares", ca.sum1(epsilons * epsilons).T)
-        errors = named("errors_new", ca.horzcat(squares, x.errors[:, :-1]))
-        E = [named(f"E_{i}", ca.mmax(errors[i, :])) for i in range(3)]
+        errors = named("errors_new", pushed(x.errors, squares))
+        most = named("E", largest(errors))
+        E = [most[i] for i in range(3)]
 
         tripped = named("tripped", (x.chosen > 0) * (_of(x.chosen, *ca.vertsplit(squares)) > p.trip * p.trip * x.scale))
         rest = named("rest_new", ca.if_else(tripped, x.next_rest, ca.fmax(0, x.rest - u.T)))
@@ -159,3 +157,15 @@ class SampledSupervisor(AbstractBlock):
 def _of(choice: Any, none: Any, column: Any, full: Any) -> Any:
     """What belongs to the predictor of that number."""
     return ca.if_else(choice > 1, full, ca.if_else(choice > 0, column, none))
+
+
+@operation
+def pushed(errors: Any, newest: Any) -> Any:
+    """The errors with the newest before them, and without the oldest."""
+    return ca.horzcat(newest, errors[:, :-1])
+
+
+@operation
+def largest(errors: Any) -> Any:
+    """The largest error of each predictor."""
+    return ca.vertcat(*(ca.mmax(row) for row in ca.vertsplit(errors)))

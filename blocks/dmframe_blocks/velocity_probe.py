@@ -13,11 +13,7 @@ from dmframe.port import PERIOD, Access, Port, State
 class VelocityProbe(AbstractBlock):
     r"""Adds to the reference velocity a small one whose sign is tossed for each joint at each sample.
 
-    .. math::
-
-        \dot q_c = \begin{cases}
-            \dot q_r + \mathrm{probe} \cdot \mathrm{sign}(\mathrm{toss}) & k T < \mathrm{lasting} \\
-            \dot q_r & \mathrm{then} \end{cases}   \tag{1}
+        dq_c = dq_r + probe sign(toss) for the first `lasting` seconds, then dq_r
 
     Smooth motion alone does not show how late the robot answers, since a delay looks like inertia. `dmframe delay` fits
     it from a run with this block.

@@ -119,7 +119,7 @@ def model_block(
     starts = {f"{key}_0": symbol(f"{name}.{key}_0", value.shape) for key, value in values.items() if key in states}
     inputs = {port.name: symbol(port.name, sizes.of(port.shape)) for port in block.inputs}
     mine = robot if block.uses_robot else None
-    recalled = None if mine is None else _Recalled(mine)
+    recalled = None if mine is None else Recalled(mine)
     signals = signals_of(name, inputs, states, {**parameters, **starts}, recalled)
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
@@ -140,7 +140,7 @@ def model_block(
 
 
 @final
-class _Recalled:
+class Recalled:
     """A robot that gives the answer of before where it is asked the same again: that takes most of a build's time."""
 
     def __init__(self, robot: Any) -> None:

@@ -24,7 +24,7 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.block.model import BlockModel, same_expression, signals_of, stated_by, symbols_in
+from dmframe.block.model import BlockModel, Recalled, same_expression, signals_of, stated_by, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.diagram import Diagram
 from dmframe.diagram.wiring import Derived, End, Wire
@@ -164,7 +164,8 @@ def _groups(robot: Any) -> dict[str, set[int]]:
 def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
     """The block's outputs and rates with another robot; none where it looks at numbers and cannot."""
     parameters = {**model.parameters, **model.starts}
-    signals = signals_of(model.name, model.inputs, model.states, parameters, robot)
+    # as the model was made: what a block asks twice is one expression
+    signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))
     try:
         stated = stated_by(model.name, model.block, signals, diagram.sizes)
     except DmframeError:

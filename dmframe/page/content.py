@@ -191,6 +191,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
     return {
         "outcome": verdict.outcome,
         "headline": verdict.headline,
+        "sampled": verdict.samples is not None,
         "reason": spelled(verdict.reason),
         "text": verdict_text(name, verdict),
         "conclusions": [spelled(f"{item.signal} {item.says}") for item in verdict.statements if item.concludes]

@@ -132,7 +132,8 @@ def functions_of(
     """All of them for one diagram; V is drawn where it is proved. `uncertain` is what `verify` had."""
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
-    everything = elsewhere(verdict.conditions, verdict.claim, uncertain or {})
+    claim = verdict.claim if verdict.samples is None else verdict.samples.base
+    everything = elsewhere(verdict.conditions, claim, uncertain or {})
     judged, places = _margins(everything)
     count, kappa, least = len(verdict.conditions), None, None
     if verdict.outcome == "proved" and verdict.claim is not None and verdict.claim.cascaded:

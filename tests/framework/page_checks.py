@@ -67,6 +67,8 @@ def flow(found: Verification) -> Any:
     """(state, t, T, p) -> the rates of what flows in the plant, from the loop's own expressions."""
     loop = found.diagram.loop
     rates = loop.on_path(loop.acting([stack(v.rate for v in loop.flowing)])[0])
+    if loop.noises:
+        rates = ca.substitute(rates, loop.drawn, 0 * loop.drawn)
     return ca.Function("flow", [loop.state, loop.time, loop.period, loop.p], [ca.densify(rates)])
 
 

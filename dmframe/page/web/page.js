@@ -53,7 +53,7 @@ function tell(p) {
   const notices = [...run.notices, ...sliders.notices].map((notice) => `${notice.charAt(0).toUpperCase()}${notice.slice(1)}.`), wild = run.divergence;
   if (wild) {
     notices.unshift(`${wild.says}; the run ends there.`);
-    if (verdict.state === "proved") notices.push(`The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
+    if (verdict.state === "proved") notices.push(content.verdict.sampled ? "The proof does not say that the robot stays near its path." : `The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
   }
   set("notice", notices.join(" "));
   find("notice").hidden = !notices.length;

@@ -15,7 +15,7 @@ class Sliders {
       controller: ["Controller", ""],
       hidden: ["Servo and robot", "The truth. The controller knows no more of it than what stands under the assumptions."],
       clock: ["Clock", content.clock === null ? "This loop runs in continuous time, but for the integrator's steps."
-        : proved ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
+        : proved && !content.verdict.sampled ? "The proof is in continuous time; the page runs at this clock. A slow clock shows where the proof ends."
           : "How often the controller samples."],
       path: ["Path", ""],
       start: ["Start", content.pose?.sought ? "Each joint beside the pose that lies on the path." : "Each joint beside the file's start."],

@@ -37,7 +37,7 @@ export function judgement(content, judged, moved, spread = null) {
     const others = moved.p && "So it was found at the file's numbers; the command below, with verify for run, decides at these.";
     return found("unproved", headline, sentence(verdict.reason), others);
   }
-  const claim = sentence(verdict.reason.split(";")[0]), identity = content.clock === null ? claim : `In continuous time ${claim}`;
+  const claim = sentence(verdict.reason.split(";")[0]), identity = content.clock === null || verdict.sampled ? claim : `In continuous time ${claim}`;
   if (failing.length) {
     const named = failing.map(({ name, margin }) => `${name} (margin ${figure(margin)})`);
     const which = `${failing.length > 1 ? `${failing.length} conditions fail` : "A condition fails"}: ${named.slice(0, 2).join("; ")}`;
@@ -61,7 +61,7 @@ export function judgement(content, judged, moved, spread = null) {
   const follows = (moved.p && verdict.bounded ? [...concluded, "the whole loop stays bounded"] : concluded).join(" and that ");
   const end = follows && (
     moved.p ? `That ${follows} was concluded for the file's numbers; for these it is not decided.`
-      : moved.run ? `That ${follows} was concluded in continuous time and for the file's start.` : `It follows that ${follows}.`
+      : moved.run ? `That ${follows} was concluded ${verdict.sampled ? "" : "in continuous time and "}for the file's start.` : `It follows that ${follows}.`
   );
   const headline = moved.p ? verdict.headline.replace("proved", "proved at these values") : verdict.headline;
   return found("proved", headline.charAt(0).toUpperCase() + headline.slice(1), identity, hold, end);

@@ -91,6 +91,7 @@ def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) ->
     tab.sized(*size)
     tab.opened(page)
     tab.until(f"{HEADLINE} === 'Proved'")
+    tab.value("document.documentElement.style.overflowAnchor = 'none'")  # else a browser may scroll along
     tab.value(WATCH)
     tab.held(K_C, 0.5, 0.02)
     tab.until(f"{HEADLINE}.includes('does not apply')")
