@@ -46,6 +46,6 @@ class VelocityProbe(AbstractBlock):
     lasting: Scalar = Positive("", "s", default=3.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1)."""
+        """The reference velocity with the small one, while it lasts."""
         added = (x.since < p.lasting) * p.probe * (2 * (u.toss > 0) - 1)
         return Equations(outputs={"dq_c": u.dq_r + added}, next={"since": x.since + u.T})
