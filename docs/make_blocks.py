@@ -275,7 +275,10 @@ def _used(name: str, shown: Example | None) -> Iterator[str]:
     title = str(_listed()[shown.graph]["title"])
     yield f"The smallest packaged graph with it is `{shown.graph}`: {title}."
     yield f"```yaml\n{graphs()[shown.graph].read_text(encoding='utf-8').rstrip()}\n```"
-    yield f"```{{live}} {shown.graph}\n```"
+    if diagram_of(shown.graph).loop.noises:
+        yield "It draws random numbers, and so has no live page."
+    else:
+        yield f"```{{live}} {shown.graph}\n```"
     if shown.others:
         yield f"It is in {', '.join(f'`{other}`' for other in shown.others)} too."
 

@@ -80,7 +80,7 @@ def row_of(name: str, clock: str, case: str) -> dict[str, Any]:
 def table(rows: list[dict[str, str]]) -> Iterator[str]:
     """As the page shows it: a table a clock."""
     for clock in CLOCKS:
-        yield f"\n### {clock}\n"
+        yield f"\n## {clock}\n"
         yield "| graph | ideal | encoder | and a sample of delay | and a load at 30 s (peak) |"
         yield "|---|---|---|---|---|"
         names = sorted({row["graph"] for row in rows})
