@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 from typing import Final, final
 
@@ -352,22 +353,22 @@ class NormalisedSteps:
     @property
     def held(self) -> SX:
         """The estimate at the next sample."""
-        return self._taken()[0]
+        return self._taken[0]
 
     @property
     def change(self) -> SX:
         """By what all steps together move what is stored, but for what the box takes away from it."""
-        return self._taken()[1]
+        return self._taken[1]
 
     @property
     def decrease(self) -> SX:
         r"""The sum of :math:`(h^\top \tilde\theta)^2 / n + \nu \varepsilon^2 / n^2`, never negative."""
-        return self._taken()[2]
+        return self._taken[2]
 
     @property
     def residual(self) -> SX:
         r"""The sum of :math:`\eta^2 / n`, never negative."""
-        return self._taken()[3]
+        return self._taken[3]
 
     @property
     def sizes(self) -> tuple[SX, ...]:
@@ -377,6 +378,7 @@ class NormalisedSteps:
     def _size(self, h: SX) -> SX:
         return self.floor + summed(self.parts, h * h * self.gain)
 
+    @cached_property
     def _taken(self) -> tuple[SX, SX, SX, SX]:
         theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
         for h, y in self.rows:

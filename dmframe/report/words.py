@@ -54,7 +54,7 @@ def _proved_over_samples(verdict: Verdict, claim: SampledClaim) -> Meaning:
         "exactly minus a sum of terms none of which can be negative, plus squares that are not bounded: "
         f"{claim.left}.",
         _decided(verdict),
-        "The identity holds for all values of the free symbols: every measurement, command, sampling period and delay, "
+        "The identity holds for all values of the free symbols: every measurement, command and sampling period, "
         f"not only for those of this graph; {_where(verdict)}",
         f"The test can say no: {_controls(verdict)}",
     )

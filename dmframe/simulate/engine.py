@@ -113,8 +113,8 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
     return run, loaded.notice
 
 
-SPREADS: Final = (1.0, 1e-3, 1e-6)
-"""About 1, of the numbers at which a new library is tried."""
+SCALES: Final = (1.0, 1e-3, 1e-6)
+"""Of the states at which a new library is tried, each another number; the first that stays tame."""
 TAME: Final = 1e9
 """Below it an interpreter's numbers are compared with."""
 
@@ -126,9 +126,10 @@ def _works(library: Path, step: Step) -> bool:
     count = parts.outputs.numel_out(0)
     brief = step.with_period(period)
     given = brief.instants.rows(0, 1)
-    for spread in SPREADS:  # a law that takes differences over a period makes large numbers of far ones, and rounding
+    for scale in SCALES:  # a law that takes differences over a period makes large numbers of far ones, and rounding
         rng = np.random.default_rng(0)
-        state, p = (1 + spread * rng.uniform(-0.5, 0.5, parts.sample.numel_in(place)) for place in (0, 4))
+        state, p = (rng.uniform(0.5, 1.5, parts.sample.numel_in(place)) for place in (0, 4))
+        state *= scale
         told = brief.tick(state, given, p)
         if max(float(np.max(np.abs(item.full()), initial=0.0)) for item in told[:2]) < TAME:
             break

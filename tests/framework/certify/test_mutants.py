@@ -1,4 +1,4 @@
-"""Some of the faults in equations, certificates and the plant library, each in the least loop that holds it.
+"""Some hundred of the faults in equations, certificates and the plant library, each in the least loop that holds it.
 
 ``make mutants`` tries all of them in all loops.
 """
@@ -42,42 +42,45 @@ def small(kinds: Iterable[str] = ()) -> list[Loop]:
 
 
 def some(mutants: Iterable[Mutant]) -> list[Mutant]:
-    """One of a block's, from the middle of its equations; `make mutants` tries them all."""
+    """All of a few, half of some, a tenth of more, fewer of many; `make mutants` tries them all."""
     found = list(mutants)
-    return found[len(found) // 2 :][:1]
+    return found[:: 1 if len(found) < 5 else 2 if len(found) < 20 else 10 if len(found) < 60 else 24]
 
 
 def tried(mutants: Sequence[Mutant]) -> list[Result]:
-    """What becomes of each: of a block's in up to three loops, the least first, until one tells; of others in turn."""
-    results = []
+    """What becomes of each, in one loop after the other; of a block with few faults in up to three, until one tells."""
+    results, faults = [], Counter(mutant.owner for mutant in mutants)
     for turn, mutant in enumerate(mutants):
-        if mutant.owner in known_blocks():
-            fitting = sorted(small([mutant.owner]), key=lambda loop: (loop.robot.n, len(loop.specs)))[:3]
-        else:
-            fitting = [small()[turn % len(small())]]
-        for loop in fitting:
-            result = judged(mutant, loop)
+        blocks = mutant.owner in known_blocks()
+        fitting = small([mutant.owner]) if blocks else small()
+        for further in range(min(3, len(fitting)) if blocks and faults[mutant.owner] < 4 else 1):
+            result = judged(mutant, fitting[(turn + further) % len(fitting)])
             if result.outcome != "equivalent":
                 break
         results.append(result)
     return results
 
 
-def test_of_some_faults_in_the_equations_of_every_block_none_is_proved_unless_dv_dt_is_true_all_the_same() -> None:
+def test_of_more_than_100_faults_in_the_equations_of_all_blocks_none_is_proved_unless_dv_dt_is_true_all_the_same() -> (
+    None
+):
     blocks = {kind: block for kind, block in known_blocks().items() if block.side is not Side.SOURCE}
     provable = [kind for kind in blocks if homes(kind, loops())]
     mutants = [mutant for kind in provable for mutant in some(block_mutants(kind, blocks[kind]))]
     results = tried(mutants)
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert len(results) == len(provable)
+    assert len(results) >= 100
     acting = [r for r in results if r.outcome != "no diagram" and r.reason != "the rates are unchanged"]
-    assert Counter(result.outcome for result in acting)["refuted"] > 0.8 * len(acting)
+    assert Counter(result.outcome for result in acting)["refuted"] > 0.9 * len(acting)
     # V does not weigh a redundant robot's self-motion; without a term in the error any reference falls along V
     unseen = {"null_space_posture", "joint_feedforward"}
-    refuted = {result.mutant.owner for result in results if result.outcome == "refuted"}
-    assert not refuted & unseen
-    for kind in sorted(set(provable) - unseen - refuted):
-        assert any(tried([mutant])[0].outcome == "refuted" for mutant in block_mutants(kind, blocks[kind])), kind
+    assert {result.mutant.owner for result in results if result.outcome == "refuted"} == set(provable) - unseen
+
+
+@pytest.mark.parametrize("kind", ["pi_servo", "pi_inverse", "dynamic_compensator", "joint_tracking"])
+def test_a_fault_in_the_equations_of_one_block_of_each_stage_is_refuted(kind: str) -> None:
+    (result,) = tried(list(block_mutants(kind, known_blocks()[kind]))[:1])
+    assert result.outcome == "refuted"
 
 
 def test_every_block_that_has_equations_of_motion_and_a_certificate_stands_in_a_loop_that_is_proved() -> None:
@@ -97,7 +100,7 @@ def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothi
 def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> None:
     mutants = [m for m in all_mutants(certificates=True, library=False) if m.original.__name__ not in LAW]
     provable = [mutant for mutant in mutants if homes(mutant.owner, loops())]
-    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::700])
+    results = tried([m for m in provable if not m.original.__name__.startswith("_one")][::150])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert Counter(result.outcome for result in results)["refuted"] > 0.6 * len(results)
 
@@ -105,9 +108,9 @@ def test_faults_in_certificates_are_refuted_or_leave_a_claim_that_is_true() -> N
 @pytest.mark.parametrize("which", LIBRARY)
 def test_faults_in_the_plant_library_are_refuted_or_make_another_robot(which: str) -> None:
     mutants = list(library_mutants(which))
-    results = tried(mutants[:: max(1, len(mutants) // 5)])
+    results = tried(mutants[:: max(1, len(mutants) // 25)])
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
-    assert Counter(result.outcome for result in results)["refuted"] >= 2
+    assert Counter(result.outcome for result in results)["refuted"] >= 7
 
 
 def test_a_source_has_no_part_in_the_claim() -> None:
