@@ -27,7 +27,7 @@ run: setup
 test: lint
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
-# The tests that take long, of whose claims `make test` has a cheaper instance.
+# The tests that take long: those of tests/thorough.txt, which says what `make test` shows of them.
 thorough: setup
 	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m thorough
 

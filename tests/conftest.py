@@ -20,7 +20,7 @@ def _compiled_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 THOROUGH = Path(__file__).with_name("thorough.txt")
-"""Tests that ``make thorough`` runs, and ``make test`` does not: dear ones, with a cheaper instance of their claims."""
+"""Tests that ``make thorough`` runs, and ``make test`` does not; it says which have no cheaper instance there."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
