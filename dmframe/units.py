@@ -15,42 +15,41 @@ from collections import Counter
 from collections.abc import Mapping
 from decimal import Decimal
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Final
 
 from dmframe.errors import UnitError, ValueFault, nearest
 
-if TYPE_CHECKING:
-    import pint
-
-# pint's own list would accept what nobody means in a graph: "Nm" is a yarn count there, "rads" an absorbed dose.
-_DEFINITIONS = """
-giga- = 1e9 = G-
-mega- = 1e6 = M-
-kilo- = 1e3 = k-
-centi- = 1e-2 = c-
-milli- = 1e-3 = m-
-micro- = 1e-6 = µ- = μ- = u-
-nano- = 1e-9 = n-
-metre = [length] = m = meter
-second = [time] = s
-gram = [mass] = g
-radian = [angle] = rad
-ampere = [current] = A
-kelvin = [temperature] = K
-minute = 60 * second = min
-hour = 3600 * second = h
-degree = 3.14159265358979323846264338327950288419716939937510 / 180 * radian = deg = °
-turn = 360 * degree = rev
-rpm = turn / minute
-hertz = 1 / second = Hz
-newton = kilogram * metre / second ** 2 = N
-pascal = newton / metre ** 2 = Pa
-joule = newton * metre = J
-watt = joule / second = W
-volt = watt / ampere = V
-ohm = volt / ampere = Ω
-percent = 0.01 = %
+_DEFINITIONS: Final = """
+m metre meter
+s second
+g gram
+rad radian
+A ampere
+K kelvin
+min minute = 60 s
+h hour = 3600 s
+turn rev = 6.28318530717958647692528676655900576839433879875020 rad
+deg degree ° = 1/360 turn
+rpm = 1 turn/min
+Hz hertz = 1 1/s
+N newton = 1 kg m/s^2
+Pa pascal = 1 N/m^2
+J joule = 1 N m
+W watt = 1 J/s
+V volt = 1 W/A
+Ω ohm = 1 V/A
+% percent = 1/100
 """
+_PREFIXES_OF: Final = {
+    "giga G": 9,
+    "mega M": 6,
+    "kilo k": 3,
+    "centi c": -2,
+    "milli m": -3,
+    "micro µ μ u": -6,
+    "nano n": -9,
+}
+_BASES: Final = ("m", "s", "g", "rad", "A", "K")
 _SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
 
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(.*)", re.DOTALL)
@@ -156,7 +155,7 @@ def _finite(value: float | Fraction, expected: str) -> float:
 
 
 def _why_not(found: str, unit: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
-    if {**dimension, "radian": 0} == {**target, "radian": 0}:
+    if {**dimension, "rad": 0} == {**target, "rad": 0}:
         return f"{found} and {unit or 'a plain number'} differ by an angle; write out rad, deg or turn"
     return f"{found} cannot be converted to {unit or 'a plain number'}"
 
@@ -166,7 +165,7 @@ def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
     """The factor to base units, and their exponents."""
     scale, dimension = Fraction(1), Counter[str]()
     for name, exponent in _factors(unit).items():
-        factor, base = _base(name)
+        factor, base = _named(name)
         scale *= factor**exponent
         for key, power in base.items():
             dimension[key] += power * exponent
@@ -174,27 +173,39 @@ def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
 
 
 @functools.cache
-def _base(name: str) -> tuple[Fraction, dict[str, int]]:
-    if not _known(name):
+def _named(name: str) -> tuple[Fraction, dict[str, int]]:
+    """The same of one name, such as mm."""
+    known = _known(name)
+    if known is None:
         pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
         right = [spelling for spelling in _SPELLINGS if spelling.lower() == name.lower()]
         right += [" ".join(pair) for pair in pairs if all(map(_known, pair))]
         hint = f"did you mean {right[0]}?" if right else nearest(name, _SPELLINGS)
         raise UnitError(f"unknown unit {name}; {hint}")
-    root: Any = _registry().Quantity(1, name).to_root_units()
-    return Fraction(root.magnitude), {key: int(power) for key, power in root.unit_items()}
+    power, number, unit = known
+    scale, dimension = (Fraction(1), {unit: 1}) if unit in _BASES else _size(unit) if unit else (Fraction(1), {})
+    return Fraction(10) ** power * number * scale, dict(dimension)
 
 
-def _known(name: str) -> bool:
-    # without an ending: pint would read the plural "Ns" as newtons where newton seconds are meant
-    return any(not ending for _, _, ending in _registry().parse_unit_name(name))
+def _known(name: str) -> tuple[int, Fraction, str] | None:
+    """The power of ten of its prefix, and how many of which unit it then is; None for what is no unit."""
+    units, prefixes = _table()
+    for prefix, power in prefixes.items():
+        if name.startswith(prefix) and (rest := name.removeprefix(prefix)) in units:
+            return power, *units[rest]
+    return None
 
 
 @functools.cache
-def _registry() -> pint.UnitRegistry[Any]:
-    import pint
-
-    return pint.UnitRegistry(_DEFINITIONS.strip().splitlines(), non_int_type=Fraction)
+def _table() -> tuple[dict[str, tuple[Fraction, str]], dict[str, int]]:
+    """Each unit's names, with how many it is of another; a base unit is one of itself. Prefixes, none among them."""
+    units = dict[str, tuple[Fraction, str]]()
+    for line in _DEFINITIONS.strip().splitlines():
+        left, _, definition = line.partition(" = ")
+        names, (number, _, unit) = left.split(), definition.partition(" ")
+        names += [f"{name}s" for name in names if len(name) > 2]  # but Pas and Ns are products, written with a space
+        units |= dict.fromkeys(names, (Fraction(number), unit) if definition else (Fraction(1), names[0]))
+    return units, {"": 0} | {name: power for names, power in _PREFIXES_OF.items() for name in names.split()}
 
 
 def _factors(unit: str) -> Counter[str]:

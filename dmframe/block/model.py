@@ -59,10 +59,21 @@ class BlockModel:
         """The estimates that the block declares, without those that its options leave out."""
         return tuple(item for item in self.block.estimates if item.name in self.states)
 
-    def needs(self, expressions: Sequence[SX]) -> tuple[str, ...]:
-        """The inputs on which expressions depend, from their structure: feedthrough is read, never declared."""
-        used = symbols_in(expressions)
-        return tuple(name for name, symbol in self.inputs.items() if used & symbols_in([symbol]))
+    def needs(self, expression: SX) -> tuple[str, ...]:
+        """The inputs on which an expression depends, from its structure: feedthrough is read, never declared."""
+        key = nodes(expression)
+        if key not in self._needed:  # with the expression: its nodes are its own while it lives
+            used = symbols_in([expression])
+            self._needed[key] = tuple(name for name, symbols in self._leaves.items() if used & symbols), expression
+        return self._needed[key][0]
+
+    @cached_property
+    def _leaves(self) -> dict[str, set[int]]:
+        return {name: symbols_in([symbol]) for name, symbol in self.inputs.items()}
+
+    @cached_property
+    def _needed(self) -> dict[Any, tuple[tuple[str, ...], SX]]:
+        return {}
 
 
 def symbols_in(expressions: Iterable[SX]) -> set[int]:

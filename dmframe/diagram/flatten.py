@@ -65,18 +65,12 @@ def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
     while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
         waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
     symbols = {end: symbols_in([leaf.symbol]) for end, (leaf, _) in waiting.items()}
+    used = {end: symbols_in([expression]) for end, (_, expression) in waiting.items()}
     done = list[Leaf]()
     while waiting:
-        ready = [
-            end
-            for end, (_, expression) in waiting.items()
-            if not any(symbols[other] & symbols_in([expression]) for other in waiting)
-        ]
+        needs = {end: [other for other in waiting if symbols[other] & used[end]] for end in waiting}
+        ready = [end for end, others in needs.items() if not others]
         if not ready:
-            needs = {
-                end: [other for other in waiting if symbols[other] & symbols_in([expression])]
-                for end, (_, expression) in waiting.items()
-            }
             resolver.faults.append(loop_fault([".".join(end) for end in _cycle(needs)]))
             break
         for end in ready:

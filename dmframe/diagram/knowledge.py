@@ -92,7 +92,7 @@ def _live(diagram: Diagram) -> set[End]:
     for name, model in diagram.models.items():
         for state, move in model.equations.moves.items():
             live.add((name, state))
-            waiting += [(name, port) for port in model.needs([move])]
+            waiting += [(name, port) for port in model.needs(move)]
     seen = set[End]()
     while waiting:
         block, port = waiting.pop()
@@ -106,7 +106,7 @@ def _live(diagram: Diagram) -> set[End]:
         if isinstance(source, Wire) and (end := (source.block, source.port)) not in live:
             live.add(end)
             model = diagram.models[source.block]
-            waiting += [(source.block, need) for need in model.needs([model.equations.outputs[source.port]])]
+            waiting += [(source.block, need) for need in model.needs(model.equations.outputs[source.port])]
     return live
 
 
@@ -117,7 +117,7 @@ def _rates_that_are_known(diagram: Diagram) -> list[End]:
         for name, model in diagram.models.items()
         for port in model.block.outputs
         if port.derivative_of and port.name in model.equations.outputs
-        for need in model.needs([model.equations.outputs[port.name]])
+        for need in model.needs(model.equations.outputs[port.name])
     ]
 
 

@@ -121,7 +121,7 @@ class Resolver:
     def expand(self, block: str, expression: SX) -> SX:
         """An expression in a block's own symbols, its inputs replaced by what drives them."""
         model = self.models[block]
-        needed = model.needs([expression])
+        needed = model.needs(expression)
         if not needed:
             return expression
         own = [ca.vec(model.inputs[name]) for name in needed]

@@ -61,7 +61,7 @@ def _depth(diagram: Diagram, end: End, known: dict[End, int]) -> int:
     name, port = end
     model = diagram.models[name]
     behind = [0]
-    for need in model.needs([model.equations.outputs[port]]):
+    for need in model.needs(model.equations.outputs[port]):
         source = diagram.sources[name, need]
         while isinstance(source, Derived):
             source = diagram.sources[name, source.of]

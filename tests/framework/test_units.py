@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import pint
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmframe.errors import UnitError, ValueFault
-from dmframe.units import compatible, plain, rate_over, to_unit
+from dmframe.units import _DEFINITIONS, _PREFIXES_OF, _size, compatible, plain, rate_over, to_unit
 
 HOW = "write it like N m s/rad or m/s^2: spaces multiply, everything after the one slash divides"
 CHOICES = "choose from %, A, Hz, J, N, V, W, deg, h, kg, m, min, mm, ms, rad, rpm, s, turn"
@@ -193,3 +194,30 @@ def test_what_is_shown_can_be_read_again(value: float, unit: str) -> None:
 def test_a_rate_over_a_quantity_has_the_unit_that_divides_it_by_the_second(unit: str, rate: str) -> None:
     assert rate_over(unit) == rate
     assert compatible(f"{rate or '1'}", f"1/(({unit}) s)")
+
+
+def test_the_table_is_that_of_pint() -> None:
+    registry: Any = pint.UnitRegistry()
+    bases = {"rad": "radian", "K": "kelvin", "A": "ampere"}
+    names = [name for line in _DEFINITIONS.strip().splitlines() for name in line.partition(" = ")[0].split()]
+    prefixed = [f"{prefix}metre" for few in _PREFIXES_OF for prefix in few.split()]
+    for name in (*names, *prefixed):
+        scale, dimension = _size(name)
+        ours = float(scale) * registry("1")
+        for base, power in dimension.items():
+            ours = ours * registry(bases.get(base, base)) ** power
+        theirs = registry({"%": "percent", "rev": "turn"}.get(name, name))
+        assert math.isclose((theirs / ours).to_reduced_units().magnitude, 1.0, rel_tol=1e-12), name
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"), [("2 minutes", 120.0), ("2 mins", 120.0), ("10 seconds", 10.0), ("2 ms", 0.002)]
+)
+def test_a_name_of_three_letters_has_a_plural(text: str, seconds: float) -> None:
+    assert to_unit(text, "s") == seconds
+
+
+@pytest.mark.parametrize(("text", "hint"), [("2 Pas", "Pa s"), ("2 Ns", "N s"), ("2 Hzs", "Hz s"), ("2 ss", "")])
+def test_a_product_without_a_space_is_no_plural(text: str, hint: str) -> None:
+    with pytest.raises(UnitError, match=f"unknown unit .*{hint}"):
+        to_unit(text, "N s")
