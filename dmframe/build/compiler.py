@@ -34,6 +34,9 @@ TUNED: Final = (
 FLAGS: Final = (TUNED, ("-O2", "-march=native", "-fno-math-errno"), ("-O2",))
 """Sets of flags, best first; a compiler that refuses one is given the next. None of them lets sums be reordered."""
 
+PLAIN: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-tree-vectorize", "-fPIC", "-shared")
+"""No operation is fused with the next; some vectorisers fuse all the same."""
+
 SHARED: Final = ("-std=gnu11", "-fPIC", "-shared", "-s", "-w")
 LIMIT = 120.0
 """A compiler that takes longer is stopped [s]."""
@@ -62,6 +65,13 @@ class Compiler:
             lines = [line for line in said.splitlines() if "error" in line.lower()] or said.splitlines()
             complaint = complaint or (lines[0].strip() if lines else f"{self.command[0]}: status {status}")
         raise CompileFailed(complaint)
+
+    def build_plain(self, sources: Sequence[Path], library: Path, define: str) -> None:
+        """Compile files of one folder as C99, each operation rounded by itself: the same numbers on every processor."""
+        words = [*self.command, *PLAIN, f"-D{define}", *(source.name for source in sources), "-o", library.name, "-lm"]
+        status, said = _called(words, library.parent)
+        if status != 0 or not library.is_file():
+            raise CompileFailed(said.strip() or f"{self.command[0]}: status {status}")
 
 
 def _called(words: Sequence[str], folder: Path) -> tuple[int, str]:

@@ -31,7 +31,7 @@ from dmframe.cli.arguments import (
 )
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
-from dmframe.errors import UnknownNameError, raise_all, visible
+from dmframe.errors import MissingError, UnknownNameError, raise_all, visible
 from dmframe.files import check_place, write_text
 
 if TYPE_CHECKING:
@@ -283,6 +283,23 @@ def delay(
 
     duration = quantity("--until", until or RECORD, "s")
     return delay_of(one_graph(graph, overrides, trust=trust), duration=duration, as_json=as_json)
+
+
+@app.command()
+def export(
+    graph: OneGraph,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
+    overrides: Overrides = [],  # noqa: B006 - as above
+    c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
+    trust: Trust = False,
+) -> None:
+    """Write a graph's controller for other programs."""
+    from dmframe.cli.graphs import one_graph
+
+    if not c:
+        raise MissingError("--c: say as what: --c writes C99")
+    files = one_graph(graph, overrides, trust=trust).export(out)
+    tell(f"wrote {out}: {', '.join(file.name for file in files)}")
 
 
 @app.command()

@@ -294,6 +294,18 @@ class Graph:
         _ = page.html
         return page
 
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write its controller as C99 to a new folder, with an example and a test; returns the files.
+
+        Raises
+        ------
+        DmframeError
+            It runs in continuous time, commands nothing, or draws numbers; the folder is there already.
+        """
+        from dmframe.export import export_c
+
+        return export_c(self.experiment, self.diagram, folder)
+
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""
         from dmframe.files import expanded, write_text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, final, get_args
@@ -18,10 +19,10 @@ from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ValueFault
+from dmframe.errors import EngineError, ValueFault, listed
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.instants import Instants
-from dmframe.simulate.start import start_state
+from dmframe.simulate.start import measured_start, start_state
 
 
 @final
@@ -72,6 +73,7 @@ class Controller:
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
         self._held = (inside, outside)  # what the call reads and writes by address
+        self._diagram, self._given = diagram, start or {}
         call = None if engine == "interpreted" else self._machine_code(function)
         if call is None and engine == "compiled":
             raise EngineError("engine: expected a C compiler for the compiled engine, found none that works")
@@ -87,10 +89,30 @@ class Controller:
         self.refused += 1
         return False
 
-    def reset(self) -> None:
-        """Put the states where they started, and count refused samples anew."""
-        self._z[:] = self._start
+    def reset(self, *, measured: bool = False, t: float = 0.0) -> None:
+        """Put the states where they started, and count refused samples anew.
+
+        With `measured`, put them where they start when the arrays of `measured` are what the robot shows at time t [s]:
+        estimates as the graph has them, and all that follows the pose, such as an observer, at the robot's own.
+
+        Raises
+        ------
+        ValueFault
+            A number of `measured` is not finite, or was never written.
+        """
+        if measured:
+            given = self._held[0]
+            if not (np.isfinite(given).all() and math.isfinite(t)):
+                lacking = [name for name, array in self.measured.items() if not np.isfinite(array).all()] or ["t"]
+                raise ValueFault(f"controller: expected finite numbers to start from, not those of {listed(lacking)}")
+            self._z[:] = self._start_function(given, t, self._period, self._p).full().ravel()
+        else:
+            self._z[:] = self._start
         self.refused = 0
+
+    @cached_property
+    def _start_function(self) -> Any:
+        return start_function(self._diagram, self._given)[0]
 
     def _machine_code(self, function: Any) -> Callable[[], bool] | None:
         try:
@@ -164,6 +186,14 @@ def control_function(diagram: Diagram) -> Any:
             raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
     z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
     return ca.Function("control", [z, measured, loop.time, loop.period, loop.p], ca.cse(expressions))
+
+
+def start_function(diagram: Diagram, given: Mapping[str, Any]) -> tuple[Any, tuple[str, ...]]:
+    """(measured, t, T, p) -> z, and the states whose start no measurement tells: they have a simulation's numbers."""
+    loop = diagram.loop
+    z, untold = measured_start(diagram, given)
+    measured = stack(leaf.symbol for leaf in loop.measured)
+    return ca.Function("start", [measured, loop.time, loop.period, loop.p], [ca.cse(ca.densify(z))]), untold
 
 
 def _parts(items: Any, array: np.ndarray) -> dict[str, np.ndarray]:

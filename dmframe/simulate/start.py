@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.faults import told_by
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Followed, columns, stack
@@ -393,3 +394,46 @@ def symbolic_start(
         )
     found = stack(values[variable.label] for variable in loop.variables)
     return found, ca.substitute(loop.held(loop.state), loop.state, found)
+
+
+def measured_start(diagram: Diagram, given: Mapping[str, Any]) -> tuple[SX, tuple[str, ...]]:
+    """Where the controller's states start, in the leaves of what is measured, t, T and the parameters.
+
+    On a robot nobody knows more. With the states whose start needs more, such as a true parameter; these start at the
+    numbers that a simulation would give them.
+    """
+    loop, made = diagram.loop, Made()
+    symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
+    mine = {variable.label for variable in loop.controller}
+    told = _given(diagram, loop.variables, given)
+    values = {label: ca.SX(ca.DM(np.ravel(number, order="F"))) for label, number in told.items() if label in mine}
+    waiting = dict[str, SX]()
+    for variable in (variable for variable in loop.controller if variable.label not in values):
+        model, stated = diagram.models[variable.block], _said(diagram, variable.block, made).get(variable.name)
+        if variable.name in model.values:
+            number = ca.SX(ca.DM(np.ravel(model.values[variable.name], order="F")))
+            values[variable.label] = ca.vec(symbols.get(variable.label, number))
+        elif stated is None:
+            values[variable.label] = ca.SX.zeros(variable.symbol.numel())
+        else:
+            waiting[variable.label] = ca.vec(ca.densify(loop.on_path(stated)))
+    own = {variable.label: ca.vec(variable.symbol) for variable in loop.controller}
+    while ready := [
+        label for label, said in waiting.items() if not ca.depends_on(said, stack(own[other] for other in waiting))
+    ]:
+        leaves, meanings = stack(own[label] for label in values), stack(values.values())
+        for label in ready:
+            values[label] = ca.substitute(waiting.pop(label), leaves, meanings)
+    allowed = [*(leaf.symbol for leaf in loop.measured), loop.time, loop.period, loop.p]
+    known = symbols_in([ca.vec(item) for item in allowed])
+    unknown = [*waiting, *(label for label, value in values.items() if not symbols_in([value]) <= known)]
+    if unknown:
+        simulated = start_state(diagram, given, made)
+        edges = np.cumsum([0, *(variable.symbol.numel() for variable in loop.controller)])
+        for k, variable in enumerate(loop.controller):
+            if variable.label in unknown:
+                values[variable.label] = ca.SX(ca.DM(simulated[edges[k] : edges[k + 1]]))
+    found = stack(values[variable.label] for variable in loop.controller)
+    rest = stack(variable.symbol for variable in loop.plant)
+    state = ca.vertcat(found, ca.SX.zeros(rest.numel()))
+    return ca.substitute(loop.held(loop.state), loop.state, state)[: found.numel()], tuple(unknown)

@@ -1,0 +1,370 @@
+"""A controller as C99: one source, one header, and a test that holds any compiler to the numbers of the simulation."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, NamedTuple, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.build.cache import CompileFailed
+from dmframe.build.compiler import find_compiler
+from dmframe.build.trial import called
+from dmframe.codegen.function import ONE, written
+from dmframe.codegen.source import shipped
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.parts import split
+from dmframe.errors import EngineError, OutputError
+from dmframe.export.program import Member, Program, program_of
+from dmframe.files import expanded, write_text, writing
+from dmframe.results.folder import provenance
+from dmframe.results.resolved import resolved_text
+from dmframe.runtime.controller import Controller
+from dmframe.simulate import Log, simulate
+from dmframe.units import plain
+from dmframe.version import version
+
+
+def header(program: Program) -> str:
+    """What a caller includes."""
+    name = program.name
+    guard = f"{name.upper()}_H"
+    tool = (
+        "" if program.tool is None else _TOOL.format(name=name, n=program.tool.numel_in(0), m=program.tool.numel_out(0))
+    )
+    size = max(1, sum(member.size for member in program.states))
+    _, constants = _functions(program)
+    return _HEADER.format(
+        name=name,
+        guard=guard,
+        upper=name.upper(),
+        about=_about(program),
+        period=repr(program.period),
+        measured=_struct(f"{name}_measured", program.measured, "What the robot shows at a sample."),
+        commanded=_struct(f"{name}_commanded", program.commanded, "What it is told, until the next."),
+        parameters=_struct(f"{name}_parameters", program.parameters, "Gains and other numbers of the controller."),
+        p=max(1, sum(member.size for member in program.parameters)),
+        c=max(1, constants),
+        z=size,
+        places="\n".join(_places(program)),
+        tool=tool,
+    )
+
+
+def source(program: Program) -> str:
+    """The controller itself."""
+    functions, _ = _functions(program)
+    sizes = {
+        "Z": sum(member.size for member in program.states),
+        "M": sum(member.size for member in program.measured),
+        "U": sum(member.size for member in program.commanded),
+        "P": max(1, sum(member.size for member in program.parameters)),
+    }
+    name = program.name
+    lines = [
+        f"/* {_about(program)} */",
+        f'#include "{name}.h"',
+        "#ifndef __GNUC__",
+        "#define __attribute__(list)",
+        "#endif",
+        *map(shipped, ONE.arithmetic),
+        *(f"#define DM_{key} {size}" for key, size in sizes.items()),
+        f"#define DM_PERIOD {name.upper()}_PERIOD",
+        f"#define DM_NAMED(word) {name}_##word",
+        f"const {name}_parameters {name}_defaults = {{",
+        *(f"    {{{', '.join(map(repr, member.value))}}}, /* {member.label} */" for member in program.parameters),
+        "};",
+        *(_HEAD.sub(_unused, written(function, ONE)) for function in functions),
+        _own("exported.c"),
+    ]
+    if program.tool is not None:
+        lines.append(f"void {name}_tool(const double *q, double *x) {{ dm_tool(q, 0, 0, x); }}\n")
+    return "\n".join(lines)
+
+
+_HEADER: Final = """\
+/* {about}
+
+   Fill a {name}_measured, call {name}_reset once and then {name}_step at each sample, every {period} s; send what is in
+   {name}_commanded. A call returns 1, or 0 for a sample that is not finite or leads to what is not: then nothing has
+   changed, and the robot should be stopped. Radians, metres, newtons, seconds; joints in the order of the robot. */
+#ifndef {guard}
+#define {guard}
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+#define {upper}_PERIOD {period} /* s */
+
+{measured}
+
+{commanded}
+
+{parameters}
+
+/* As the graph has them. */
+extern const {name}_parameters {name}_defaults;
+
+/* Where states lie in {name}_controller.state. */
+{places}
+
+typedef struct {{
+  double parameters[{p}];
+  double constants[{c}];
+  double state[{z}];
+  unsigned long refused; /* samples that were not finite */
+}} {name}_controller;
+
+void {name}_init({name}_controller *self, const {name}_parameters *parameters);
+
+/* States start from what is measured at time t. */
+int {name}_reset({name}_controller *self, const {name}_measured *measured, double t);
+
+/* What is commanded from time t on, until the next sample. */
+int {name}_step({name}_controller *self, const {name}_measured *measured, double t, {name}_commanded *commanded);
+{tool}
+#ifdef __cplusplus
+}}
+#endif
+#endif
+"""
+_TOOL: Final = """
+/* Where the tool is [m], with the lengths of the robot's model: q has {n} numbers, x has {m}. */
+void {name}_tool(const double *q, double *x);
+"""
+
+
+def _functions(program: Program) -> tuple[list[Any], int]:
+    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is."""
+    z, measured, t, T, p = (ca.SX.sym(word, program.control.numel_in(k)) for k, word in enumerate(_ARGUMENTS))
+    bodies: dict[str, tuple[list[Any], list[Any]]] = {
+        "control": ([z, measured, t, T], list(program.control(z, measured, t, T, p))),
+        "start": ([measured, t, T], [program.start(measured, t, T, p)]),
+    }
+    if program.tool is not None:
+        q = ca.SX.sym("q", program.tool.numel_in(0))
+        bodies["tool"] = ([q], [program.tool(q)])
+    made, constants = split(bodies, p)
+    return [constants, *made], constants.numel_out(0)
+
+
+_ARGUMENTS: Final = ("z", "measured", "t", "T", "p")
+_HEAD: Final = re.compile(r"^static .*\((.*)\) \{$", re.MULTILINE)
+
+
+def _unused(head: re.Match[str]) -> str:
+    """A function's head, with its arguments mentioned: not each reads all."""
+    names = [argument.split("*")[1] for argument in head.group(1).split(", ")]
+    return "\n".join([head.group(), f"  {' '.join(f'(void){name};' for name in names)}"])
+
+
+def _about(program: Program) -> str:
+    title = f": {program.title}" if program.title else ""
+    return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
+
+
+def _struct(name: str, members: Sequence[Member], about: str) -> str:
+    lines = [f"/* {about} */", "typedef struct {"]
+    lines += [f"  double {item.word}[{item.size}]; /* {_unit(item.unit)} */" for item in members]
+    lines += [] if members else ["  double none[1];"]
+    return "\n".join([*lines, f"}} {name};"])
+
+
+def _unit(unit: str) -> str:
+    return unit or "1"
+
+
+def _places(program: Program) -> Iterator[str]:
+    first = 0
+    for member in program.states:
+        word = f"{program.name}_{member.word}".upper()
+        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {_unit(member.unit)} */"
+        first += member.size
+
+
+def _own(name: str) -> str:
+    return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
+
+
+SAMPLES: Final = 250
+"""Of a simulation, that the test holds the C to."""
+
+NEAR: Final = 1e-9
+"""Relative to one plus a number: how far the C's may be from an interpreter's, whose sines are another library's."""
+
+
+def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
+    """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
+
+    ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` holds any compiler to the first samples of a simulation,
+    bit by bit where it keeps to the order of operations; ``example.c`` shows the loop, ``CMakeLists.txt`` builds all.
+
+    Raises
+    ------
+    EngineError
+        The graph has no sampled controller that can stand alone.
+    OutputError
+        The folder is there already, or cannot be written.
+    """
+    place = expanded(folder)
+    if place.exists():
+        raise OutputError(f"{place}: is there already; name a new folder")
+    program = program_of(experiment, diagram)
+    code, told = source(program), header(program)
+    wanted = {f"{program.name}.c": code, f"{program.name}.h": told}
+    samples = _samples(experiment, diagram, program)
+    wanted |= {"replay.c": _called("replay.c", program), "samples.h": _listed(samples, exact=False)}
+    compiled = _compiled(program, wanted, samples)
+    exact = compiled is not None
+    wanted |= {
+        "samples.h": _listed(compiled or samples, exact=exact),
+        "example.c": _called("example.c", program).replace("DM_STILL", _still(program, samples)),
+        "CMakeLists.txt": _called("CMakeLists.txt", program),
+        "README.md": _readme(program, exact=exact),
+        "graph.yaml": resolved_text(experiment),
+        "provenance.json": json.dumps(provenance(experiment, resolved_text(experiment)), indent=2) + "\n",
+    }
+    with writing(place, "folder"):
+        place.mkdir(parents=True)
+    for name, text in wanted.items():
+        write_text(place / name, text)
+    return [place / name for name in wanted]
+
+
+@final
+class Samples(NamedTuple):
+    """The first samples of a simulation, a row each, and the controller's states after the last."""
+
+    times: np.ndarray
+    measured: np.ndarray
+    commanded: np.ndarray
+    state: np.ndarray
+
+
+def _samples(experiment: Experiment, diagram: Diagram, program: Program) -> Samples:
+    """What the plant showed in a simulation, and what the controller makes of it when it begins there."""
+    count = max(1, min(SAMPLES, round(experiment.file.duration / program.period)))
+    run = simulate(diagram, count * program.period, **{**experiment.settings, "log": Log()})
+    times, commanded = run.time[:count], list[np.ndarray]()
+    measured = np.hstack([run[item.label][: len(times)].reshape(len(times), -1) for item in program.measured])
+    controller = Controller(diagram, program.period, start=experiment.start, engine="interpreted")
+    for k, (t, row) in enumerate(zip(times.tolist(), measured, strict=True)):
+        parts = np.split(row, np.cumsum([item.size for item in program.measured])[:-1])
+        for item, part in zip(program.measured, parts, strict=True):
+            controller.measured[item.label][:] = part
+        if k == 0:
+            controller.reset(measured=True, t=t)
+        if not controller.step(t):
+            break
+        commanded.append(np.concatenate([controller.commanded[item.label] for item in program.commanded]))
+    done = len(commanded)
+    if done == 0:
+        raise EngineError(
+            f"{experiment.name}: its first sample leads to numbers that are not finite; there is no law to export"
+        )
+    state = np.concatenate([np.zeros(0), *(controller.states[item.label] for item in program.states)])
+    return Samples(times[:done], measured[:done], np.array(commanded), state)
+
+
+def _compiled(program: Program, texts: Mapping[str, str], samples: Samples) -> Samples | None:
+    """What the C itself makes of the samples; None where no compiler works here.
+
+    Raises `EngineError` for a compiler whose numbers are not those of the interpreter.
+    """
+    compiler = find_compiler()
+    if compiler is None:
+        return None
+    with TemporaryDirectory(prefix="dmframe-") as folder:
+        place = Path(folder)
+        for name, text in texts.items():
+            (place / name).write_text(text, encoding="utf-8")
+        library = place / "replay.so"
+        try:
+            compiler.build_plain([place / f"{program.name}.c", place / "replay.c"], library, define="DM_NO_MAIN")
+        except (OSError, CompileFailed):
+            return None
+        count = sum(item.size for item in program.states)
+        given = (samples.measured, samples.times, 0 * samples.commanded, np.zeros(max(1, count)))
+        found = called(library, "dm_replay", [{"doubles": np.ravel(array).tolist()} for array in given])
+    if found is None:
+        return None
+    commanded, state = np.reshape(found[2], samples.commanded.shape), np.array(found[3][:count])
+    for mine, theirs in ((commanded, samples.commanded), (state, samples.state)):
+        if not np.allclose(mine, theirs, rtol=NEAR, atol=NEAR):
+            raise EngineError(
+                f"{compiler.command[0]} makes of it a program that computes other numbers; name another compiler by $CC"
+            )
+    return samples._replace(commanded=commanded, state=state)
+
+
+def _listed(samples: Samples, *, exact: bool) -> str:
+    """The samples as C."""
+    lines = [
+        "/* What a robot showed in a simulation, and what the controller then commands. */",
+        f"#define DM_SAMPLES {len(samples.times)}",
+        f"#define DM_MEASURED {samples.measured.shape[1]}",
+        f"#define DM_COMMANDED {samples.commanded.shape[1]}",
+        f"#define DM_EXACT {int(exact)} /* 1: computed by this C; 0: by an interpreter, to rounding */",
+    ]
+    for name, array in zip(("times", "measured", "commands", "state"), samples, strict=True):
+        rows = np.atleast_2d(array) if array.size else np.zeros((1, 1))
+        lines.append(f"static const double dm_{name}[{max(1, array.size)}] = {{")
+        lines += [f"    {_row(row)}," for row in rows]
+        lines.append("};")
+    return "\n".join([*lines, ""])
+
+
+def _row(values: Iterable[float]) -> str:
+    """Numbers of C that are these doubles to the last bit."""
+    return ", ".join(float(value).hex() for value in values)
+
+
+def _still(program: Program, samples: Samples) -> str:
+    """The first sample as the initial value of a struct."""
+    parts = np.split(samples.measured[0], np.cumsum([item.size for item in program.measured])[:-1])
+    return ", ".join(f"{{{', '.join(map(repr, part.tolist()))}}}" for part in parts)
+
+
+def _called(name: str, program: Program) -> str:
+    """A file of this package with the program's name in it."""
+    return _own(name).replace("DM_FILE", program.name).replace("DM_PERIOD", f"{program.name.upper()}_PERIOD")
+
+
+def _readme(program: Program, *, exact: bool) -> str:
+    """What is in the folder, and what it was not tried on."""
+    names = ", ".join(program.untold)
+    untold = f"\n{names}: nothing measured tells where these start; they begin as in the simulation.\n" if names else ""
+    held = "to the last bit" if exact else "to rounding: there was no compiler where it was written"
+    return _README.format(
+        name=program.name, period=plain(program.period, "s"), untold=untold, held=held, version=version()
+    )
+
+
+_README: Final = """\
+# {name} as C
+
+The controller of `graph.yaml`, sampled every {period}, without the robot and its servo: C99, no memory asked for,
+nothing of the C library but arithmetic. `{name}.h` says what goes in and out, with units; `example.c` shows the loop.
+
+```sh
+cmake -B build && cmake --build build && ctest --test-dir build
+```
+
+or `cc -std=c99 -O2 -ffp-contract=off -fno-tree-vectorize {name}.c replay.c -lm -o replay && ./replay`. It holds
+your compiler to the samples of a simulation, {held}.
+{untold}
+Time comes from the robot's clock, not from a count of loops: the path is a function of it. What is measured must be of
+one frame, the robot's base; for a robot that does not tell where its tool is there is `{name}_tool`. A call that
+returns 0 has computed nothing: stop the robot then.
+
+It was tried in simulation, on no robot. Nothing in it limits joints, forces or the workspace, and it is not a safety
+function. Written by dmframe {version}; `provenance.json` says from what.
+"""

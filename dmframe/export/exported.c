@@ -1,0 +1,51 @@
+/* Over the functions that the graph's equations became, the controller as others call it. No memory is asked for, nothing
+   is read or written but what is handed over, and a call's way depends on no number but those of its switches. */
+
+typedef char dm_measured_is_packed[sizeof(DM_NAMED(measured)) == DM_M * sizeof(double) ? 1 : -1];
+typedef char dm_commanded_is_packed[sizeof(DM_NAMED(commanded)) == DM_U * sizeof(double) ? 1 : -1];
+typedef char dm_parameters_are_packed[sizeof(DM_NAMED(parameters)) == DM_P * sizeof(double) ? 1 : -1];
+
+static int dm_finite(const double *values, int count) {
+  double gap = 0;
+  for (int k = 0; k < count; k++) gap += values[k] - values[k];
+  return gap == 0;
+}
+
+static int dm_read(const DM_NAMED(measured) * from, double t, double *measured) {
+  memcpy(measured, from, DM_M * sizeof *measured);
+  return dm_finite(measured, DM_M) && dm_finite(&t, 1);
+}
+
+void DM_NAMED(init)(DM_NAMED(controller) * self, const DM_NAMED(parameters) * parameters) {
+  memset(self, 0, sizeof *self);
+  memcpy(self->parameters, parameters, DM_P * sizeof *self->parameters);
+  dm_constants(self->parameters, self->constants);
+}
+
+int DM_NAMED(reset)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t) {
+  double measured[DM_M], state[DM_Z + 1];
+  const double T = DM_PERIOD;
+  state[DM_Z] = 0;
+  if (!dm_read(from, t, measured)) return 0;
+  dm_start(measured, &t, &T, self->parameters, self->constants, state);
+  if (!dm_finite(state, DM_Z)) return 0;
+  memcpy(self->state, state, DM_Z * sizeof *state);
+  self->refused = 0;
+  return 1;
+}
+
+int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, DM_NAMED(commanded) * to) {
+  double measured[DM_M], next[DM_Z + 1], command[DM_U];
+  const double T = DM_PERIOD;
+  next[DM_Z] = 0;
+  if (dm_read(from, t, measured)) {
+    dm_control(self->state, measured, &t, &T, self->parameters, self->constants, next, command);
+    if (dm_finite(next, DM_Z) && dm_finite(command, DM_U)) {
+      memcpy(self->state, next, DM_Z * sizeof *next);
+      memcpy(to, command, DM_U * sizeof *command);
+      return 1;
+    }
+  }
+  self->refused++;
+  return 0;
+}

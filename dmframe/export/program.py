@@ -1,0 +1,155 @@
+"""What an exported controller computes, and what its numbers are called."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.block.model import symbols_in
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import EngineError, OutputError
+from dmframe.files import told_apart
+from dmframe.port import Side
+from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.runtime.controller import control_function, start_function
+
+_WORDS: Final = frozenset(
+    "auto bool break case char const continue default do double else enum extern float for goto if inline int long "
+    "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile "
+    "while".split()
+)
+
+
+@final
+@dataclass(frozen=True)
+class Member:
+    """Some numbers in a row.
+
+    Parameters
+    ----------
+    label
+        As the graph calls them, ``arm.q``.
+    word
+        As a program does, ``arm_q``.
+    size
+        How many; a matrix is kept column by column.
+    value
+        The graph's own numbers, of a parameter.
+    """
+
+    label: str
+    word: str
+    size: int
+    unit: str
+    value: tuple[float, ...] = ()
+
+
+@final
+@dataclass(frozen=True)
+class Program:
+    """A controller apart from its diagram: functions of numbers in a row, and what these are.
+
+    Parameters
+    ----------
+    control
+        (z, measured, t, T, p) -> (z one period later, commands).
+    start
+        (measured, t, T, p) -> z.
+    tool
+        q -> x, where the robot's tool is; None without a robot.
+    untold
+        States whose start no measurement tells.
+    """
+
+    name: str
+    title: str
+    period: float
+    measured: tuple[Member, ...]
+    commanded: tuple[Member, ...]
+    states: tuple[Member, ...]
+    parameters: tuple[Member, ...]
+    control: Any
+    start: Any
+    tool: Any
+    untold: tuple[str, ...]
+
+
+def program_of(experiment: Experiment, diagram: Diagram) -> Program:
+    """The controller of a graph.
+
+    Raises
+    ------
+    EngineError
+        It runs in continuous time, commands nothing, or draws numbers.
+    OutputError
+        The name has no letter or digit.
+    """
+    loop, clock = diagram.loop, experiment.file.clock
+    if not isinstance(clock, float):
+        raise EngineError(
+            f"{experiment.name}: expected a clock such as 8 ms, found continuous; an exported law is sampled"
+        )
+    if not loop.commanded:
+        raise EngineError("export: expected a graph that commands something, found no wire to a plant")
+    control = control_function(diagram)
+    start, untold = start_function(diagram, experiment.start)
+    inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
+    told = control(*inputs, loop.p)
+    begun = start(*inputs[1:], loop.p)
+    used = symbols_in([*told, begun])
+    kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
+    sides = {label: block.side for label, block in diagram.blocks.items()}
+    for parameter in kept:
+        if sides.get(parameter.label.split(".")[0]) is Side.PLANT:  # the diagram was built without such a way
+            raise EngineError(f"export: the controller reads {parameter.label}, a number of the plant")
+    p = stack(parameter.symbol for parameter in kept)
+    units = {signal.label: signal.unit for signal in loop.outputs}
+    return Program(
+        name=identifier(experiment.name),
+        title=experiment.file.title or "",
+        period=clock,
+        measured=_members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
+        commanded=_members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
+        states=_members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
+        parameters=_members(
+            (item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept
+        ),
+        control=ca.Function("control", [*inputs, p], list(told)),
+        start=ca.Function("start", [*inputs[1:], p], [begun]),
+        tool=_tool(diagram),
+        untold=untold,
+    )
+
+
+def _tool(diagram: Diagram) -> Any:
+    """Q -> where the tool is, with the robot's own lengths; None without a robot."""
+    if diagram.robot is None:
+        return None
+    robot, q = SymbolicRobot(diagram.robot), ca.SX.sym("q", diagram.robot.n)
+    symbols = stack(constant.symbol for constant in robot.constants)
+    (x,) = ca.substitute([robot.position(q)], [symbols], [ca.vertcat(*map(ca.DM, robot.values().values()))])
+    return ca.Function("tool", [q], [x])
+
+
+def _members(items: Iterable[Sequence[Any]]) -> tuple[Member, ...]:
+    found = list(items)
+    words = told_apart([identifier(item[0]) for item in found], "{}_{}".format)
+    return tuple(
+        Member(item[0], word, item[1].numel(), item[2], tuple(item[3]) if len(item) > 3 else ())
+        for item, word in zip(found, words, strict=True)
+    )
+
+
+def identifier(name: str) -> str:
+    """A name as a word of C: ``arm.q`` is ``arm_q``."""
+    word = re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")
+    if not word:
+        raise OutputError(f"{name!r}: expected a name with a letter or digit, as the name of a C function")
+    return f"_{word}"[word[0].isalpha() :] + "_" * (word in _WORDS or keyword.iskeyword(word))

@@ -1,0 +1,261 @@
+"""The exported C against the simulation, under compilers that complain."""
+
+from __future__ import annotations
+
+import ctypes
+import re
+import shutil
+import subprocess
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import dmframe as dm
+from dmframe.cli.app import app
+from dmframe.errors import DmframeError, ValueFault
+from dmframe.export.program import identifier
+from dmframe.port import Side
+
+GCC = shutil.which("gcc")
+needs_gcc = pytest.mark.skipif(GCC is None, reason="needs gcc")
+PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Werror")
+GRAPHS = ("ur10_fast", "ur10_full", "joint_tracking_pi", "ur10_fast_kinematic")
+
+
+@cache
+def exported(name: str) -> Path:
+    folder = Path(mkdtemp(prefix="exported-")) / name
+    dm.load(name).export(folder)
+    return folder
+
+
+def compiled(folder: Path, *words: str, main: str = "replay.c") -> Path:
+    """A program of the exported files."""
+    name = next(file.stem for file in folder.glob("*.c") if file.stem not in ("replay", "example"))
+    out = Path(mkdtemp(prefix="compiled-")) / "program"
+    done = subprocess.run(
+        [str(GCC), *words, f"{name}.c", main, "-lm", "-o", str(out)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[:2000]
+    assert not done.stderr
+    return out
+
+
+def said(program: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(program)], capture_output=True, text=True, check=False)
+
+
+@needs_gcc
+@pytest.mark.parametrize("optimised", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("name", GRAPHS)
+def test_it_compiles_without_a_warning_to_the_same_bits(name: str, optimised: str) -> None:
+    done = said(compiled(exported(name), *STRICT, *PLAIN, optimised))
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "250 samples, the same bits" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.parametrize("main", ["replay.c", "example.c"])
+@pytest.mark.parametrize("name", ["ur10_fast", "ur10_fast_kinematic"])
+def test_sanitizers_find_nothing(name: str, main: str) -> None:
+    words = ("-std=c99", "-g", *PLAIN, "-fsanitize=address,undefined", "-fno-sanitize-recover")
+    done = said(compiled(exported(name), *words, main=main))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_gcc
+@pytest.mark.parametrize("array", ["dm_commands", "dm_state", "dm_measured"])
+def test_one_wrong_bit_is_found(array: str, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(exported("ur10_fast"), tmp_path / "ur10_fast"))
+    text = (folder / "samples.h").read_text(encoding="utf-8")
+    number = re.compile(r"0x1\.(\w{4})").search(text, text.index(f"double {array}["))
+    assert number is not None
+    turned = f"{int(number.group(1), 16) ^ 1:04x}"
+    (folder / "samples.h").write_text(text[: number.start(1)] + turned + text[number.end(1) :], encoding="utf-8")
+    done = said(compiled(folder, *STRICT, *PLAIN))
+    assert done.returncode == 1
+    assert "other bits" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["ur10_fast", "joint_tracking_pi"])
+def test_it_commands_to_the_bit_what_a_simulation_without_fused_operations_does(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("CC", f"{GCC} {' '.join(PLAIN)}")
+    graph = dm.load(name)
+    assert graph.clock is not None
+    run = graph.run(200 * graph.clock, engine="compiled", progress=False).recording
+    library, words = tmp_path / "controller.so", ("-std=c99", "-O2", *PLAIN, "-shared", "-fPIC")
+    files = [str(exported(name) / f"{name}.c")]
+    subprocess.run([str(GCC), *words, *files, "-lm", "-o", str(library)], check=True)
+    controller = Called(library, name)
+    for k, t in enumerate(run.time[:200]):
+        given = np.concatenate([run[leaf.name][k] for leaf in graph.diagram.loop.measured])
+        if k == 0:
+            assert controller.reset(given, t)
+        commanded = controller.step(given, t)
+        expected = np.concatenate([run[leaf.name][k] for leaf in graph.diagram.loop.commanded])
+        assert commanded is not None
+        assert commanded.tobytes() == expected.tobytes(), f"sample {k}"
+
+
+class Called:
+    """The exported functions from Python, by their own names."""
+
+    def __init__(self, library: Path, name: str) -> None:
+        self.library, self.name = ctypes.CDLL(str(library)), name
+        self.controller = ctypes.create_string_buffer(1 << 16)
+        self.commanded = np.full(64, np.nan)
+        self.count = len(dm.load(name).diagram.robot.joints)
+        self._call("init", self.controller, ctypes.byref(ctypes.c_char.in_dll(self.library, f"{name}_defaults")))
+
+    def _call(self, word: str, *given: Any) -> int:
+        return int(getattr(self.library, f"{self.name}_{word}")(*given))
+
+    def reset(self, measured: np.ndarray, t: float) -> bool:
+        return bool(self._call("reset", self.controller, measured.ctypes.data_as(ctypes.c_void_p), ctypes.c_double(t)))
+
+    def step(self, measured: np.ndarray, t: float) -> np.ndarray | None:
+        out = self.commanded.ctypes.data_as(ctypes.c_void_p)
+        given = measured.ctypes.data_as(ctypes.c_void_p)
+        taken = self._call("step", self.controller, given, ctypes.c_double(t), out)
+        return self.commanded[: self.count].copy() if taken else None
+
+    def tool(self, q: np.ndarray) -> np.ndarray:
+        x = np.zeros(3)
+        self._call("tool", q.ctypes.data_as(ctypes.c_void_p), x.ctypes.data_as(ctypes.c_void_p))
+        return x
+
+
+@pytest.fixture(scope="module")
+def ur10(tmp_path_factory: pytest.TempPathFactory) -> Called:
+    library = tmp_path_factory.mktemp("ur10") / "controller.so"
+    words = [
+        str(GCC),
+        "-std=c99",
+        "-shared",
+        "-fPIC",
+        str(exported("ur10_fast") / "ur10_fast.c"),
+        "-lm",
+        "-o",
+        str(library),
+    ]
+    subprocess.run(words, check=True)
+    return Called(library, "ur10_fast")
+
+
+@needs_gcc
+def test_a_sample_that_is_not_finite_changes_nothing(ur10: Called) -> None:
+    sound = np.array([0.0, 0.0, 0.0, 1.0, -1.0, 1.0, 0.5, 0.5, 0.5, 1.0, -1.0, 1.0])
+    assert ur10.reset(sound, 0.0)
+    assert ur10.step(sound, 0.0) is not None
+    before, commanded = ur10.controller.raw, ur10.commanded.copy()
+    for bad in (np.nan, np.inf, -np.inf):
+        for place in range(sound.size):
+            sample = sound.copy()
+            sample[place] = bad
+            assert ur10.step(sample, 0.008) is None
+            assert not ur10.reset(sample, 0.008)
+    assert ur10.step(sound, np.nan) is None
+    after = ur10.controller.raw
+    size = 8 * (69 + 1 + 51)
+    assert after[:size] == before[:size]
+    assert int.from_bytes(after[size : size + 8], "little") == 3 * sound.size + 1
+    np.testing.assert_array_equal(ur10.commanded, commanded)
+
+
+@needs_gcc
+def test_the_tool_is_where_pinocchio_has_it(ur10: Called) -> None:
+    graph = dm.load("ur10_fast")
+    run = graph.run("0.1 s", progress=False).recording
+    for q, x in zip(run["arm.q"], run["arm.x"], strict=True):
+        np.testing.assert_allclose(ur10.tool(q), x, atol=1e-12)
+
+
+def test_no_number_of_the_servo_or_the_arm_is_in_it() -> None:
+    for name in GRAPHS:
+        graph = dm.load(name)
+        plant = {label for label, block in graph.blocks.items() if block.side is Side.PLANT}
+        text = (exported(name) / f"{name}.h").read_text(encoding="utf-8")
+        told = re.search(rf"typedef struct {{([^}}]*)}} {name}_parameters;", text)
+        assert told is not None
+        words = re.findall(r"double (\w+)\[", told.group(1))
+        assert words
+        assert not [word for word in words if any(word.startswith(f"{label}_") for label in plant)]
+        assert not [word for word in words if "inertia" in word]
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_a_controller_that_starts_from_what_is_measured_starts_as_the_simulation(name: str) -> None:
+    graph = dm.load(name)
+    assert graph.clock is not None
+    run = graph.run(2 * graph.clock, progress=False).recording
+    controller = graph.controller(engine="interpreted")
+    for label, values in controller.measured.items():
+        values[:] = run[label][0]
+    begun = {label: values.copy() for label, values in controller.states.items()}
+    controller.reset(measured=True)
+    for label, values in controller.states.items():
+        np.testing.assert_array_equal(values, begun[label])
+
+
+def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
+    controller = dm.load("ur10_fast").controller(engine="interpreted")
+    with pytest.raises(ValueFault, match=r"finite numbers to start from, not those of arm\.dq"):
+        controller.reset(measured=True)
+    q = np.array([0.3, -1.2, 0.9])
+    for label, values in controller.measured.items():
+        values[:] = q if label.endswith((".q", ".q_c")) else 0.1
+    estimate = controller.states["dynamics.a_d_hat"].copy()
+    controller.reset(measured=True)
+    np.testing.assert_array_equal(controller.states["inverse.q_r"], q)
+    np.testing.assert_array_equal(controller.states["dynamics.a_d_hat"], estimate)
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["pendulum_kinematic", "new", "--c"], "expected a clock such as 8 ms, found continuous"),
+        (["ur10_slow_probe", "new", "--c"], "is drawn anew at each sample, in simulations alone"),
+        (["ur10_fast", "new"], "--c: say as what"),
+        (["ur10_fast", ".", "--c"], "is there already; name a new folder"),
+    ],
+)
+def test_what_cannot_be_exported_is_said(
+    words: list[str], text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(app, ["export", *words])
+    assert isinstance(done.exception, DmframeError)
+    assert text in str(done.exception)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("name", "word"), [("arm.q", "arm_q"), ("2 arms", "_2_arms"), ("int", "int_"), ("α.q", "q")])
+def test_names_are_words_of_c(name: str, word: str) -> None:
+    assert identifier(name) == word
+
+
+def test_a_name_without_a_letter_is_refused() -> None:
+    with pytest.raises(DmframeError, match="expected a name with a letter or digit"):
+        identifier("...")
+
+
+def test_without_a_compiler_it_is_written_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.export.c.find_compiler", lambda: None)
+    dm.load("ur10_fast_kinematic").export(tmp_path / "out")
+    assert "#define DM_EXACT 0" in (tmp_path / "out" / "samples.h").read_text(encoding="utf-8")
+    assert "to rounding: there was no compiler" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
+    if GCC is not None:
+        assert said(compiled(tmp_path / "out", *STRICT, *PLAIN)).returncode == 0
