@@ -86,6 +86,12 @@ def compatible(unit_a: str, unit_b: str) -> bool:
     return unit_a == unit_b or _size(unit_a) == _size(unit_b)
 
 
+def base_units(unit: str) -> tuple[Fraction, dict[str, int]]:
+    """How many of the base units m, s, g, rad, A and K one is, and their powers: of N, 1000 g m/s^2."""
+    scale, dimension = _size(unit)
+    return scale, dict(dimension)
+
+
 def plain(value: float, unit: str, digits: int = 3) -> str:
     """Show a quantity to people, rounded to significant digits, with an SI prefix where that reads well: ``90 ms``."""
     if not math.isfinite(value):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
@@ -291,14 +291,18 @@ def export(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
     overrides: Overrides = [],  # noqa: B006 - as above
     c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
+    fmi2: Annotated[bool, typer.Option("--fmi2", help="Controller and robot as units of FMI 2.0.")] = False,
+    fmi3: Annotated[bool, typer.Option("--fmi3", help="Controller and robot as units of FMI 3.0.")] = False,
     trust: Trust = False,
 ) -> None:
     """Write a graph's controller for other programs."""
     from dmframe.cli.graphs import one_graph
 
-    if not c:
-        raise MissingError("--c: say as what: --c writes C99")
-    files = one_graph(graph, overrides, trust=trust).export(out)
+    kinds: dict[Literal["c", "fmi2", "fmi3"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3}
+    asked = [kind for kind, wanted in kinds.items() if wanted]
+    if len(asked) != 1:
+        raise MissingError(f"expected one of --c, --fmi2 and --fmi3, found {len(asked) or 'none'}")
+    files = one_graph(graph, overrides, trust=trust).export(out, asked[0])
     tell(f"wrote {out}: {', '.join(file.name for file in files)}")
 
 

@@ -40,7 +40,7 @@ def header(program: Program) -> str:
         "" if program.tool is None else _TOOL.format(name=name, n=program.tool.numel_in(0), m=program.tool.numel_out(0))
     )
     size = max(1, sum(member.size for member in program.states))
-    _, constants = _functions(program)
+    _, constants = functions_of(program)
     return _HEADER.format(
         name=name,
         guard=guard,
@@ -60,7 +60,7 @@ def header(program: Program) -> str:
 
 def source(program: Program) -> str:
     """The controller itself."""
-    functions, _ = _functions(program)
+    functions, _ = functions_of(program)
     sizes = {
         "Z": sum(member.size for member in program.states),
         "M": sum(member.size for member in program.measured),
@@ -81,8 +81,8 @@ def source(program: Program) -> str:
         f"const {name}_parameters {name}_defaults = {{",
         *(f"    {{{', '.join(map(repr, member.value))}}}, /* {member.label} */" for member in program.parameters),
         "};",
-        *(_HEAD.sub(_unused, written(function, ONE)) for function in functions),
-        _own("exported.c"),
+        *map(spelled, functions),
+        own_file("exported.c"),
     ]
     if program.tool is not None:
         lines.append(f"void {name}_tool(const double *q, double *x) {{ dm_tool(q, 0, 0, x); }}\n")
@@ -142,14 +142,14 @@ void {name}_tool(const double *q, double *x);
 """
 
 
-def _functions(program: Program) -> tuple[list[Any], int]:
+def functions_of(program: Program, *, tool: bool = True) -> tuple[list[Any], int]:
     """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is."""
     z, measured, t, T, p = (ca.SX.sym(word, program.control.numel_in(k)) for k, word in enumerate(_ARGUMENTS))
     bodies: dict[str, tuple[list[Any], list[Any]]] = {
         "control": ([z, measured, t, T], list(program.control(z, measured, t, T, p))),
         "start": ([measured, t, T], [program.start(measured, t, T, p)]),
     }
-    if program.tool is not None:
+    if tool and program.tool is not None:
         q = ca.SX.sym("q", program.tool.numel_in(0))
         bodies["tool"] = ([q], [program.tool(q)])
     made, constants = split(bodies, p)
@@ -158,6 +158,11 @@ def _functions(program: Program) -> tuple[list[Any], int]:
 
 _ARGUMENTS: Final = ("z", "measured", "t", "T", "p")
 _HEAD: Final = re.compile(r"^static .*\((.*)\) \{$", re.MULTILINE)
+
+
+def spelled(function: Any) -> str:
+    """A function as C that no compiler complains of."""
+    return _HEAD.sub(_unused, written(function, ONE))
 
 
 def _unused(head: re.Match[str]) -> str:
@@ -190,7 +195,8 @@ def _places(program: Program) -> Iterator[str]:
         first += member.size
 
 
-def _own(name: str) -> str:
+def own_file(name: str) -> str:
+    """A file of this package."""
     return files("dmframe.export").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -335,7 +341,7 @@ def _still(program: Program, samples: Samples) -> str:
 
 def _called(name: str, program: Program) -> str:
     """A file of this package with the program's name in it."""
-    return _own(name).replace("DM_FILE", program.name).replace("DM_PERIOD", f"{program.name.upper()}_PERIOD")
+    return own_file(name).replace("DM_FILE", program.name).replace("DM_PERIOD", f"{program.name.upper()}_PERIOD")
 
 
 def _readme(program: Program, *, exact: bool) -> str:

@@ -115,12 +115,10 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         name=identifier(experiment.name),
         title=experiment.file.title or "",
         period=clock,
-        measured=_members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
-        commanded=_members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
-        states=_members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
-        parameters=_members(
-            (item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept
-        ),
+        measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
+        commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
+        states=members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
+        parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
         control=ca.Function("control", [*inputs, p], list(told)),
         start=ca.Function("start", [*inputs[1:], p], [begun]),
         tool=_tool(diagram),
@@ -138,7 +136,8 @@ def _tool(diagram: Diagram) -> Any:
     return ca.Function("tool", [q], [x])
 
 
-def _members(items: Iterable[Sequence[Any]]) -> tuple[Member, ...]:
+def members(items: Iterable[Sequence[Any]]) -> tuple[Member, ...]:
+    """Members from labels, symbols, units and, of parameters, values; words are told apart."""
     found = list(items)
     words = told_apart([identifier(item[0]) for item in found], "{}_{}".format)
     return tuple(

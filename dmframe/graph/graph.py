@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, final
+from typing import TYPE_CHECKING, Any, Literal, final
 
 from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
@@ -294,17 +294,27 @@ class Graph:
         _ = page.html
         return page
 
-    def export(self, folder: str | Path) -> list[Path]:
-        """Write its controller as C99 to a new folder, with an example and a test; returns the files.
+    def export(self, folder: str | Path, kind: Literal["c", "fmi2", "fmi3"] = "c") -> list[Path]:
+        """Write its controller for other programs to a new folder; returns the files.
+
+        Parameters
+        ----------
+        kind
+            ``c``: C99, with an example and a test. ``fmi2``, ``fmi3``: two units of that version of FMI for
+            co-simulation, the controller and the robot with its servo.
 
         Raises
         ------
         DmframeError
             It runs in continuous time, commands nothing, or draws numbers; the folder is there already.
         """
-        from dmframe.export import export_c
+        from dmframe.export import export_c, export_fmus
 
-        return export_c(self.experiment, self.diagram, folder)
+        if kind == "c":
+            return export_c(self.experiment, self.diagram, folder)
+        if kind not in ("fmi2", "fmi3"):
+            raise ValueFault(f"kind: expected c, fmi2 or fmi3, found {kind!r}")
+        return export_fmus(self.experiment, self.diagram, folder, 2 if kind == "fmi2" else 3)
 
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""

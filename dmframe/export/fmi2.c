@@ -1,0 +1,185 @@
+/* FMI 2.0 for co-simulation; names and types are the standard's. */
+
+typedef void (*dm_logger)(void *environment, const char *name, int status, const char *category, const char *text, ...);
+typedef struct {
+  dm_logger logger;
+  void *(*allocate)(size_t, size_t);
+  void (*release)(void *);
+  void (*finished)(void *, int);
+  void *environment;
+} dm_callbacks;
+
+static void dm_tell(const dm_instance *it, const char *text) {
+  dm_logger logger;
+  memcpy(&logger, &it->logger, sizeof logger);
+  if (logger != NULL) logger(it->environment, it->name == NULL ? "" : it->name, DM_ERROR, "logStatusError", "%s", text);
+}
+
+DM_API const char *fmi2GetTypesPlatform(void) { return "default"; }
+DM_API const char *fmi2GetVersion(void) { return "2.0"; }
+
+DM_API int fmi2SetDebugLogging(void *c, int on, size_t count, const char *const categories[]) {
+  (void)count;
+  (void)categories;
+  ((dm_instance *)c)->logging = on;
+  return DM_OK;
+}
+
+DM_API void *fmi2Instantiate(const char *name, int type, const char *token, const char *resources,
+                             const dm_callbacks *callbacks, int visible, int logging) {
+  void *logger = NULL;
+  (void)resources;
+  (void)visible;
+  if (type != 1 || name == NULL || token == NULL) return NULL;
+  if (callbacks != NULL) memcpy(&logger, &callbacks->logger, sizeof logger);
+  return dm_make(name, token, logger, callbacks == NULL ? NULL : callbacks->environment, logging);
+}
+
+DM_API void fmi2FreeInstance(void *c) { dm_free(c); }
+
+DM_API int fmi2SetupExperiment(void *c, int tolerated, double tolerance, double start, int stops, double stop) {
+  (void)tolerated;
+  (void)tolerance;
+  (void)stops;
+  (void)stop;
+  ((dm_instance *)c)->now.time = start;
+  return DM_OK;
+}
+
+DM_API int fmi2EnterInitializationMode(void *c) {
+  ((dm_instance *)c)->now.mode = DM_INITIALISING;
+  return DM_OK;
+}
+
+DM_API int fmi2ExitInitializationMode(void *c) {
+  ((dm_instance *)c)->now.mode = DM_STEPPING;
+  return DM_OK;
+}
+
+DM_API int fmi2Terminate(void *c) {
+  ((dm_instance *)c)->now.mode = DM_ENDED;
+  return DM_OK;
+}
+
+DM_API int fmi2Reset(void *c) {
+  dm_restart(c);
+  return DM_OK;
+}
+
+DM_API int fmi2GetReal(void *c, const unsigned at[], size_t count, double values[]) {
+  for (size_t k = 0; k < count; k++)
+    if (dm_read(c, at[k], 1, values + k) != DM_OK) return DM_ERROR;
+  return DM_OK;
+}
+
+DM_API int fmi2SetReal(void *c, const unsigned at[], size_t count, const double values[]) {
+  for (size_t k = 0; k < count; k++)
+    if (dm_write(c, at[k], 1, values + k) != DM_OK) return DM_ERROR;
+  return DM_OK;
+}
+
+/* There are real numbers alone. */
+#define DM_NO_VARIABLES(type, word)                                                                     \
+  DM_API int fmi2Get##word(void *c, const unsigned at[], size_t count, type values[]) {                 \
+    (void)at, (void)values;                                                                             \
+    return count == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                    \
+  }                                                                                                     \
+  DM_API int fmi2Set##word(void *c, const unsigned at[], size_t count, const type values[]) {           \
+    (void)at, (void)values;                                                                             \
+    return count == 0 ? DM_OK : dm_fail(c, "there are no variables of type " #word);                    \
+  }
+typedef const char *dm_text;
+DM_NO_VARIABLES(int, Integer)
+DM_NO_VARIABLES(int, Boolean)
+DM_NO_VARIABLES(dm_text, String)
+
+DM_API int fmi2GetFMUstate(void *c, void **state) {
+  if (*state == NULL) *state = malloc(sizeof(dm_kept));
+  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
+  memcpy(*state, &((dm_instance *)c)->now, sizeof(dm_kept));
+  return DM_OK;
+}
+
+DM_API int fmi2SetFMUstate(void *c, void *state) {
+  memcpy(&((dm_instance *)c)->now, state, sizeof(dm_kept));
+  return DM_OK;
+}
+
+DM_API int fmi2FreeFMUstate(void *c, void **state) {
+  (void)c;
+  free(*state);
+  *state = NULL;
+  return DM_OK;
+}
+
+DM_API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size) {
+  (void)c;
+  (void)state;
+  *size = sizeof(dm_kept);
+  return DM_OK;
+}
+
+DM_API int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size) {
+  if (size < sizeof(dm_kept)) return dm_fail(c, "expected room for the whole state");
+  memcpy(bytes, state, sizeof(dm_kept));
+  return DM_OK;
+}
+
+DM_API int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state) {
+  if (size != sizeof(dm_kept)) return dm_fail(c, "expected a state that this FMU has saved");
+  if (*state == NULL) *state = malloc(sizeof(dm_kept));
+  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
+  memcpy(*state, bytes, sizeof(dm_kept));
+  return DM_OK;
+}
+
+DM_API int fmi2GetDirectionalDerivative(void *c, const unsigned unknown[], size_t unknowns, const unsigned known[],
+                                        size_t knowns, const double seed[], double out[]) {
+  (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)out;
+  return dm_fail(c, "derivatives are not told");
+}
+
+DM_API int fmi2SetRealInputDerivatives(void *c, const unsigned at[], size_t count, const int order[], const double values[]) {
+  (void)at, (void)count, (void)order, (void)values;
+  return dm_fail(c, "inputs are held over a step");
+}
+
+DM_API int fmi2GetRealOutputDerivatives(void *c, const unsigned at[], size_t count, const int order[], double values[]) {
+  (void)at, (void)count, (void)order, (void)values;
+  return dm_fail(c, "derivatives are not told");
+}
+
+DM_API int fmi2DoStep(void *c, double t, double h, int settled) {
+  (void)settled;
+  return dm_do_step(c, t, h);
+}
+
+DM_API int fmi2CancelStep(void *c) { return dm_fail(c, "a step is done when its call returns"); }
+
+DM_API int fmi2GetStatus(void *c, int kind, int *value) {
+  (void)kind, (void)value;
+  return dm_fail(c, "a step is done when its call returns") == DM_ERROR ? DM_DISCARD : DM_OK;
+}
+
+DM_API int fmi2GetRealStatus(void *c, int kind, double *value) {
+  if (kind != 2) return DM_DISCARD;
+  *value = ((dm_instance *)c)->now.time;
+  return DM_OK;
+}
+
+DM_API int fmi2GetIntegerStatus(void *c, int kind, int *value) {
+  (void)c, (void)kind, (void)value;
+  return DM_DISCARD;
+}
+
+DM_API int fmi2GetBooleanStatus(void *c, int kind, int *value) {
+  (void)c;
+  if (kind != 3) return DM_DISCARD;
+  *value = 0;
+  return DM_OK;
+}
+
+DM_API int fmi2GetStringStatus(void *c, int kind, dm_text *value) {
+  (void)c, (void)kind, (void)value;
+  return DM_DISCARD;
+}

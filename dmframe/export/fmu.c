@@ -1,0 +1,119 @@
+/* What both versions of FMI share: one instance, its numbers in a row, and its steps. Above this stand the sizes, the
+   functions of the model; below it dm_begin and dm_advance, of a controller or a robot, and the functions of one version.
+
+   Numbers lie in the order inputs, outputs, parameters, states. Memory is asked for where an instance or a saved state is
+   made, and nowhere else. */
+
+#include <stdio.h>
+#include <stdlib.h>
+
+#ifdef _WIN32
+#define DM_API __declspec(dllexport)
+#else
+#define DM_API __attribute__((visibility("default")))
+#endif
+
+enum { DM_MADE, DM_INITIALISING, DM_STEPPING, DM_ENDED };
+enum { DM_OK, DM_WARNING, DM_DISCARD, DM_ERROR };
+
+typedef struct {
+  double v[DM_V + 1], c[DM_C + 1];
+  int mode, begun;
+  double time; /* where the last step ended */
+} dm_kept;
+
+typedef struct {
+  dm_kept now;
+  char *name;
+  void *logger, *environment;
+  int logging;
+} dm_instance;
+
+static int dm_begin(dm_kept *k, double t);   /* states, from the start */
+static int dm_advance(dm_kept *k, double t); /* a sample further; both return 0 for numbers that are not finite */
+
+static void dm_tell(const dm_instance *it, const char *text); /* to whoever made the instance */
+
+static int dm_fail(const dm_instance *it, const char *text) {
+  dm_tell(it, text);
+  return DM_ERROR;
+}
+
+static int dm_sound(const double *values, size_t count) {
+  double gap = 0;
+  for (size_t k = 0; k < count; k++) gap += values[k] - values[k];
+  return gap == 0;
+}
+
+static void dm_restart(dm_instance *it) {
+  memset(&it->now, 0, sizeof it->now);
+  memcpy(it->now.v, dm_values, DM_V * sizeof *dm_values);
+}
+
+static dm_instance *dm_make(const char *name, const char *token, void *logger, void *environment, int logging) {
+  dm_instance *it = calloc(1, sizeof *it);
+  if (it == NULL) return NULL;
+  it->logger = logger;
+  it->environment = environment;
+  it->logging = logging;
+  it->name = calloc(strlen(name) + 1, 1);
+  if (it->name == NULL || strcmp(token, DM_TOKEN) != 0) {
+    if (it->name != NULL) strcpy(it->name, name);
+    dm_tell(it, "the token is not that of this FMU: its description belongs to another");
+    free(it->name);
+    free(it);
+    return NULL;
+  }
+  strcpy(it->name, name);
+  dm_restart(it);
+  return it;
+}
+
+static void dm_free(dm_instance *it) {
+  if (it == NULL) return;
+  free(it->name);
+  free(it);
+}
+
+/* Inputs may be set at any time, parameters and states until the first step, outputs never. */
+static int dm_may_set(const dm_instance *it, size_t first, size_t count) {
+  if (first + count > DM_V) return 0;
+  if (first + count <= DM_INPUTS) return 1;
+  return first >= DM_INPUTS + DM_OUTPUTS && it->now.mode != DM_STEPPING && it->now.mode != DM_ENDED;
+}
+
+static int dm_write(dm_instance *it, size_t first, size_t count, const double *values) {
+  if (!dm_may_set(it, first, count)) return dm_fail(it, "expected an input, or before the first step a parameter or state");
+  if (!dm_sound(values, count)) return dm_fail(it, "expected finite numbers");
+  memcpy(it->now.v + first, values, count * sizeof *values);
+  if (first >= DM_INPUTS + DM_OUTPUTS) it->now.begun = 0;
+  return DM_OK;
+}
+
+/* Where the model begins, once its inputs are there. */
+static int dm_started(dm_instance *it, double t) {
+  if (it->now.begun) return 1;
+  dm_constants(it->now.v + DM_INPUTS + DM_OUTPUTS, it->now.c);
+  it->now.begun = dm_begin(&it->now, t);
+  return it->now.begun;
+}
+
+static int dm_read(dm_instance *it, size_t first, size_t count, double *values) {
+  if (first + count > DM_V) return dm_fail(it, "expected a reference of modelDescription.xml");
+  if (DM_SHOWS && it->now.mode == DM_INITIALISING && !dm_started(it, it->now.time))
+    return dm_fail(it, "the start leads to numbers that are not finite");
+  memcpy(values, it->now.v + first, count * sizeof *values);
+  return DM_OK;
+}
+
+static int dm_do_step(dm_instance *it, double t, double h) {
+  const double ticks = round(t / DM_PERIOD);
+  if (it->now.mode != DM_STEPPING) return dm_fail(it, "expected to be initialised before the first step");
+  if (fabs(h - DM_PERIOD) > 1e-9 * DM_PERIOD || fabs(t - ticks * DM_PERIOD) > 1e-6 * DM_PERIOD)
+    return dm_fail(it, "expected steps of one sampling period each, from time 0 on: " DM_PERIOD_TEXT " s");
+  /* the time of a sample is its number times the period: sums of periods would drift */
+  if (!dm_started(it, ticks * DM_PERIOD) || !dm_advance(&it->now, ticks * DM_PERIOD))
+    return dm_fail(it, "a sample is not finite, or leads to numbers that are not");
+  it->now.time = (ticks + 1) * DM_PERIOD;
+  return DM_OK;
+}

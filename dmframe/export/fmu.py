@@ -1,0 +1,373 @@
+"""A controller or a robot as a Functional Mock-up Unit for co-simulation, FMI 2.0 or 3.0."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import platform
+import sys
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final, Literal, final
+from xml.sax.saxutils import quoteattr
+
+import casadi as ca
+
+from dmframe.build.cache import CompileFailed
+from dmframe.build.compiler import find_compiler
+from dmframe.codegen.function import ONE
+from dmframe.codegen.source import shipped
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.parts import split
+from dmframe.errors import OutputError
+from dmframe.export.c import functions_of, own_file, spelled
+from dmframe.export.program import Member, Program, program_of
+from dmframe.export.robot import Robot, robot_of
+from dmframe.files import expanded, write_bytes
+from dmframe.results.folder import provenance
+from dmframe.results.resolved import resolved_text
+from dmframe.units import base_units
+from dmframe.version import version
+
+Version = Literal[2, 3]
+
+_EPOCH: Final = (1980, 1, 1, 0, 0, 0)
+"""The time of every file in an FMU; `provenance.json` holds the true one."""
+
+
+@final
+@dataclass(frozen=True)
+class Unit:
+    """What is in an FMU: members in the order of its numbers, and the C of its steps."""
+
+    name: str
+    about: str
+    period: float
+    inputs: tuple[Member, ...]
+    outputs: tuple[Member, ...]
+    parameters: tuple[Member, ...]
+    states: tuple[Member, ...]
+    functions: tuple[Any, ...]
+    constants: int
+    frame: str
+    shows: bool
+    substeps: int = 1
+
+    @property
+    def members(self) -> Iterator[tuple[str, Member]]:
+        """All, each with its causality."""
+        kinds = (
+            ("input", self.inputs),
+            ("output", self.outputs),
+            ("parameter", self.parameters),
+            ("local", tuple(replace(item, label=f"state.{item.label}") for item in self.states)),
+        )
+        for kind, items in kinds:
+            for item in items:
+                yield kind, item
+
+
+def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fmi: Version) -> list[Path]:
+    """Write the controller and the robot of a graph as two FMUs into a folder; returns them.
+
+    Each takes steps of one sampling period. Coupled with the controller first, and each step's commands handed to the
+    robot before its own step, they are the simulation. Sources are within; for this machine a library, too, where there
+    is a compiler.
+
+    Raises
+    ------
+    EngineError
+        The graph has no sampled controller, or its robot cannot stand alone.
+    OutputError
+        A file cannot be written, or is there already.
+    """
+    place = expanded(folder)
+    units = [_of_controller(program_of(experiment, diagram)), _of_robot(robot_of(experiment, diagram))]
+    files = [place / f"{unit.name}.fmu" for unit in units]
+    for file in files:
+        if file.exists():
+            raise OutputError(f"{file}: is there already; name a new folder")
+    text = resolved_text(experiment)
+    made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text))}
+    for unit, file in zip(units, files, strict=True):
+        place.mkdir(parents=True, exist_ok=True)
+        write_bytes(file, packed(unit, fmi, made))
+    return files
+
+
+def _json(data: Mapping[str, Any]) -> str:
+    return json.dumps(data, indent=2) + "\n"
+
+
+def _of_controller(program: Program) -> Unit:
+    functions, constants = functions_of(program, tool=False)
+    return Unit(
+        name=program.name,
+        about=f"{program.title} (the controller)".strip(),
+        period=program.period,
+        inputs=_zero(program.measured),
+        outputs=_zero(program.commanded),
+        parameters=program.parameters,
+        states=_zero(program.states),
+        functions=tuple(functions),
+        constants=constants,
+        frame="controller.c",
+        shows=False,
+    )
+
+
+def _of_robot(robot: Robot) -> Unit:
+    x, u, p = (ca.SX.sym(word, robot.rate.numel_in(k)) for k, word in enumerate(("x", "u", "p")))
+    made, constants = split({"rate": ([x, u], [robot.rate(x, u, p)]), "measured": ([x], [robot.shown(x, p)])}, p)
+    return Unit(
+        name=robot.name,
+        about=f"{robot.title} (the robot and its servo)".strip(),
+        period=robot.period,
+        inputs=_zero(robot.commanded),
+        outputs=_zero(robot.measured),
+        parameters=robot.parameters,
+        states=robot.states,
+        functions=(constants, *made),
+        constants=constants.numel_out(0),
+        frame="robot.c",
+        shows=True,
+        substeps=robot.substeps,
+    )
+
+
+def _zero(items: Sequence[Member]) -> tuple[Member, ...]:
+    return tuple(replace(item, value=(0.0,) * item.size) for item in items)
+
+
+def packed(unit: Unit, fmi: Version, more: Mapping[str, str]) -> bytes:
+    """The file: description, sources, and a library for this machine where there is a compiler."""
+    description = described(unit, fmi, "TOKEN")
+    token = hashlib.sha256(description.encode() + code(unit, fmi, "").encode()).hexdigest()[:32]
+    token = f"{{{token[:8]}-{token[8:12]}-{token[12:16]}-{token[16:20]}-{token[20:]}}}"
+    source = code(unit, fmi, token)
+    files: dict[str, bytes] = {
+        "modelDescription.xml": described(unit, fmi, token).encode(),
+        f"sources/{unit.name}.c": source.encode(),
+        **{f"resources/{name}": text.encode() for name, text in more.items()},
+    }
+    if fmi == 3:
+        files["sources/buildDescription.xml"] = _build_description(unit).encode()
+    library = _library(unit, source)
+    if library is not None:
+        files[f"binaries/{_PLATFORMS[fmi]()}/{unit.name}{_ENDING}"] = library
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, _EPOCH), content, zipfile.ZIP_DEFLATED)
+    return packed.getvalue()
+
+
+def code(unit: Unit, fmi: Version, token: str) -> str:
+    """All of it in one C file."""
+    sizes = {
+        "INPUTS": _count(unit.inputs),
+        "OUTPUTS": _count(unit.outputs),
+        "P": _count(unit.parameters),
+        "Z": _count(unit.states),
+        "C": unit.constants,
+        "V": sum(item.size for _, item in unit.members),
+        "VARIABLES": sum(1 for _ in unit.members),
+        "SUBSTEPS": unit.substeps,
+        "SHOWS": int(unit.shows),
+    }
+    places, first = list[str](), 0
+    for _, item in unit.members:
+        places.append(f"    {{{first}, {item.size}}}, /* {item.label} */")
+        first += item.size
+    table = ["static const struct { size_t first, size; } dm_variables[] = {", *places, "};"] if fmi == 3 else []
+    values = [f"    {', '.join(map(repr, item.value))}, /* {item.label} */" for _, item in unit.members]
+    return "\n".join(
+        [
+            f"/* {unit.name}: {unit.about}. Written by dmframe {version()}. */".replace("*/ */", "*/"),
+            "#ifndef __GNUC__",
+            "#define __attribute__(list)",
+            "#endif",
+            "#include <stddef.h>",
+            *map(shipped, ONE.arithmetic),
+            *(f"#define DM_{key} {size}" for key, size in sizes.items()),
+            f"#define DM_PERIOD {unit.period!r}",
+            f'#define DM_PERIOD_TEXT "{unit.period!r}"',
+            f'#define DM_TOKEN "{token}"',
+            "static const double dm_values[] = {",
+            *values,
+            "};",
+            *table,
+            *(spelled(function) for function in unit.functions),
+            own_file("fmu.c"),
+            own_file(unit.frame),
+            own_file(f"fmi{fmi}.c"),
+        ]
+    )
+
+
+def _count(items: Sequence[Member]) -> int:
+    return sum(item.size for item in items)
+
+
+def described(unit: Unit, fmi: Version, token: str) -> str:
+    """modelDescription.xml."""
+    lines = list(_TEXTS[fmi](unit, token))
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + "\n".join(lines) + "\n"
+
+
+def _description_2(unit: Unit, token: str) -> Iterator[str]:
+    yield (
+        f'<fmiModelDescription fmiVersion="2.0" modelName={quoteattr(unit.name)} guid="{token}" '
+        f'description={quoteattr(unit.about)} generationTool="dmframe {version()}" '
+        'variableNamingConvention="structured" numberOfEventIndicators="0">'
+    )
+    yield (
+        f'  <CoSimulation modelIdentifier={quoteattr(unit.name)} canHandleVariableCommunicationStepSize="false" '
+        'canBeInstantiatedOnlyOncePerProcess="false" canNotUseMemoryManagementFunctions="true" '
+        'canGetAndSetFMUstate="true" canSerializeFMUstate="true">'
+    )
+    yield f'    <SourceFiles><File name="{unit.name}.c"/></SourceFiles>'
+    yield "  </CoSimulation>"
+    yield from _units(unit)
+    yield '  <LogCategories><Category name="logStatusError"/></LogCategories>'
+    yield f'  <DefaultExperiment startTime="0" stepSize="{unit.period!r}"/>'
+    yield "  <ModelVariables>"
+    reference, outputs = 0, list[int]()
+    for kind, item in unit.members:
+        for k in range(item.size):
+            reference += 1
+            outputs += [reference] * (kind == "output")
+            name = item.label if item.size == 1 else f"{item.label}[{k + 1}]"
+            start = f' start="{item.value[k]!r}"' if _KINDS[kind, unit.shows].endswith(_STARTED) else ""
+            told = f'name={quoteattr(name)} valueReference="{reference - 1}" {_KINDS[kind, unit.shows]}'
+            yield f"    <ScalarVariable {told}><Real{_unit_of(item)}{start}/></ScalarVariable>"
+    yield "  </ModelVariables>"
+    yield "  <ModelStructure>"
+    told = "".join(f'<Unknown index="{index}"/>' for index in outputs)
+    yield f"    <Outputs>{told}</Outputs>"
+    if unit.shows:
+        yield f"    <InitialUnknowns>{told}</InitialUnknowns>"
+    yield "  </ModelStructure>"
+    yield "</fmiModelDescription>"
+
+
+_KINDS: Final = {
+    ("input", False): 'causality="input" variability="discrete" initial="exact"',
+    ("input", True): 'causality="input" variability="discrete" initial="exact"',
+    ("output", False): 'causality="output" variability="discrete" initial="exact"',
+    ("output", True): 'causality="output" variability="continuous" initial="calculated"',
+    ("parameter", False): 'causality="parameter" variability="fixed" initial="exact"',
+    ("parameter", True): 'causality="parameter" variability="fixed" initial="exact"',
+    ("local", False): 'causality="local" variability="discrete" initial="calculated"',
+    ("local", True): 'causality="local" variability="continuous" initial="exact"',
+}
+"""Of a variable, whether the unit shows its outputs before its first step."""
+_STARTED: Final = 'initial="exact"'
+
+
+def _description_3(unit: Unit, token: str) -> Iterator[str]:
+    yield (
+        f'<fmiModelDescription fmiVersion="3.0" modelName={quoteattr(unit.name)} instantiationToken="{token}" '
+        f'description={quoteattr(unit.about)} generationTool="dmframe {version()}" '
+        'variableNamingConvention="structured">'
+    )
+    yield (
+        f'  <CoSimulation modelIdentifier={quoteattr(unit.name)} canHandleVariableCommunicationStepSize="false" '
+        f'fixedInternalStepSize="{unit.period!r}" canGetAndSetFMUState="true" canSerializeFMUState="true"/>'
+    )
+    yield from _units(unit)
+    yield '  <LogCategories><Category name="logStatusError"/></LogCategories>'
+    yield f'  <DefaultExperiment startTime="0" stepSize="{unit.period!r}"/>'
+    yield "  <ModelVariables>"
+    yield '    <Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>'
+    outputs = list[int]()
+    for reference, (kind, item) in enumerate(unit.members, 1):
+        outputs += [reference] * (kind == "output")
+        start = " ".join(map(repr, item.value))
+        told = f' start="{start}"' if _KINDS[kind, unit.shows].endswith(_STARTED) else ""
+        size = f'<Dimension start="{item.size}"/>' if item.size > 1 else ""
+        yield (
+            f'    <Float64 name={quoteattr(item.label)} valueReference="{reference}" {_KINDS[kind, unit.shows]}'
+            f"{_unit_of(item)}{told}>{size}</Float64>"
+        )
+    yield "  </ModelVariables>"
+    yield "  <ModelStructure>"
+    yield from (f'    <Output valueReference="{reference}"/>' for reference in outputs)
+    yield from (f'    <InitialUnknown valueReference="{reference}"/>' for reference in outputs if unit.shows)
+    yield "  </ModelStructure>"
+    yield "</fmiModelDescription>"
+
+
+_TEXTS: Final = {2: _description_2, 3: _description_3}
+
+
+def _unit_of(item: Member) -> str:
+    return f" unit={quoteattr(item.unit)}" if item.unit else ""
+
+
+def _units(unit: Unit) -> Iterator[str]:
+    """Each unit by its powers of SI's own."""
+    names = sorted({item.unit for _, item in unit.members if item.unit})
+    if not names:
+        return
+    yield "  <UnitDefinitions>"
+    for name in names:
+        factor, powers = base_units(name)
+        grams = powers.pop("g", 0)
+        powers |= {"kg": grams} if grams else {}
+        scale = factor * Fraction(1, 1000) ** grams
+        told = "".join(f' {base}="{power}"' for base, power in powers.items())
+        told += f' factor="{float(scale)!r}"' if scale != 1 else ""
+        yield f"    <Unit name={quoteattr(name)}><BaseUnit{told}/></Unit>"
+    yield "  </UnitDefinitions>"
+
+
+def _build_description(unit: Unit) -> str:
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n<fmiBuildDescription fmiVersion="3.0">\n'
+        f'  <BuildConfiguration modelIdentifier="{unit.name}">\n'
+        f'    <SourceFileSet language="C99"><SourceFile name="{unit.name}.c"/></SourceFileSet>\n'
+        '    <Library name="m"/>\n'
+        "  </BuildConfiguration>\n</fmiBuildDescription>\n"
+    )
+
+
+def _library(unit: Unit, source: str) -> bytes | None:
+    """For this machine; None without a compiler."""
+    compiler = find_compiler()
+    if compiler is None:
+        return None
+    with TemporaryDirectory(prefix="dmframe-") as folder:
+        file, library = Path(folder, f"{unit.name}.c"), Path(folder, "unit.so")
+        file.write_text(source, encoding="utf-8")
+        try:
+            compiler.build_plain([file], library, define="FMI_SHARED")
+        except (OSError, CompileFailed):
+            return None
+        return library.read_bytes()
+
+
+_SYSTEM: Final = {"linux": "linux", "darwin": "darwin", "win32": "win"}.get(sys.platform, "linux")
+_ENDING: Final = {"linux": ".so", "darwin": ".dylib", "win": ".dll"}[_SYSTEM]
+
+
+def _machine() -> str:
+    word = platform.machine().lower()
+    return {"amd64": "x86_64", "x64": "x86_64", "arm64": "aarch64"}.get(word, word)
+
+
+def _platform_2() -> str:
+    return f"{_SYSTEM}64" if _machine() == "x86_64" else f"{_machine()}-{_SYSTEM}"
+
+
+def _platform_3() -> str:
+    return f"{_machine()}-{'windows' if _SYSTEM == 'win' else _SYSTEM}"
+
+
+_PLATFORMS: Final = {2: _platform_2, 3: _platform_3}

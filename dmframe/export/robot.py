@@ -1,0 +1,107 @@
+"""The robot and servo of a graph apart from its controller, as others may simulate them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+
+from dmframe.block.model import symbols_in
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.errors import EngineError
+from dmframe.export.program import Member, identifier, members
+from dmframe.simulate import simulate
+from dmframe.simulate.start import start_state
+from dmframe.simulate.step import build_parts, substeps_of
+
+
+@final
+@dataclass(frozen=True)
+class Robot:
+    """What a controller commands, as functions of numbers in a row.
+
+    Parameters
+    ----------
+    rate
+        (x, commanded, p) -> dx.
+    shown
+        (x, p) -> what is measured.
+    substeps
+        Of rk4 in a sampling period.
+    states
+        With where they start.
+    """
+
+    name: str
+    title: str
+    period: float
+    substeps: int
+    commanded: tuple[Member, ...]
+    measured: tuple[Member, ...]
+    parameters: tuple[Member, ...]
+    states: tuple[Member, ...]
+    rate: Any
+    shown: Any
+
+
+def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
+    """The robot of a graph.
+
+    Raises
+    ------
+    EngineError
+        It has parts that move from sample to sample or are drawn at random, or is not integrated by rk4.
+    """
+    loop, clock, name = diagram.loop, experiment.file.clock, experiment.name
+    if not isinstance(clock, float):
+        raise EngineError(f"{name}: expected a clock such as 8 ms, found continuous; an exported robot takes its steps")
+    recorded = stack(stack([loop.joined([leaf.symbol])[0]]) for leaf in loop.measured)
+    parts = build_parts(loop, clock, recorded)
+    commands = stack(leaf.symbol for leaf in loop.commanded)
+    held, _ = loop.held_over_a_sample
+    states = [variable for variable in loop.plant if variable.next is None]
+    sampled = [variable.label for variable in loop.plant if variable.next is not None]
+    if sampled or loop.noises:
+        what = sampled[0] if sampled else loop.noises[0].label
+        raise EngineError(f"{name}: its robot has {what}, which moves in samples; export it without reality")
+    x = stack(variable.symbol for variable in states)
+    rate = parts.rate(x, held, loop.w, loop.p)
+    shown = parts.outputs(loop.state, loop.w, loop.drawn, loop.period, loop.p)
+    own, rest = symbols_in([x, commands, loop.p]), symbols_in([loop.state, loop.w, held, loop.period])
+    for expression, allowed in ((rate, own), (shown, own - symbols_in([commands]))):
+        if (symbols_in([expression]) & rest) - allowed:
+            raise EngineError(f"{name}: what its robot does depends on more than its state and what it is commanded")
+    if any(
+        projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])
+        for projection in loop.projections
+    ):
+        raise EngineError(f"{name}: a state of its robot is kept in a box, which an exported robot does not know")
+    run = simulate(diagram, clock, **experiment.settings)
+    if run.solver.method != "rk4":
+        raise EngineError(f"{name}: an exported robot takes steps of rk4, found {run.solver.method}")
+    used = symbols_in([rate, shown])
+    kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
+    p = stack(parameter.symbol for parameter in kept)
+    units = {signal.label: signal.unit for signal in loop.outputs}
+    starts = start_state(diagram, experiment.start)[loop.state.numel() - x.numel() :]
+    edges = [0]
+    for variable in states:
+        edges.append(edges[-1] + variable.symbol.numel())
+    return Robot(
+        name=f"{identifier(name)}_robot",
+        title=experiment.file.title or "",
+        period=clock,
+        substeps=substeps_of(clock, run.solver),
+        commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
+        measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
+        parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
+        states=members(
+            (variable.label, variable.symbol, variable.unit, starts[first:last].tolist())
+            for variable, first, last in zip(states, edges, edges[1:], strict=False)
+        ),
+        rate=ca.Function("rate", [x, commands, p], [rate]),
+        shown=ca.Function("shown", [x, p], [shown]),
+    )
