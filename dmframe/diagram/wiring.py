@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from dmframe.block import AbstractBlock, type_name
@@ -196,7 +196,7 @@ def _explicit(
 
 
 def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Source | DmframeError:
-    if port == TIME:
+    if replace(port, optional=False) == TIME:
         return Time()
     if port == PERIOD:
         return Period()
