@@ -154,7 +154,7 @@ class Known:
 
 @dataclass
 class SampledLaw:
-    """Estimator and command. `w_0` [rad/(N m s)], of all joints or each, is the size of 1/(K K_D) to a factor of ten."""
+    """Estimator and command. `w_0` [rad/(N m s)], of all joints or each, is 1/(K K_D) to a factor of ten."""
 
     arm: Arm
     T: float
