@@ -13,7 +13,9 @@ from dmframe.port import Port, Side
 
 @final
 class StribeckFriction(AbstractBlock):
-    r"""Takes from the motors' voltage what joints rub at slow motion beyond the friction of `manipulator`.
+    r"""Takes from the motors' voltage what joints rub more at slow motion, and in one direction.
+
+    It comes on top of the friction of `manipulator`:
 
     .. math::
 

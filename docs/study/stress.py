@@ -113,7 +113,7 @@ CASES: Final[dict[str, Case]] = {
     "w_0 x 0.03": Case({"inverse.w_0": 0.03 * 0.00125}),
     "w_0 x 30": Case({"inverse.w_0": 30 * 0.00125}),
     "a box without the truth": Case({"inverse.k_P_box": [0.2, 1.9], "inverse.friction_box": [0, 3]}),
-    "drives at 150 N m": Case(reality={"torque_limits": {"torque": [100, 150, 100]}}),
+    "a drive ends at 75 of 81 N m": Case(reality={"torque_limits": {"torque": [100, 75, 100]}}),
     "maker compensates gravity": Case({"arm.maker_gravity": 1}),
     "standing still": Case({"path.rate": 0}),
 }
@@ -149,7 +149,7 @@ def _figures(case: str, name: str, seed: int) -> dict[str, Any]:
     try:
         run = changed(name, CASES[case], seed).run(progress=False)
     except DmframeError as fault:
-        return row | {"fault": str(fault).splitlines()[0]}
+        return row | {"fault": str(fault).splitlines()[0].rpartition(".yaml:")[2]}
     error = run.error
     if error is None:
         return row | {"fault": "no error"}
