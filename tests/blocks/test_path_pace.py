@@ -23,7 +23,7 @@ def graph(inverse: dict[str, Any] | None = None, delay: int = 0, **blocks: dict[
         "robot": "arm2",
         "clock": T,
         "duration": "20 s",
-        "start": {"q": [0.4838, 1.5097]},
+        "start": {"q": [-0.15312, 1.32528]},
         "blocks": {
             "path": {"type": "circle", "center": [0.6, 0.2], "radius": 0.1, "rate": "2 rad/s"},
             "task": {"type": "sampled_tracking", "Lambda": 3, "delay": delay},
@@ -101,4 +101,4 @@ def test_where_a_path_that_waits_begins_has_to_be_said() -> None:
     with pytest.raises(
         DmframeError, match=r"start: expected arm\.q, found none; .* as that of path, the beginning is not"
     ):
-        dm.load(made.replace("q: [0.4838, 1.5097]", "")).run("0.4 s", progress=False)
+        dm.load(made.replace("q: [-0.15312, 1.32528]", "")).run("0.4 s", progress=False)
