@@ -277,9 +277,9 @@ class AveragedServo:
         return ca.vertcat(*(ca.repmat(values[i], part.stop - part.start, 1) for i, part in pairs))
 
     def _placed(self, k_P: Any, k_I: Any, offset: Any, inertia: Any, friction: Any) -> Any:
-        """One below the other; a column holds a value for each joint, a row an interval for all."""
+        """One below the other; of more than one row each is a joint's, a single one is for all."""
         servo, parts = {"k_P": k_P, "k_I": k_I, "offset": offset}, list[Any]()
         for i, used in enumerate(self._used):
             values = [*(servo[name] for name in self.servo), *[inertia] * len(used), *[friction] * len(self.friction)]
-            parts += [value[i] if getattr(value, "shape", (1, 1))[0] > 1 else value for value in values]
+            parts += [value[i, :] if getattr(value, "shape", (1, 1))[0] > 1 else value for value in values]
         return ca.vertcat(*parts)

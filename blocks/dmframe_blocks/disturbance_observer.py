@@ -40,6 +40,8 @@ class DisturbanceObserver(AbstractBlock):
         The largest command.
     supervised : true or false
         Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is observed.
+    time_stamps : true or false
+        The time at which positions were measured is known, and stands in (1) in place of T.
 
     Notes
     -----
@@ -54,6 +56,7 @@ class DisturbanceObserver(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq_r", "n", "rad/s"),
         Port("dq_sent", "n", "rad/s", optional=True),
+        Port("t", "", "s", optional=True),
         PERIOD,
     )
     outputs: ClassVar[tuple[Port, ...]] = (
@@ -64,11 +67,13 @@ class DisturbanceObserver(AbstractBlock):
     states: ClassVar[tuple[State, ...]] = (
         State("q_before", "n", "rad", sampled=True),
         State("queue", "n d", "rad/s", sampled=True),
+        State("t_before", "", "s", sampled=True, optional=True),
     )
 
     delay: Literal[0, 1, 2] = 0
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     supervised: bool = False
+    time_stamps: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """D commands act now or wait."""
@@ -80,17 +85,17 @@ class DisturbanceObserver(AbstractBlock):
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest."""
-        return {"q_before": u.q}
+        return {"q_before": u.q} | ({"t_before": u.t - u.T} if self.time_stamps else {})
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
         u_applied, waiting = named("u_applied", x.queue[:, 0]), x.queue[:, 1:]
-        lag = u_applied - (u.q - x.q_before) / u.T
+        lag = u_applied - (u.q - x.q_before) / (u.t - x.t_before if self.time_stamps else u.T)
         dq_c = clip(u.dq_r + lag, p.u_max)
         q_start = u.q
         for k in range(self.delay):
             q_start = q_start + u.T * (waiting[:, k] - lag)
-        return Equations(
-            outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag},
-            next={"q_before": u.q, "queue": ca.horzcat(waiting, u.dq_sent if self.supervised else dq_c)},
-        )
+        after = {"q_before": u.q, "queue": ca.horzcat(waiting, u.dq_sent if self.supervised else dq_c)}
+        if self.time_stamps:
+            after["t_before"] = u.t
+        return Equations(outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag}, next=after)

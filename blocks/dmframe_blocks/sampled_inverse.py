@@ -88,7 +88,7 @@ class SampledInverse(AbstractBlock):
         The time over which what is slow counts as a disturbance, and not as something to learn.
     nu : scalar, rad^2/s^2, > 0
         Below this share of h' Gamma h a row teaches little. Larger is quieter and slower.
-    w_0 : scalar, rad/(N m s), > 0
+    w_0 : diagonal (n,), rad/(N m s), > 0
         A guess of 1/(K K_D), right to a factor of ten: by it the elements of theta count alike.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
         Where these two elements start; all others start at zero.
@@ -106,6 +106,9 @@ class SampledInverse(AbstractBlock):
         Of the slope above 1/2.
     supervised : true or false
         Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is learnt from.
+    time_stamps : true or false
+        The time at which positions were measured is known, so that a sample that is over was as long as it was; without
+        it, T. The coming sample is taken to last T either way.
 
     Notes
     -----
@@ -121,6 +124,7 @@ class SampledInverse(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq_r", "n", "rad/s"),
         Port("dq_sent", "n", "rad/s", optional=True),
+        Port("t", "", "s", optional=True),
         PERIOD,
     )
     outputs: ClassVar[tuple[Port, ...]] = (
@@ -160,6 +164,7 @@ class SampledInverse(AbstractBlock):
         State("queue", "n d", "rad/s", sampled=True),
         State("count", sampled=True),
         State("turn", sampled=True, optional=True),
+        State("t_before", "", "s", sampled=True, optional=True),
     )
 
     servo: Literal["pid", "pi"] = "pid"
@@ -171,7 +176,7 @@ class SampledInverse(AbstractBlock):
     filtered: bool = True
     tau: Scalar = Positive("", "s", default=2.0)
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-5)
-    w_0: Scalar = Positive("", "rad/(N m s)")
+    w_0: Diagonal = Positive("n", "rad/(N m s)")
     k_P: Diagonal = Positive("n", "1/s", default=1.8)
     k_I: Diagonal = Positive("n", "1/s^2", default=1.2)
     k_P_size: Scalar = Positive("", "1/s", default=1.0)
@@ -187,6 +192,7 @@ class SampledInverse(AbstractBlock):
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     margin: Scalar = NonNegative(default=0.05)
     supervised: bool = False
+    time_stamps: bool = False
 
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the parameters of all joints."""
@@ -206,13 +212,17 @@ class SampledInverse(AbstractBlock):
         begins = {"q_before": u.q, "q_aim": u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
+        if self.time_stamps:
+            begins["t_before"] = u.t - u.T
         return {**begins, "theta": averaged.kinds(p.k_P, p.k_I, 0, 0, 0)}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """What the last sample was, what is learnt from it, where the command will act, and the command."""
-        averaged, T = self._averaged(p), u.T
+        averaged, T = self._averaged(p), self._over(u, x)
         u_applied, v, psi, y, h, g = self._sample(u, x, p)
         row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
+        if self.time_stamps:
+            kept["t_before"] = u.t
         theta_new = named("theta_new", self._updated(x, p, row, goal))
 
         middle = x.q_before + T * v / 2
@@ -225,8 +235,8 @@ class SampledInverse(AbstractBlock):
             y_slow = named("y_next", x.y_slow + T / p.tau * (y - x.y_slow))
             slow, next_slow = y_slow - averaged.answer(psi_slow, theta_new), {"psi_slow": psi_slow, "y_slow": y_slow}
         for k in range(1, self.delay + 1):
-            start, slow = self._predicted(k, x, p, theta_new, start, slow, T)
-        safe = averaged.safe(self._slope(p, theta_new, start.q, T), p.margin)
+            start, slow = self._predicted(k, x, p, theta_new, start, slow, u.T)
+        safe = averaged.safe(self._slope(p, theta_new, start.q, u.T), p.margin)
         dq_c = self._command(u, x, p, theta_new, start, slow, safe)
         return Equations(
             outputs={
@@ -246,7 +256,7 @@ class SampledInverse(AbstractBlock):
                 "z": z,
                 "m_before": middle,
                 "v_before": v,
-                "m_planned": start.q + T * u.dq_r / 2,
+                "m_planned": start.q + u.T * u.dq_r / 2,
                 "plans": ca.horzcat(x.plans[:, 1:], u.dq_r),
                 "queue": ca.horzcat(x.queue[:, 1:], u.dq_sent if self.supervised else dq_c),
                 "count": x.count + 1,
@@ -297,11 +307,16 @@ class SampledInverse(AbstractBlock):
 
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
-        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / u.T)
-        psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, u.T))
+        T = self._over(u, x)
+        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / T)
+        psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, T))
         y = named("y_row", u_applied - v)
         h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)
         return u_applied, v, psi, y, h, g
+
+    def _over(self, u: Signals, x: Signals) -> SX:
+        """How long the sample that is over was."""
+        return named("T_over", u.t - x.t_before) if self.time_stamps else u.T
 
     def _lesson(self, x: Signals, p: Signals, u_applied: SX, h: SX, g: SX) -> tuple[SX, SX]:
         """What is learnt from h and g: nothing where the command was clipped."""
@@ -351,7 +366,7 @@ class SampledInverse(AbstractBlock):
     def _box(self, p: Signals) -> SX:
         """The least and the greatest of each element."""
         w = p.w_0
-        return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w * p.inertia_box, w * p.friction_box)
+        return self._averaged(p).kinds(p.k_P_box, p.k_I_box, p.offset_box, w @ p.inertia_box, w @ p.friction_box)
 
     def _slope(self, p: Signals, theta: SX, q: SX, T: SX) -> SX:
         """S = w M(q)/T as theta has it: how the answer rises with the velocity, by inertia."""

@@ -68,7 +68,7 @@ def _of_equations(claim: Claim) -> Iterator[SX]:
     """All that the blocks' own equations divide by, in the leaves of the closed loop."""
     resolver = claim.diagram.resolver
     for name, model in claim.diagram.models.items():
-        if model.block.side is Side.SOURCE:  # a trajectory is a leaf
+        if resolver.side(name) is Side.SOURCE:  # a trajectory is a leaf
             continue
         parts = [part for _, part in claim.risks[name]]
         parts += [pivot for inverted in model.inverted for pivot in inverted.pivots]

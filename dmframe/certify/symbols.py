@@ -91,7 +91,7 @@ def _of_a_clock(loop: ClosedLoop) -> Iterator[Group]:
 def _of_source(diagram: Diagram, parameter: Parameter) -> bool:
     """True for what only shapes a trajectory: those are free as a whole, and some bear the name of their parameter."""
     block = parameter.label.partition(".")[0]
-    return block in diagram.blocks and diagram.blocks[block].side is Side.SOURCE
+    return block in diagram.blocks and diagram.resolver.side(block) is Side.SOURCE
 
 
 def _parameter(diagram: Diagram, parameter: Parameter, uncertain: bool) -> Group:

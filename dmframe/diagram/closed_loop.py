@@ -107,6 +107,8 @@ class ClosedLoop:
         What trajectories are whole samples later, as functions of t and T.
     noises
         What each sample draws anew.
+    paced
+        The sources whose time is a controller's signal, which are no trajectories then.
     """
 
     time: SX
@@ -120,6 +122,7 @@ class ClosedLoop:
     projections: tuple[Projection, ...]
     parameters: tuple[Parameter, ...]
     outputs: tuple[Signal, ...]
+    paced: frozenset[str] = frozenset()
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -171,12 +174,15 @@ class ClosedLoop:
     def followed(self) -> list[Followed]:
         """Where an output s of the plant is to follow an output s_d of a source."""
         sources = {signal.label for signal in self.outputs}  # a trajectory's derivative is no output
-        desired = {leaf.name.split(".")[1]: leaf for leaf in self.trajectories if leaf.name in sources}
+        desired = {
+            leaf.name.split(".")[1]: (leaf.name, leaf.symbol) for leaf in self.trajectories if leaf.name in sources
+        }
+        desired |= {s.label.split(".")[1]: (s.label, s.expression) for s in self.outputs if s.block in self.paced}
         plant = {variable.block for variable in self.plant}
         return [
-            Followed(leaf.name, signal.label, leaf.symbol, signal.expression)
+            Followed(goal[0], signal.label, goal[1], signal.expression)
             for signal in self.outputs
-            if signal.block in plant and (leaf := desired.get(f"{signal.name}_d")) is not None
+            if signal.block in plant and (goal := desired.get(f"{signal.name}_d")) is not None
         ]
 
     @property

@@ -41,12 +41,13 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         projections=tuple(resolver.projections.values()),
         parameters=tuple(parameters),
         outputs=tuple(outputs),
+        paced=frozenset(name for name in resolver.models if resolver.paced(name)),
     )
 
 
 def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:
     """An output; a source's is its trajectory, which stays a leaf."""
-    if model.block.side is Side.SOURCE:
+    if resolver.side(model.name) is Side.SOURCE:
         return resolver.trajectory(model.name, port, 0).symbol
     return resolver.output(model.name, port)
 

@@ -20,7 +20,7 @@ from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.port import Access, Side
+from dmframe.port import TIME, Access, Side
 
 
 @final
@@ -96,9 +96,9 @@ class Resolver:
             case Drawn():
                 return self.drawn.setdefault((block, port), symbol(f"{block}.{port}", model.inputs[port].shape))
             case Wire():
-                return self._across(source, model.block.side)
+                return self._across(source, self.side(block))
             case Ahead(of, samples):
-                return self._later(self.sources[block, of], samples).symbol
+                return self._later(self.sources[block, of], samples)
             case Derived():
                 with self._entered(f"{block}.{port}") as free:
                     held = self.input(block, source.of)
@@ -106,17 +106,28 @@ class Resolver:
             case _:
                 return ca.SX.zeros(*model.inputs[port].shape)
 
-    def _later(self, source: Source, samples: int) -> Leaf:
-        """A source's output whole samples later, as a leaf."""
+    def _later(self, source: Source, samples: int) -> SX:
+        """A source's output whole samples later, as a leaf; of one whose time is a signal, what that is then."""
         if not isinstance(source, Wire):  # `wire_blocks` refuses it
             raise TypeError(source)
+        if self.paced(source.block):
+            return self._on_own_time(source, samples)
         key = (source.block, source.port, samples)
         if key not in self.ahead:
             now = self.output(source.block, source.port)
             (later,) = ca.substitute([now], [self.time], [self.time + samples * self.period])
             name = f"{source.block}.{source.port}(t + {'' if samples == 1 else samples}T)"
             self.ahead[key] = Leaf(name, Side.SOURCE, symbol(name, now.shape), later)
-        return self.ahead[key]
+        return self.ahead[key].symbol
+
+    def _on_own_time(self, source: Wire, samples: int) -> SX:
+        """A source's output at the time that its clock will show: an output t_path, as t_path_1, ... say."""
+        clock = self.sources[source.block, TIME.name]
+        if not isinstance(clock, Wire):
+            raise TypeError(clock)
+        then = self.output(clock.block, f"{clock.port}_{samples}")
+        model = self.models[source.block]
+        return ca.substitute([model.equations.outputs[source.port]], [model.inputs[TIME.name]], [then])[0]
 
     def expand(self, block: str, expression: SX) -> SX:
         """An expression in a block's own symbols, its inputs replaced by what drives them."""
@@ -195,8 +206,17 @@ class Resolver:
         self._tell_once(fault)
         return ca.SX.zeros(*self._crossing(end).symbol.shape)
 
+    def side(self, block: str) -> Side:
+        """The side on which a block computes: a source whose time is a controller's signal computes with it."""
+        return Side.CONTROLLER if self.paced(block) else self.models[block].block.side
+
+    def paced(self, block: str) -> bool:
+        """Whether a source's time is the signal of a block, and not t."""
+        own = self.models[block].block.side is Side.SOURCE
+        return own and isinstance(self.sources.get((block, TIME.name)), Wire)
+
     def _across(self, wire: Wire, side: Side) -> SX:
-        origin = self.models[wire.block].block.side
+        origin = self.side(wire.block)
         if origin is Side.SOURCE:
             return self.trajectory(wire.block, wire.port, 0).symbol
         if origin is side:
@@ -207,7 +227,7 @@ class Resolver:
         if end not in self.crossings:
             name, model = ".".join(end), self.models[end[0]]
             leaf = symbol(name, model.equations.outputs[end[1]].shape)
-            self.crossings[end] = Leaf(name, model.block.side, leaf, leaf)
+            self.crossings[end] = Leaf(name, self.side(end[0]), leaf, leaf)
         return self.crossings[end]
 
     def trajectory_rate(self, block: str, port: str, order: int) -> SX:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import final
 
 from dmframe.block import AbstractBlock, type_name
@@ -91,7 +91,7 @@ def wire_blocks(
                 found = commanded
             sources[end] = found
     _lead_through(blocks, outputs, sources)
-    return sources, [*faults, *_unforeseen(blocks, sources)]
+    return sources, [*faults, *_unforeseen(blocks, outputs, sources)]
 
 
 def _as_the_plant(
@@ -111,13 +111,24 @@ def _as_the_plant(
     return commands.pop() if len(commands) == 1 else None
 
 
-def _unforeseen(blocks: Mapping[str, AbstractBlock], sources: Mapping[End, Source]) -> Iterator[WiringError]:
+def _unforeseen(
+    blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]
+) -> Iterator[WiringError]:
     """Inputs that look ahead at a signal whose future nobody knows."""
     for (name, port), source in sources.items():
         if not isinstance(source, Ahead):
             continue
         now = sources.get((name, source.of))
-        if now is None or (isinstance(now, Wire) and blocks[now.block].side is Side.SOURCE):
+        if now is None:
+            continue
+        if isinstance(now, Wire) and blocks[now.block].side is Side.SOURCE:
+            clock = sources.get((now.block, TIME.name))
+            if isinstance(clock, Wire) and f"{clock.port}_{source.samples}" not in outputs.get(clock.block, {}):
+                yield WiringError(
+                    f"{name}.{port}: expected {clock.block}, which keeps the time of {now.block}, to say what "
+                    f"{clock.port} will be, as an output {clock.port}_{source.samples}, found none; see path_pace",
+                    path=("wires", f"{now.block}.{TIME.name}"),
+                )
             continue
         found = f"{now.block}.{now.port}" if isinstance(now, Wire) else "no other block's"
         samples = "a sample" if source.samples == 1 else f"{source.samples} samples"
@@ -196,7 +207,7 @@ def _explicit(
 
 
 def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Source | DmframeError:
-    if port == TIME:
+    if replace(port, optional=False) == TIME:
         return Time()
     if port == PERIOD:
         return Period()
@@ -298,8 +309,8 @@ def _access(
             "(the robot's architecture is closed)",
             path=path,
         )
-    if target is Side.SOURCE:
-        return AccessError(f"{reader} is an input of a source, which reads nothing but the time", path=path)
+    if target is Side.SOURCE and origin is not Side.CONTROLLER:
+        return AccessError(f"{reader} is an input of a source, whose time is t or what a controller keeps", path=path)
     return None
 
 

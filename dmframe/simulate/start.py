@@ -179,7 +179,13 @@ def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tu
 
 
 def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made: Made) -> tuple[Any, Any]:
-    """(t, p) -> where a trajectory is, and (state, p) -> where the plant is."""
+    """(t, p) -> where a trajectory is, and (state, p) -> where the plant is.
+
+    Raises `StartError` where the path is on a time of its own.
+    """
+    if (source := followed.desired.partition(".")[0]) in loop.paced:
+        text = f"start: expected {unknown.label}, found none; of a path whose time a block keeps, as that of {source}, "
+        raise StartError(f"{text}the beginning is not looked for")
     goal = _once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
     key = ("residual", followed.actual, unknown.label)
     return goal, _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))

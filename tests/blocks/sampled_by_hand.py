@@ -154,11 +154,11 @@ class Known:
 
 @dataclass
 class SampledLaw:
-    """Estimator and command. `w_0` [rad/(N m s)] is the size of 1 / (K K_D) to a factor of ten."""
+    """Estimator and command. `w_0` [rad/(N m s)], of all joints or each, is 1/(K K_D) to a factor of ten."""
 
     arm: Arm
     T: float
-    w_0: float = 1 / 800
+    w_0: float | Array = 1 / 800
     tau: float | None = 2.0  # [s] of the filter; None: unfiltered
     stored: int = 20  # W
     average: int = 1  # L, rows of which the mean is learnt: several on fast clocks
@@ -167,6 +167,7 @@ class SampledLaw:
     delay: int = 0
     pid: bool = True
     gamma: float = 1.0
+    Lambda: float | None = None  # [1/s] of the error led back by the Jacobian's inverse, in place of gamma
     damping: float = 0.0  # [m] of the Jacobian's inverse
     u_max: float = 3.0
     margin: float = 0.05  # mu of the guard
@@ -181,12 +182,17 @@ class SampledLaw:
         servo = 2 if self.pid else 1
         links, friction = 10 * n, 2
         self.constant = servo
-        size = np.concatenate([np.ones(servo), [30 * self.w_0], np.full(links + friction, 5 * self.w_0)])
+        w_0 = np.broadcast_to(self.w_0, n)[:, None]
+
+        def columns(gains: list[float], constant: Array, inertia: Array, rubbing: Array) -> Array:
+            parts = np.tile(gains[:servo], (n, 1)), constant, np.tile(inertia, links), np.tile(rubbing, friction)
+            return np.hstack(parts)
+
+        size = columns([1, 1], 30 * w_0, 5 * w_0, 5 * w_0)
         self.Gamma = size**2
-        few, many = 20 * self.w_0, 50 * self.w_0
-        self.lower = np.concatenate([[0.2, 0.05][:servo], [-1], np.full(links, -few), np.zeros(friction)])
-        self.upper = np.concatenate([[6.0, 4.0][:servo], [1], np.full(links, few), np.full(friction, many)])
-        self.theta = np.zeros((n, size.size))
+        self.lower = columns([0.2, 0.05], 0 * w_0 - 1, -20 * w_0, 0 * w_0)
+        self.upper = columns([6.0, 4.0], 0 * w_0 + 1, 20 * w_0, 50 * w_0)
+        self.theta = np.zeros_like(size)
         self.theta[:, :servo] = self.start[:servo]
         self.ring: list[tuple[Array, Array, Array]] = []  # rows, commands' excess, and which joints learn, newest first
         self.recent: list[tuple[Array, Array, Array]] = []
@@ -271,7 +277,7 @@ class SampledLaw:
         """Mean velocity that leads to the path's next point but for what is left of the error."""
         T, v, J = self.T, np.zeros_like(q), self.arm.jacobian(q)
         error = self.arm.position(q) - x_d
-        target = next_x_d + error - T * self.gamma * J @ J.T @ error
+        target = next_x_d + error - T * (self.gamma * J @ J.T @ error if self.Lambda is None else self.Lambda * error)
         for _ in range(2):
             J = self.arm.jacobian(q + T * v)
             missing = (target - self.arm.position(q + T * v)) / T

@@ -279,6 +279,23 @@ def test_a_motors_torque_ends_at_its_limit_and_friction_is_compensated_before_it
     assert graph(**ends).run().recording["drive.u_lim"].max() <= 120  # the URDF's
 
 
+def test_joints_stick_at_slow_motion_and_rub_more_in_one_direction() -> None:
+    sticking, uneven = np.array([0.5, 0.2]), np.array([0.3, -0.1])
+    rubbing = {"type": "stribeck_friction", "sticking": sticking.tolist(), "uneven": uneven.tolist()}
+    found = run(rubbing=rubbing, arm={"type": "manipulator", "K": [2, 4], "viscous": [1, 0.5], "coulomb": [0.5, 0.2]})
+    taken = np.array([2.0, 4.0]) * (found["servo.u"] - found["rubbing.u_left"])
+    slow = np.exp(-((found["arm.dq"] / 0.05) ** 2))
+    fast = np.abs(found["arm.dq"]) > 0.15
+    assert fast.any(axis=0).all()
+    np.testing.assert_allclose(taken[fast], np.broadcast_to(uneven, taken.shape)[fast], atol=1e-4)
+    near = (np.abs(found["arm.dq"]) > 0.02) & ~fast  # phi is one there
+    assert near.sum() > 5
+    wanted = sticking * slow * np.sign(found["arm.dq"]) + uneven
+    np.testing.assert_allclose(taken[near], wanted[near], atol=1e-3)
+    assert np.max(np.abs(taken[near] - (wanted - 2 * uneven)[near])) > 0.1
+    assert np.max(np.abs(taken[0])) < 1e-9  # at rest
+
+
 def test_a_stop_pushes_back_as_hunt_and_crossley_say_and_without_stiffness_tells_alone() -> None:
     stop = {"type": "joint_stops", "lower": [-1, -1], "upper": [0.9, 1.2]}
     soft = {**stop, "stiffness": [4000, 2000], "damping": [900, 400]}
@@ -367,6 +384,7 @@ EVERYTHING: Blocks = {
     "limits": {"type": "command_limits", "speed": 1.5},
     "ramp": {"type": "command_ramp", "acceleration": 20, "time_constant": 0.004},
     "friction": {"type": "friction_compensation", "coulomb": [0.2, 0.1]},
+    "rubbing": {"type": "stribeck_friction", "sticking": [0.2, 0.1], "uneven": [0.1, -0.05]},
     "drive": {"type": "torque_limits", "torque": [40, 15]},
     "stops": {"type": "joint_stops", "lower": [-1, -1], "upper": [1.2, 1.5], "stiffness": 3000, "damping": 500},
     "arm": {"type": "loaded_manipulator", "viscous": [1, 0.5], "payload": [0.5], "payload_at": [0.3]},

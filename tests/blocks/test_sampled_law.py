@@ -8,15 +8,17 @@ from typing import Any, ClassVar, Literal
 import casadi as ca
 import numpy as np
 import pytest
-from sampled_by_hand import Observer, Plant, SampledLaw, closed_loop, rms
+from sampled_by_hand import Arm, Circle, Observer, Plant, SampledLaw, closed_loop, rms
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 
+import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.catalogue import block_types
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError
 from dmframe.port import Access, Port, Side, State
+from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters
 from dmframe.simulate import Log, Recording, simulate
 from dmframe_blocks._averaged_servo import averaged_servo
@@ -104,6 +106,35 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
     for i, part in enumerate(SERVO.joints):
         np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
         np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
+
+
+def test_with_six_joints_each_with_a_guess_of_its_own_it_does_what_the_law_by_hand_does() -> None:
+    graph = load_experiment("ur10_full_sampled", ["task.damping=0"])
+    maker, arm, ticks = graph.blocks["servo"], graph.blocks["arm"], 12
+    hand_arm = Arm.load(str(find_robot("ur10").urdf), "ee_link", {}, arm.viscous, arm.coulomb)  # type: ignore[attr-defined]
+    w_0 = np.array(graph.blocks["inverse"].w_0)  # type: ignore[attr-defined]
+    start, path = np.array(graph.start["q"]), Circle((-0.07, 0.67, 0.55), 0.15, 0.5)
+    law = SampledLaw(hand_arm, T, w_0=w_0, stored=8)
+    hand = closed_loop(law, Plant(hand_arm, start, *gains_of(maker)), path, ticks)
+    diagram = Diagram.build({name: graph.blocks[name] for name in graph.blocks if name != "posture"}, {}, graph.robot)
+    mine = simulate(diagram, ticks * T, clock=T, start=graph.start, engine="interpreted")
+    for name, label in (("q", "arm.q"), ("u", "inverse.dq_c")):
+        np.testing.assert_allclose(mine[label][:ticks], hand[name], atol=1e-7, err_msg=name)
+    other = closed_loop(SampledLaw(hand_arm, T, stored=8), Plant(hand_arm, start, *gains_of(maker)), path, ticks)
+    assert np.max(np.abs(other["u"] - hand["u"])) > 5e-6
+
+
+def gains_of(maker: Any) -> list[np.ndarray]:
+    return [np.array(getattr(maker, name)) for name in ("K_D", "K_P", "K_I")]
+
+
+def test_a_redundant_robot_tracks_as_well_and_keeps_its_posture() -> None:
+    found = dm.load("ur10_full_sampled").run("100 s", progress=False)
+    assert found.error is not None
+    assert found.error.rms_final < 1e-4
+    q, q_0 = found.recording["arm.q"], np.array([1.2, -1.2, 1.2, 0, -np.pi / 2, 0])
+    assert np.max(np.abs(q - q_0)) < 0.6
+    assert not found.recording["inverse.guarded"].any()
 
 
 def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
@@ -226,6 +257,52 @@ def test_a_joint_whose_command_was_clipped_learns_nothing_from_that_sample() -> 
     assert not np.any(learnt["rows"][0, SERVO.joints[1]])
     first = inverse().evaluate(moved, states(queue=queue, theta=heavy(1.0), count=0.0), robot=ARM).next
     np.testing.assert_allclose(first["theta"], heavy(1.0), atol=1e-12)  # before the first sample nothing is known
+
+
+def test_each_joint_learns_by_a_guess_of_its_own() -> None:
+    def learnt(w_0: Any) -> Any:
+        law = BLOCKS["sampled_inverse"](w_0=w_0, k_P_box=[0.0, 9.0])
+        given = {"q": START + 0.01, "dq_r": np.zeros(3), "T": T}
+        queue = np.array([[0.2], [0.5], [0.2]])
+        return law.evaluate(given, states(queue=queue, theta=heavy(1.0)), robot=ARM).next["theta"]
+
+    guesses = [1 / 800, 1 / 80, 1 / 8]
+    own, alike = learnt(guesses), [learnt(guess) for guess in guesses]
+    for i, part in enumerate(SERVO.joints):
+        np.testing.assert_allclose(own[part], alike[i][part], atol=1e-12)
+        assert all(np.max(np.abs(own[part] - alike[k][part])) > 1e-6 for k in range(3) if k != i)
+
+
+@pytest.mark.parametrize("name", ["sampled_inverse", "disturbance_observer"])
+def test_with_time_stamps_a_sample_that_is_over_was_as_long_as_it_was(name: str) -> None:
+    now, before = 1.23, {"q_before": START, "queue": np.array([[0.2], [0.5], [0.2]])}
+    options, memory = ({}, before) if name == "disturbance_observer" else ({"w_0": 1 / 800}, states(**before))
+
+    def after(period: float, **stamps: Any) -> Mapping[str, Any]:
+        law = BLOCKS[name](time_stamps=bool(stamps), **options)
+        given = {"q": START + 0.01, "dq_r": [0.1, 0.2, -0.1], "T": period}
+        given |= {"t": now} if stamps else {}
+        found = law.evaluate(given, {**memory, **stamps}, robot=ARM)
+        return {**found.next, **found.outputs}
+
+    told, right, wrong = after(T, t_before=now - 0.08), after(0.08), after(T)
+    assert told["t_before"] == now
+    # what is learnt from the sample that is over; the command is for one that lasts T
+    past = {"lag"} if name == "disturbance_observer" else {"theta", "rows", "goals", "z", "psi_slow", "y_slow"}
+    for label in past:
+        np.testing.assert_allclose(told[label], right[label], atol=1e-12, err_msg=label)
+    assert max(np.max(np.abs(told[label] - wrong[label])) for label in past) > 1e-3
+
+
+def test_time_stamps_spare_a_predictor_the_clock_that_is_not_exact() -> None:
+    def tracked(**told: bool) -> float:
+        overrides = [f"inverse.{key}={str(value).lower()}" for key, value in told.items()]
+        graph = load_experiment("ur10_slow_observer", overrides)
+        found = simulate(graph.diagram(), 50.0, clock=T, start=graph.start, engine="interpreted", jitter=0.03)
+        return rms(error(found))
+
+    assert tracked(time_stamps=True) < 0.3
+    assert tracked() > 0.8
 
 
 def test_what_a_row_teaches_never_raises_the_storage_but_by_its_residual() -> None:

@@ -39,7 +39,13 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
 
 @pytest.mark.parametrize(
     ("servo", "options"),
-    [(PID, {}), (PI, {}), (PID, {"filtered": False}), (PID, {"delay": 1}), (PI, {"average": 2, "stride": 3})],
+    [
+        (PID, {}),
+        (PI, {}),
+        (PID, {"filtered": False}),
+        (PID, {"delay": 1}),
+        (PI, {"average": 2, "stride": 3, "time_stamps": True, "w_0": [0.02, 0.04]}),
+    ],
 )
 def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any]) -> None:
     found = verdict(servo, **options)

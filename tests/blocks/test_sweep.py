@@ -46,6 +46,7 @@ BETWEEN = """
   limits:   {type: command_limits}
   ramp:     {type: command_ramp, acceleration: 4}
   friction: {type: friction_compensation, coulomb: 0.1}
+  rubbing:  {type: stribeck_friction, sticking: 0.2, uneven: 0.1}
   drive:    {type: torque_limits}
   stops:    {type: joint_stops}
   gears:    {type: elastic_joints, stiffness: 4000, damping: 10, inertia: 0.1}
@@ -53,6 +54,7 @@ BETWEEN = """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
+EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot
 UNPROVED = {
@@ -61,6 +63,7 @@ UNPROVED = {
     "sampled_supervisor",
     "sampled_tracking",
     "disturbance_observer",
+    "path_pace",
     "loaded_manipulator",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
 } - {"joint_stops"}  # which may only tell

@@ -9,7 +9,7 @@ from dmframe.config.document import read_file
 def structures() -> list[str]:
     """One graph of each structure: the blocks, which parameters each is given, and the wires; a small robot's first."""
     found = dict[str, str]()
-    for name in sorted(graphs(), key=lambda name: (name.endswith("_full"), name)):
+    for name in sorted(graphs(), key=lambda name: ("_full" in name, name)):
         data = read_file(graphs()[name]).data
         blocks = sorted((block, entry["type"], sorted(entry)) for block, entry in data["blocks"].items())
         found.setdefault(f"{blocks}, {data.get('wires')}", name)
@@ -19,7 +19,7 @@ def structures() -> list[str]:
 def every_block() -> list[str]:
     """Few graphs that hold every packaged graph's blocks between them, one of a redundant robot of 7 joints."""
     kinds = {name: {entry["type"] for entry in read_file(graphs()[name]).data["blocks"].values()} for name in graphs()}
-    names = sorted(kinds, key=lambda name: (name.endswith("_full"), name))
+    names = sorted(kinds, key=lambda name: ("_full" in name, name))
     found, left = ["panda_full"], set[str]().union(*kinds.values()) - kinds["panda_full"]
     while left:
         most = max(names, key=lambda name: len(kinds[name] & left))

@@ -1,0 +1,237 @@
+"""The sampled law where its assumptions fail: ``python docs/study/stress.py [--draw] [CASE...]``.
+
+The slow circle at 90 ms, commanded by the kinematic controllers, the sampled law, the law under its supervisor, the
+disturbance observer, and the paper's law with its own and with tuned gains; a case each of what may be otherwise on a
+real robot. What is drawn at random is drawn three times, and the worst of them counts. Rows go to ``stress.csv``, where
+one that is there is not computed again, and from there to the page; ``--draw`` does the last alone.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+import dmframe as dm
+from dmframe.errors import DmframeError
+from dmframe.units import plain
+
+FOLDER = Path(__file__).parent
+PAGE, TABLE = FOLDER / "stress.md", FOLDER / "stress.csv"
+CONTROLLERS: Final = {
+    "ur10_slow_kinematic": "kinematic, J'",
+    "ur10_slow_kinematic_inverse": "kinematic, inverse",
+    "ur10_slow_sampled": "sampled law",
+    "ur10_slow_supervised": "supervised",
+    "ur10_slow_observer": "observer",
+    "ur10_slow": "paper",
+    "ur10_slow_tuned": "paper, tuned",
+}
+HEADS: Final = ("case", "graph", "rms_middle", "rms_final", "peak_after", "peak", "diverged_at", "fault")
+START: Final = (2.023732, -1.174227, 1.336627)
+"""[rad] Where the packaged graphs start, on the path."""
+SERVO: Final = {"K_D": (800, 800, 400), "K_P": (1760, 1760, 880), "K_I": (560, 560, 280)}
+LATE: Final = {"transport_delay": {"samples": 1}}
+STEPS: Final = {"encoder": {"step": "47.94 urad"}}
+SETTLED: Final = 2.0  # [s] after which the peak counts, since each controller starts from nothing
+SEEDS: Final = 3
+NOTHING: Final = 1e-6  # [m] below which the page says 0
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+
+
+@final
+@dataclass(frozen=True)
+class Case:
+    """What is otherwise: values and blocks put into the graph, a reality, and the delay that controllers are told."""
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    reality: Mapping[str, Any] = field(default_factory=dict)
+    told: int = 0
+    seconds: float = 200.0
+    random: bool = False
+
+
+def servo(scale: float) -> dict[str, Any]:
+    """The maker's gains, all times a number."""
+    return {f"servo.{name}": [scale * gain for gain in gains] for name, gains in SERVO.items()}
+
+
+def off(angle: float) -> dict[str, Any]:
+    """The servo's target starts beside the pose by an angle [rad] that nobody is told."""
+    return {"start.servo.q_c": [q + angle for q in START]}
+
+
+def block(kind: str, **parameters: Any) -> dict[str, Any]:
+    """A block of a graph."""
+    return {"type": kind, **parameters}
+
+
+OWN: Final = "stress_servos.py"
+STAMPED: Final = {f"{label}.time_stamps": True for label in ("inverse", "column")}
+PAYLOAD: Final = {"loaded_manipulator": {"payload": ["5 kg"], "payload_at": ["100 s"]}}
+CASES: Final[dict[str, Case]] = {
+    "as told": Case(),
+    "encoder's steps": Case(reality=STEPS),
+    "delay 1": Case(reality=LATE, told=1),
+    "delay 1, steps": Case(reality=LATE | STEPS, told=1),
+    "noise 1e-4 rad, delay 1": Case(reality=LATE | {"encoder": {"step": "1 nrad", "noise": 1e-4}}, told=1, random=True),
+    "the same, `average: 2`": Case(
+        {"inverse.average": 2},
+        LATE | {"encoder": {"step": "1 nrad", "noise": 1e-4}},
+        told=1,
+        random=True,
+    ),
+    "q_c(0) off by 10 mrad": Case(off(0.01)),
+    "q_c(0) off by 10 mrad, delay 1, steps": Case(off(0.01), LATE | STEPS, told=1),
+    "1 % of commands lost": Case(reality={"transport_delay": {"samples": 0, "lost": 0.01}}, seconds=400, random=True),
+    "servo's q_c integrates 0.99 of dq_c": Case({"blocks.servo": block(f"{OWN}:DriftingServo", **SERVO)}, seconds=600),
+    "velocity P servo without q_c": Case({"blocks.servo": block(f"{OWN}:VelocityServo", K_P=SERVO["K_D"])}),
+    "PI servo": Case({"blocks.servo": block("pi_servo", K_P=SERVO["K_D"], K_I=SERVO["K_P"])}),
+    "commands ramp with 0.5 rad/s^2": Case(reality={"command_ramp": {"acceleration": "0.5 rad/s^2"}}),
+    "samples of 81 to 99 ms": Case({"jitter": "4.5 ms"}, random=True),
+    "samples of 81 to 99 ms, time-stamped": Case({"jitter": "4.5 ms"} | STAMPED, random=True),
+    "delay 1/2, told 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.5}}),
+    "delay 3/4, told 0": Case(reality={"transport_delay": {"samples": 0, "share": 0.75}}),
+    "delay 1, told 0": Case(reality=LATE),
+    "delay 0, told 1": Case(told=1),
+    "delay 1 or 2 at random, told 1": Case(
+        reality={"transport_delay": {"samples": 1, "late": 0.5}}, told=1, random=True
+    ),
+    "friction sticks and is uneven": Case(
+        reality={"stribeck_friction": {"sticking": [4, 4, 2], "uneven": [1.6, 1.6, 0.8]}}
+    ),
+    "5 kg at half time, delay 1, steps": Case(reality=LATE | STEPS | PAYLOAD, told=1),
+    **{f"servo x {scale:g}": Case(servo(scale)) for scale in (0.1, 0.3, 3, 10)},
+    **{f"servo x {scale:g}, delay 1, steps": Case(servo(scale), LATE | STEPS, 1) for scale in (0.1, 0.3, 3, 10)},
+    "start off the path by 0.2 rad a joint": Case({"start.q": [q + 0.2 for q in START]}),
+    "w_0 x 0.03": Case({"inverse.w_0": 0.03 * 0.00125}),
+    "w_0 x 30": Case({"inverse.w_0": 30 * 0.00125}),
+    "a box without the truth": Case({"inverse.k_P_box": [0.2, 1.9], "inverse.friction_box": [0, 3]}),
+    "a drive ends at 75 of 81 N m": Case(reality={"torque_limits": {"torque": [100, 75, 100]}}),
+    "maker compensates gravity": Case({"arm.maker_gravity": 1}),
+    "standing still": Case({"path.rate": 0}),
+}
+
+
+def changed(name: str, case: Case, seed: int = 0) -> dm.Graph:
+    """A controller in a case; one that predicts is told the delay."""
+    graph = dm.load(dm.load(name).text, name=str(FOLDER / f"{name}.yaml"))  # blocks of its own lie there
+    late = [label for label in graph.blocks if "delay" in type(graph.blocks[label]).model_fields]
+    told = {f"{label}.delay": case.told for label in late if late != ["task"]}
+    lacking = [key for key in case.values if "." in key and not _has(graph, key)]
+    values = {key: value for key, value in case.values.items() if key not in lacking}
+    graph = graph.set({**told, **values, "duration": f"{case.seconds} s", "seed": seed})
+    return graph.reality(dict(case.reality)) if case.reality else graph
+
+
+def _has(graph: dm.Graph, key: str) -> bool:
+    """Whether a graph has what is to be set: the baselines lack some of a law's parameters."""
+    name, _, parameter = key.partition(".")
+    if name in ("blocks", "start", "wires"):
+        return True
+    return name in graph.blocks and parameter in type(graph.blocks[name]).model_fields
+
+
+def row_of(case: str, name: str) -> dict[str, Any]:
+    """What the worst run says [m]; a graph that cannot be run so has the reason in its row."""
+    found = [_figures(case, name, seed) for seed in range(SEEDS if CASES[case].random else 1)]
+    return max(found, key=lambda row: math.inf if row["diverged_at"] != "" or row["fault"] else row["rms_final"])
+
+
+def _figures(case: str, name: str, seed: int) -> dict[str, Any]:
+    row: dict[str, Any] = dict.fromkeys(HEADS, "") | {"case": case, "graph": name}
+    try:
+        run = changed(name, CASES[case], seed).run(progress=False)
+    except DmframeError as fault:
+        return row | {"fault": str(fault).splitlines()[0].rpartition(".yaml:")[2]}
+    error = run.error
+    if error is None:
+        return row | {"fault": "no error"}
+    if run.divergence:
+        return row | {"diverged_at": run.divergence.time}
+    size = error.norm
+    eighth = size.size // 8
+    return row | {
+        "rms_middle": float(np.sqrt(np.mean(size[4 * eighth : 5 * eighth] ** 2))),
+        "rms_final": error.rms_final,
+        "peak_after": float(np.max(size[run.time >= SETTLED])),
+        "peak": float(np.max(size)),
+    }
+
+
+def table(rows: list[dict[str, str]]) -> Iterator[str]:
+    """As the page shows it."""
+    yield f"| case | {' | '.join(CONTROLLERS.values())} |"
+    yield "|---" * (1 + len(CONTROLLERS)) + "|"
+    for case in CASES:
+        mine = {row["graph"]: row for row in rows if row["case"] == case}
+        if mine:
+            cells = (_cell(mine[name]) if name in mine else "" for name in CONTROLLERS)
+            yield f"| {case} | {' | '.join(cells)} |"
+
+
+def _cell(row: Mapping[str, str]) -> str:
+    if row["fault"]:
+        return "-"
+    if row["diverged_at"]:
+        return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
+    final, peak = float(row["rms_final"]), float(row["peak_after"])
+    return f"{_millimetres(final)} ({_millimetres(peak)})"
+
+
+def _millimetres(error: float) -> str:
+    return f"{1e3 * error:.3g}" if error > NOTHING else "0"
+
+
+def read() -> list[dict[str, str]]:
+    """The rows that there are."""
+    if not TABLE.exists():
+        return []
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(rows: list[dict[str, Any]]) -> None:
+    """The table, beside the page and in it."""
+    order = [(case, name) for case in CASES for name in CONTROLLERS]
+    rows.sort(key=lambda row: order.index((row["case"], row["graph"])))
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, HEADS, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+    draw()
+
+
+def fill(text: str, rows: list[dict[str, str]]) -> str:
+    """The page with the table of these rows."""
+    before, _, rest = text.partition(BEGIN)
+    return "".join([before, BEGIN, "\n", "\n".join(table(rows)), "\n", END, rest.partition(END)[2]])
+
+
+def draw() -> None:
+    """The page from the table."""
+    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8"), read()), encoding="utf-8")
+
+
+def main(words: list[str]) -> None:
+    """Compute what is missing, and write after each case."""
+    if "--draw" in words:
+        draw()
+        return
+    rows: list[dict[str, Any]] = [row for row in read() if row["case"] in CASES and row["case"] not in words]
+    done = {(row["case"], row["graph"]) for row in rows}
+    for case in words or CASES:
+        for name in (name for name in CONTROLLERS if (case, name) not in done):
+            rows.append(row_of(case, name))
+            sys.stderr.write(f"{case}: {rows[-1]}\n")
+        write(rows)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

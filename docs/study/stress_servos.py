@@ -1,0 +1,55 @@
+"""Two servos that no maker would own up to, for ``stress.py``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Access, Port, Side, State
+
+
+@final
+class VelocityServo(AbstractBlock):
+    """P servo of the joint velocities: it has no target position, and gravity pulls the robot down."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"), Port("dq_c", "n", "rad/s"))
+    outputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+
+    K_P: Diagonal = Positive("n", "V s/rad")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The voltage."""
+        return Equations(outputs={"u": -p.K_P * (u.dq - u.dq_c)})
+
+
+@final
+class DriftingServo(AbstractBlock):
+    """PID servo of the joint positions whose target integrates a share of the commands alone."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("dq_c", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad", Access.MEASURED), Port("u", "n", "V"))
+    states: ClassVar[tuple[State, ...]] = (State("q_c", "n", "rad"), State("i", "n", "rad s"))
+    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"), Port("K", "n", "N m/V"))
+
+    K_D: Diagonal = Positive("n", "V s/rad")
+    K_P: Diagonal = Positive("n", "V/rad")
+    K_I: Diagonal = Positive("n", "V/(rad s)")
+    share: Scalar = Positive(default=0.99)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The voltage, and a target that falls behind."""
+        voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
+        return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.share * u.dq_c, "i": u.q - x.q_c})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
+        """At rest, holding gravity."""
+        return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
