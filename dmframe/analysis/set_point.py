@@ -74,7 +74,7 @@ def equilibrium(
     from scipy.linalg import lstsq
 
     loop, T = diagram.loop, period_of(diagram.loop, clock)
-    held = true_values(diagram) | _given(loop, estimates or {})
+    held = true_values(diagram, resting=True) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     free = np.array([label not in held for label in labels], dtype=bool)

@@ -119,7 +119,7 @@ def analyse(
         if clock is None
         else emulation_limits(diagram, clock, at_rest.point, solver=solver, start=start, seconds=seconds)
     )
-    unknown = tuple(label for label, value in estimates_of(diagram).items() if value is None)
+    unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     return LoopAnalysis(
         clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties, proofs, limits, unknown
     )
