@@ -24,6 +24,7 @@ import numpy as np
 
 from dmframe.analysis.linear import Linear, at_speed
 from dmframe.analysis.moves import SplitMoves, kept_value, split_moves
+from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import frozen
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import ClosedLoop, Diagram
@@ -81,7 +82,7 @@ class EnclosedLoop:
         moving: bool = False,
         split: SplitMoves | None = None,
     ) -> None:
-        self.linear, self.loop = linear, frozen(diagram).loop
+        self.linear, self.loop = linear, unrounded(frozen(diagram)).loop
         if len(linear.states) > MOST_STATES:
             raise UndecidedError(f"it has {len(linear.states)} states, and with more than {MOST_STATES} none is tried")
         self._p = [Fixed.around(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]

@@ -27,6 +27,7 @@ import casadi as ca
 import numpy as np
 
 from dmframe.analysis.least_cut import ITSELF, LEAST, SMALL, Cut, vanishing
+from dmframe.analysis.rounding import APPLY, unknown
 from dmframe.analysis.set_point import at_set_point, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
 from dmframe.certificate import SX
@@ -99,7 +100,7 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
             chosen[state] = 0
             inputs[0][state] = -kept_value(dict(list(item.items())[1:]), *inputs[::2])
         program = read_moves(chosen)
-    program = read_moves(_summed(program, symbols, fixed_values(program, inputs)))
+    program = read_moves(_summed(loop, program, symbols, fixed_values(program, inputs)))
     cut, sums = Cut(program, fixed_values(program, inputs)).found()
     y = ca.SX.sym("y", len(cut))
     signals, rest = _rebuilt(program, symbols, cut, sums, y)
@@ -157,35 +158,25 @@ def _without(kept: Sequence[Sum], loop: ClosedLoop, expression: SX) -> SX:
     return ca.substitute(expression, ca.vertcat(*first), ca.vertcat(*meanings))
 
 
-def _summed(program: Program, symbols: Sequence[SX], numbers: Sequence[Any]) -> SX:
-    """The moves; one in which the state itself cancels, as a sum in which it does not stand."""
+def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: Sequence[Any]) -> SX:
+    """The moves; of a sampled state that cancels in its own, as a sum in which it does not stand."""
     zero, kinds = vanishing(program.nodes, numbers)
     (places,) = program.stored(range(len(program.nodes)))
     whole = [zero[k] and kinds[k] == ITSELF for k in range(len(zero))]
     for place in places:
         whole[place] = False
     sums, values, T = sums_of(program.nodes, whole), _values(program, symbols), symbols[2]
-    own = {node.b: place for place, node in reversed(list(enumerate(program.nodes))) if node.code == INPUT and not node.a}
+    own = {node.b: k for k, node in reversed(list(enumerate(program.nodes))) if node.code == INPUT and not node.a}
+    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
 
     def summed(state: int, place: int) -> SX:
         one = sums[place]
-        if one is None or not zero[place] or (place, 0) in one or (own.get(state, -1), 0) in one:
+        here = sampled[state] and zero[place] and one is not None and (place, 0) not in one
+        if one is None or not here or (own.get(state, -1), 0) in one:
             return values[place]
         return sum((_number(factor) * T**power * values[k] for (k, power), factor in one.items()), ca.SX(0))
 
     return ca.vertcat(*(summed(state, place) for state, place in enumerate(places)))
-
-
-_APPLY: Final = {
-    code: (lambda a, b, code=code: ca.SX.binary(code, a, b))
-    if row.arity == 2
-    else (lambda a, code=code: ca.SX.unary(code, a))
-    for code, row in OPERATIONS.items()
-}
-
-
-def _refuse(code: int) -> Exception:
-    return UndecidedError(f"CasADi's instruction {code} is not known here")
 
 
 def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[Fixed]]) -> tuple[SX, SX]:
@@ -226,7 +217,7 @@ def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[F
         else:
             arity = OPERATIONS[code].arity if code in OPERATIONS else 0
             if not arity:
-                raise _refuse(code)
+                raise unknown(code)
             value = ca.SX.binary(code, values[a], values[b]) if arity == 2 else ca.SX.unary(code, values[a])
         values.append(value)
     (found,) = program.stored(values)
@@ -270,10 +261,10 @@ def _rebuilt(
 def _values(program: Program, symbols: Sequence[SX], keep: Any = None) -> list[SX]:
     return run(
         program,
-        _APPLY,
+        APPLY,
         given=lambda argument, element: symbols[argument].nz[element],
         constant=ca.SX,
-        refuse=_refuse,
+        refuse=unknown,
         keep=keep,
     )
 
