@@ -16,6 +16,7 @@ for the memory: again the same eigenvalues but for some at zero.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -91,6 +92,7 @@ class EnclosedLoop:
         self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         self._rests = _inside(self.loop)
         self._once: Enclosure | None = None
+        self._last: tuple[float, Enclosure] | None = None
 
     @property
     def moving(self) -> int:
@@ -113,10 +115,10 @@ class EnclosedLoop:
         flowing = {k: {first + j: value for j, value in row.items()} for k, row in enumerate(sparse(integral))}
         steps += [combined(row, here.L) for row in flowing.values()]
         moved = product(here.R, steps)
-        for place, row in enumerate(moved):
-            row[place] = row.get(place, Fixed(0, 0)) + Fixed(ONE, ONE)
-            if not (row[place].lower or row[place].upper):
-                del row[place]
+        for place, entries in enumerate(moved):
+            one = entries.pop(place, Fixed(0, 0)) + Fixed(ONE, ONE)
+            if one.lower or one.upper:
+                entries[place] = one
         if self.moving > FEW:
             moved = without_store(moved)
         return dense(moved, len(moved))
@@ -124,15 +126,18 @@ class EnclosedLoop:
     def at(self, period: float) -> Enclosure:
         """Where the loop rests on a clock of that period [s]; once for all where its equations do not read it."""
         if self.linear.clock is not None:
-            if self.moving > FEW:  # as a rule it rests where it does on its own clock, which is much faster to try
-                try:
-                    return self._enclosed(self.linear.point, period)
-                except UndecidedError:
-                    pass
-            return self._enclosed(self.linear.on(period).point, period)
+            if self._last is None or self._last[0] != period:
+                self._last = period, self._on(period)
+            return self._last[1]
         if self._once is None:
             self._once = self._enclosed(self.linear.point, period)
         return self._once
+
+    def _on(self, period: float) -> Enclosure:
+        if self.moving > FEW:  # as a rule it rests where it does on its own clock, which is much faster to try
+            with suppress(UndecidedError):
+                return self._enclosed(self.linear.point, period)
+        return self._enclosed(self.linear.on(period).point, period)
 
     def _enclosed(self, point: np.ndarray, period: float) -> Enclosure:
         split, T = self.split, [Fixed.around(period)]

@@ -83,7 +83,9 @@ class Cut:
         while True:  # a product of two zeros has no slope; but it must vanish with the others, too
             vanishes, _ = self._vanishing_with(cut)
             reached = self._reached(cut)
-            open_ = [k for k in self._seen if k in reached and self._both(k) and not vanishes[k] and k not in self.chosen]
+            open_ = [
+                k for k in self._seen if k in reached and self._both(k) and not vanishes[k] and k not in self.chosen
+            ]
             if not open_:
                 break
             for place in open_:

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
@@ -113,8 +113,8 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
     def program_of(name: str, value: SX) -> Program:
         return read(ca.Function(name, symbols, [ca.cse(value)]))
 
-    programs = {"y": signals, "L": L, "R": R, "guards": guards}
-    return SplitMoves(loop, len(cut), *(program_of(n, v) for n, v in programs.items()), kept=tuple(kept))
+    programs = {name: program_of(name, v) for name, v in (("y", signals), ("L", L), ("R", R), ("guards", guards))}
+    return SplitMoves(loop, len(cut), kept=tuple(kept), **programs)
 
 
 def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
@@ -251,7 +251,9 @@ def _rebuilt(
             return y[places[place]]
         if place in sums:
             one = sums[place].items()
-            return sum((_number(factor) * symbols[2] ** power * y[places[key]] for (key, power), factor in one), ca.SX(0))
+            return sum(
+                (_number(factor) * symbols[2] ** power * y[places[key]] for (key, power), factor in one), ca.SX(0)
+            )
         return value
 
     own, (found,) = _values(program, symbols), program.stored(_values(program, symbols, keep))

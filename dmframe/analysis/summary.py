@@ -127,9 +127,7 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    return LoopAnalysis(
-        clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounds(diagram.loop)
-    )
+    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounds(diagram.loop))
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:

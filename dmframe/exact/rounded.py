@@ -67,7 +67,8 @@ class Rounded:
     def norm(self) -> float:
         """At least the largest sum of absolute values in a row."""
         n = self.middle.shape[1]
-        return float(np.max(np.sum(np.abs(self.middle) + self.radius, axis=1), initial=0.0)) * (1 + 2 * (n + 2) * _UNIT)
+        largest = float(np.max(np.sum(np.abs(self.middle) + self.radius, axis=1), initial=0.0))
+        return largest * (1 + 2 * (n + 2) * _UNIT)
 
     @property
     def columns_norm(self) -> float:
@@ -82,7 +83,7 @@ def similar(F: Rounded, basis: Array) -> Rounded | None:
     is within |E|/(1 - |E|) of that of Y F X.
     """
     try:
-        inverse = np.linalg.inv(basis)
+        inverse = np.asarray(np.linalg.inv(basis), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
     X, Y = Rounded.exactly(basis), Rounded.exactly(inverse)
