@@ -68,12 +68,7 @@ class Rounded:
         """At least the largest sum of absolute values in a row."""
         n = self.middle.shape[1]
         largest = float(np.max(np.sum(np.abs(self.middle) + self.radius, axis=1), initial=0.0))
-        return largest * (1 + 2 * (n + 2) * _UNIT)
-
-    @property
-    def columns_norm(self) -> float:
-        """The same of a column."""
-        return Rounded(self.middle.T, self.radius.T).norm
+        return float(largest * (1 + 2 * (n + 2) * _UNIT))
 
 
 def similar(F: Rounded, basis: Array) -> Rounded | None:
