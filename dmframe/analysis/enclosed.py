@@ -7,11 +7,16 @@ The plant flows between two samples, its commands held, so that near its rest, w
 T for the controller's states in continuous time, 1 for sampled ones, H for what flows; L and R as in
 `dmframe.analysis.moves`. Hence F has the eigenvalue one as many times as it has more states than y signals, and else
 the eigenvalues of 1 + R D L: in the signals y, which the states follow, the loop is that smaller matrix.
+
+Signals that only store others are a memory, with a matrix N that is nilpotent by its pattern. What is not stored reads
+it by a few sums E y, and those of what it holds now decide what they are later, so that E N^j y, j = 0, 1, ..., stand
+for the memory: again the same eigenvalues but for some at zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, final
 
@@ -19,16 +24,21 @@ import casadi as ca
 import numpy as np
 
 from dmframe.analysis.linear import Linear, at_speed
-from dmframe.analysis.moves import SplitMoves, split_moves
+from dmframe.analysis.moves import SplitMoves, kept_value, split_moves
+from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import frozen
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
 from dmframe.exact.matrix import Matrix, held
+from dmframe.exact.rows import Row, combined, dense, picked, product, sparse, stored_rows
 from dmframe.program import Program, read
 
-MOST_STATES: Final = 250
+MOST_STATES: Final = 3000
 """Of a loop with more states nothing is tried: it would take minutes."""
+
+FEW: Final = 250
+"""Of more signals than this, what is only stored is left out."""
 
 _STEPS: Final = 40
 _NEAR: Final = ONE >> 200
@@ -48,8 +58,8 @@ class Enclosure:
         How far from the told point the equilibrium lies at most, in the units of the states.
     """
 
-    L: Matrix
-    R: Matrix
+    L: Sequence[Row]
+    R: Sequence[Row]
     A: Matrix
     within: float
 
@@ -73,7 +83,7 @@ class EnclosedLoop:
         moving: bool = False,
         split: SplitMoves | None = None,
     ) -> None:
-        self.linear, self.loop = linear, frozen(diagram).loop
+        self.linear, self.loop = linear, unrounded(frozen(diagram)).loop
         if len(linear.states) > MOST_STATES:
             raise UndecidedError(f"it has {len(linear.states)} states, and with more than {MOST_STATES} none is tried")
         self._p = [Fixed.around(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
@@ -82,32 +92,52 @@ class EnclosedLoop:
         self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         self._rests = _inside(self.loop)
         self._once: Enclosure | None = None
+        self._last: tuple[float, Enclosure] | None = None
 
     @property
     def moving(self) -> int:
         """How many directions move; in all others the loop rests anywhere."""
         return self.split.count
 
+    @property
+    def kept(self) -> int:
+        """How many sums of states nothing changes, and which are taken as zero."""
+        return len(self.split.kept)
+
     def transition(self, period: float) -> Matrix:
-        """The loop over one tick of that period [s], in the signals that vanish at rest."""
+        """The loop over one tick of that period [s], in signals that vanish at rest; in few that do for a memory."""
         here, T = self.at(period), Fixed.around(period)
         _, integral = held(here.A, T)
-        first, parts = self.linear.controller, list[Matrix]()
+        first, steps = self.linear.controller, list[Row]()
         rows = [v.next is None for v in self.loop.stepped for _ in range(v.symbol.numel())]
         for row, flows in enumerate(rows):
-            part = here.L[row : row + 1]
-            parts.append(part.times(T) if flows else part)
-        parts.append(integral @ here.L[first:])
-        stacked = Matrix(np.vstack([m.middle for m in parts]), np.vstack([m.radius for m in parts]))
-        return Matrix.identity(self.moving) + here.R @ stacked
+            steps.append({place: T * value for place, value in here.L[row].items()} if flows else here.L[row])
+        flowing = {k: {first + j: value for j, value in row.items()} for k, row in enumerate(sparse(integral))}
+        steps += [combined(row, here.L) for row in flowing.values()]
+        moved = product(here.R, steps)
+        for place, entries in enumerate(moved):
+            one = entries.pop(place, Fixed(0, 0)) + Fixed(ONE, ONE)
+            if one.lower or one.upper:
+                entries[place] = one
+        if self.moving > FEW:
+            moved = without_store(moved)
+        return dense(moved, len(moved))
 
     def at(self, period: float) -> Enclosure:
         """Where the loop rests on a clock of that period [s]; once for all where its equations do not read it."""
         if self.linear.clock is not None:
-            return self._enclosed(self.linear.on(period).point, period)
+            if self._last is None or self._last[0] != period:
+                self._last = period, self._on(period)
+            return self._last[1]
         if self._once is None:
             self._once = self._enclosed(self.linear.point, period)
         return self._once
+
+    def _on(self, period: float) -> Enclosure:
+        if self.moving > FEW:  # as a rule it rests where it does on its own clock, which is much faster to try
+            with suppress(UndecidedError):
+                return self._enclosed(self.linear.point, period)
+        return self._enclosed(self.linear.on(period).point, period)
 
     def _enclosed(self, point: np.ndarray, period: float) -> Enclosure:
         split, T = self.split, [Fixed.around(period)]
@@ -118,41 +148,74 @@ class EnclosedLoop:
             ends = [Fixed(value, value) for value in x]
             for place in places:
                 ends[place] = Fixed(x[place] - reach, x[place] + reach)
+            for item in split.kept:
+                (own, _), *_ = item
+                ends[own] = -kept_value({term: factor for term, factor in item.items() if term[0] != own}, ends, T)
             return [ends, self._p, T]
 
-        def matrix(program: Program, inputs: Sequence[Sequence[Fixed]], rows: int, columns: int) -> Matrix:
-            (found,) = program.dense(fixed_values(program, inputs), Fixed(0, 0))
-            return Matrix.of([[found[i + rows * j] for j in range(columns)] for i in range(rows)], columns)
+        def slopes(inputs: Sequence[Sequence[Fixed]]) -> list[Row]:
+            return stored_rows(split.R, fixed_values(split.R, inputs), count)
 
-        slope = matrix(split.R, box(0, ()), count, size).floats()
-        places = _pivots(slope, self._estimates)
+        def signals(inputs: Sequence[Sequence[Fixed]], rows: Sequence[int]) -> Matrix:
+            (found,) = split.y.dense(fixed_values(split.y, inputs), Fixed(0, 0))
+            return Matrix.of([[found[row]] for row in rows], 1)
+
+        slope = slopes(box(0, ()))
+        alone = self._alone(slope)
+        for place in alone.values():  # it is that signal, so that it is zero
+            x[place] = 0
+        rows = [row for row in range(count) if row not in alone]
+        free = [place for place in range(size) if place not in set(alone.values())]
+        few = dense(picked([slope[row] for row in rows], free), len(free)).floats()
+        chosen = _pivots(few, [self._estimates[place] for place in free])
+        places = [free[k] for k in chosen]
         try:
-            C = Matrix.exactly(np.linalg.inv(slope[:, places]))
+            C = Matrix.exactly(np.linalg.inv(few[:, chosen]))
         except np.linalg.LinAlgError:
             raise UndecidedError("the signals that vanish at rest do not decide where it rests") from None
         for _ in range(_STEPS):
-            step = C @ matrix(split.y, box(0, ()), count, 1)
+            step = C @ signals(box(0, ()), rows)
             for row, place in enumerate(places):
                 x[place] -= step.middle[row, 0]
             if max((abs(value) for value in step.middle.ravel()), default=0) <= _NEAR:
                 break
-        error = C @ matrix(split.y, box(0, ()), count, 1)
+        error = C @ signals(box(0, ()), rows)
         reach = 2 * max((int(value) for value in (np.abs(error.middle) + error.radius).ravel()), default=0) + _NEAR
         inputs = box(reach, places)
-        R = matrix(split.R, inputs, count, size)
+        R = slopes(inputs)
         # Krawczyk's test: what lies in here is an equilibrium, and the only one with these estimates
-        left = Matrix.identity(count) - C @ R[:, places]
-        spread = ((np.abs(left.middle) + left.radius) @ np.full((count, 1), reach, dtype=object)) // ONE + 1
+        near = dense(product(sparse(C), picked([R[row] for row in rows], places)), len(places))
+        left = Matrix.identity(len(places)) - near
+        spread = ((np.abs(left.middle) + left.radius) @ np.full((len(places), 1), reach, dtype=object)) // ONE + 1
         if np.any(np.abs(error.middle) + error.radius + spread >= reach):
             raise UndecidedError("that the loop has an equilibrium at this point is not proved")
+        still = signals(inputs, list(alone))
+        if np.any(still.middle) or np.any(still.radius):
+            raise UndecidedError("a signal that one state alone seemed to be is none")
         self._check(inputs)
-        L = matrix(split.L, inputs, size, count)
+        L = stored_rows(split.L, fixed_values(split.L, inputs), size)
         given, flow = split.flow
         (commands,) = given.dense(fixed_values(given, inputs), Fixed(0, 0))
         first = self.linear.controller
-        A = matrix(flow, [inputs[0][first:], commands, self._p], size - first, size - first)
-        moved = max((abs(float(Fixed(a, a)) - float(b)) for a, b in zip(x, point, strict=True)), default=0.0)
+        (found,) = flow.dense(fixed_values(flow, [inputs[0][first:], commands, self._p]), Fixed(0, 0))
+        flowing = size - first
+        A = Matrix.of([[found[i + flowing * j] for j in range(flowing)] for i in range(flowing)], flowing)
+        own = {term[0] for item in split.kept for term in list(item)[:1]}
+        moved = max(
+            (abs(float(Fixed(a, a)) - float(b)) for k, (a, b) in enumerate(zip(x, point, strict=True)) if k not in own),
+            default=0.0,
+        )
         return Enclosure(L, R, A, moved + float(Fixed(reach, reach)))
+
+    def _alone(self, slope: Sequence[Row]) -> dict[int, int]:
+        """In a large loop: signals that are states, each with the state."""
+        found = dict[int, int]()
+        if self.moving > FEW:
+            for row, entries in enumerate(slope):
+                ((place, value), *others) = entries.items() if entries else ((0, Fixed(0, 0)),)
+                if not others and value.lower == value.upper in (ONE, -ONE) and place not in found.values():
+                    found[row] = place
+        return found
 
     def _check(self, inputs: Sequence[Sequence[Fixed]]) -> None:
         """No comparison turns out another way nearby, and the tick puts no state back into its set."""
@@ -186,4 +249,43 @@ def _pivots(R: np.ndarray, estimates: Sequence[bool]) -> list[int]:
     return [int(place) for place in order[:size]]
 
 
-__all__ = ["MOST_STATES", "EnclosedLoop", "Enclosure", "SplitMoves"]
+def without_store(rows: Sequence[Row]) -> list[Row]:
+    """A transition without what it only stores: a smaller one with the same eigenvalues but for some at zero."""
+    store = set(_store(rows))
+    core = [place for place in range(len(rows)) if place not in store]
+    order = {place: k for k, place in enumerate(core)}
+    found: list[Row] = [{order[k]: value for k, value in rows[place].items() if k in order} for place in core]
+    for reader, place in enumerate(core):
+        read = {k: value for k, value in rows[place].items() if k in store}
+        if not read:
+            continue
+        found[reader][len(found)] = Fixed(ONE, ONE)
+        while read:  # what is read of the memory: of what it is given now, and of what it then holds
+            later = combined(read, rows)
+            found.append({order[k]: value for k, value in later.items() if k in order})
+            read = {k: value for k, value in later.items() if k in store}
+            if read:
+                found[-1][len(found)] = Fixed(ONE, ONE)
+    return found
+
+
+def _store(rows: Sequence[Row]) -> list[int]:
+    """Those that copy one other, and those that are copied, where none feeds itself in any number of steps."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    copies = [place for place, row in enumerate(rows) if len(row) <= 1 and place not in row]
+    sources = {k for place in copies for k in rows[place] if k not in rows[k]}
+    store = sorted(sources.union(copies))
+    if not store:
+        return []
+    order = {place: k for k, place in enumerate(store)}
+    pairs = [(order[place], order[k]) for place in store for k in rows[place] if k in order]
+    ends = tuple(zip(*pairs, strict=True)) if pairs else ((), ())
+    graph = csr_array((np.ones(len(pairs), dtype=np.int8), ends), shape=(len(store), len(store)))
+    _, groups = connected_components(graph, connection="strong")
+    alone = np.bincount(groups)[groups] == 1
+    return [place for place, single in zip(store, alone, strict=True) if single]
+
+
+__all__ = ["MOST_STATES", "EnclosedLoop", "Enclosure", "SplitMoves", "without_store"]

@@ -8,8 +8,8 @@ from typing import Any, Final, final
 
 import numpy as np
 
+from dmframe.analysis.sums import Span, Sum, scaled, sums_of
 from dmframe.exact.fixed import MAYBE
-from dmframe.exact.literal import literal
 from dmframe.program import CONST, INPUT, Node, Program, by_code
 
 SMALL: Final = 1e-6
@@ -18,7 +18,13 @@ SMALL: Final = 1e-6
 LEAST: Final = 1e-9
 """A state below this is zero at rest; of two numbers that are compared, a difference above it says which is larger."""
 
-_ANY, _ALL, _ONLY, _ITSELF = "any", "all", "only", "itself"
+_FEW: Final = 250
+"""So many values are looked at one by one, whether the others do without; of more it would take minutes."""
+
+_MANY: Final = 4096
+"""Of two cuts with as many values, up to this number, the one with more arguments among them is the lesser."""
+
+_ANY, _ALL, _ONLY, ITSELF = "any", "all", "only", "itself"
 
 _KINDS: Final[Mapping[int, str]] = by_code(
     {
@@ -33,13 +39,13 @@ _KINDS: Final[Mapping[int, str]] = by_code(
 """Which operands make an operation vanish: any one, all, or the first."""
 
 
-def _vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool], list[str]]:
+def vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool], list[str]]:
     """Which values are zero at rest, up to the point's own error; and which operands make them so."""
     zero, kinds = list[bool](), list[str]()
     for node, number in zip(nodes, numbers, strict=True):
         code, a, b, constant, _ = node
         size = 0.0 if number is MAYBE else abs(float(number))
-        kind = _KINDS.get(code, _ITSELF)
+        kind = _KINDS.get(code, ITSELF)
         if code == CONST:
             vanishes = constant == 0
         elif code == INPUT:
@@ -50,7 +56,7 @@ def _vanishing(nodes: Sequence[Node], numbers: Sequence[Any]) -> tuple[list[bool
             vanishes = zero[a] and zero[b]
             if not vanishes and not zero[a] and not zero[b]:
                 vanishes = size <= SMALL * max(abs(float(numbers[a])), abs(float(numbers[b])))
-                kind = _ITSELF
+                kind = ITSELF
         elif kind == _ONLY:
             vanishes = zero[a]
         else:
@@ -67,23 +73,26 @@ class Cut:
     def __init__(self, program: Program, numbers: Sequence[Any]) -> None:
         self.nodes = program.nodes
         (self.outputs,) = program.stored(range(len(self.nodes)))
-        self.zero, self.kinds = _vanishing(self.nodes, numbers)
-        self.forms = _forms(self.nodes)
+        self.zero, self.kinds = vanishing(self.nodes, numbers)
+        self.forms = sums_of(self.nodes, inputs_alone=True)
         self.chosen = dict[int, int]()
 
-    def found(self) -> tuple[list[int], dict[int, dict[int, Fraction]]]:
-        """The values; and others that are, identically, sums of these, as factors by value."""
+    def found(self) -> tuple[list[int], dict[int, Sum]]:
+        """The values; and others that are, identically, sums of these, as factors by value and power of T."""
         cut = self._least()
         while True:  # a product of two zeros has no slope; but it must vanish with the others, too
             vanishes, _ = self._vanishing_with(cut)
-            open_ = [k for k in self._seen if self._both(k) and not vanishes[k] and k not in self.chosen]
+            reached = self._reached(cut)
+            open_ = [
+                k for k in self._seen if k in reached and self._both(k) and not vanishes[k] and k not in self.chosen
+            ]
             if not open_:
                 break
             for place in open_:
                 node = self.nodes[place]
                 self.chosen[place] = node.b if self.nodes[node.a].code == INPUT else node.a
             cut = self._least()
-        for place in sorted(cut, reverse=True):
+        for place in self._doubtful(cut):
             rest = [k for k in cut if k != place]
             vanishes, _ = self._vanishing_with(rest)
             if all(vanishes[k] for k in self.outputs):
@@ -109,7 +118,7 @@ class Cut:
         from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
         nodes, zero = self.nodes, self.zero
-        source, sink, most = 2 * len(nodes), 2 * len(nodes) + 1, len(nodes)
+        source, sink, most = 2 * len(nodes), 2 * len(nodes) + 1, 1 << 30
         waiting, seen = list(dict.fromkeys(self.outputs)), set[int]()
         edges = {(2 * place + 1, sink): most for place in waiting}
         while waiting:
@@ -117,8 +126,8 @@ class Cut:
             if place in seen or (nodes[place].code == CONST and zero[place]):
                 continue
             seen.add(place)
-            edges[2 * place, 2 * place + 1] = 1
-            if not zero[place] or self.kinds[place] == _ITSELF:
+            edges[2 * place, 2 * place + 1] = _MANY - (nodes[place].code == INPUT)
+            if not zero[place] or self.kinds[place] == ITSELF:
                 edges[source, 2 * place] = most
                 continue
             for operand in self._needs(place):
@@ -135,19 +144,46 @@ class Cut:
         reached = set(breadth_first_order(left, source, return_predecessors=False).tolist())
         return [place for place in self._seen if 2 * place in reached and 2 * place + 1 not in reached]
 
-    def _vanishing_with(self, cut: Sequence[int]) -> tuple[list[bool], dict[int, dict[int, Fraction]]]:
+    def _doubtful(self, cut: Sequence[int]) -> list[int]:
+        """Those without which the others may do; of a large cut, such as are chosen, no sums, or sums of others."""
+        if len(cut) <= _FEW:
+            return sorted(cut, reverse=True)
+        _, relations = self._span(cut)
+        found = {place for relation in relations for place, _ in relation} | set(self.chosen.values())
+        return [place for place in sorted(cut, reverse=True) if place in found or self.forms[place] is None]
+
+    def _span(self, cut: Sequence[int]) -> tuple[Span, list[Sum]]:
+        """All sums of the cut's values, with powers of T; and relations between these."""
+        span, relations = Span(), list[Sum]()
+        for power in (0, 1, -1):
+            for place in cut:
+                if (form := scaled(self.forms[place], Fraction(1), power)) is not None:
+                    relation = span.add(form, (place, power))
+                    relations += [] if relation is None else [relation]
+        return span, relations
+
+    def _reached(self, cut: Sequence[int]) -> set[int]:
+        """What has to vanish for the outputs to do so, and does not lie behind the cut."""
+        waiting, reached, inside = list(self.outputs), set[int](), set(cut)
+        while waiting:
+            place = waiting.pop()
+            if place not in reached and place not in inside:
+                reached.add(place)
+                waiting += self._needs(place) if self.zero[place] and self.kinds[place] != ITSELF else ()
+        return reached
+
+    def _vanishing_with(self, cut: Sequence[int]) -> tuple[list[bool], dict[int, Sum]]:
         """What is zero where the cut is, by the operations alone; and what is so as a sum of the cut's values."""
-        inside, sums = set(cut), dict[int, dict[int, Fraction]]()
-        basis = _Span({place: form for place in cut if (form := self.forms[place]) is not None})
+        inside, sums, (basis, _) = set(cut), dict[int, Sum](), self._span(cut)
         vanishes = list[bool]()
         for place, node in enumerate(self.nodes):
             code, a, b, constant, _ = node
-            kind = _KINDS.get(code, _ITSELF)
+            kind = _KINDS.get(code, ITSELF)
             if place in inside:
                 here = True
             elif code == CONST:
                 here = constant == 0
-            elif code == INPUT or kind == _ITSELF:
+            elif code == INPUT or kind == ITSELF:
                 here = False
             elif kind == _ANY:
                 here = vanishes[a] or vanishes[b]
@@ -158,61 +194,3 @@ class Cut:
                 here, sums[place] = True, factors
             vanishes.append(here)
         return vanishes, sums
-
-
-Form = dict[int, Fraction]
-
-
-def _forms(nodes: Sequence[Node]) -> list[Form | None]:
-    """Of each value that is a sum of arguments with rational factors: these, by the argument's place."""
-    forms, named = list[Form | None](), by_code({name: name for name in ("add", "sub", "neg", "twice", "mul")})
-    first = dict[tuple[int, int], int]()
-    for place, (code, a, b, constant, _) in enumerate(nodes):
-        form: Form | None = None
-        name = named.get(code)
-        if code == INPUT:
-            form = {first.setdefault((a, b), place): Fraction(1)}
-        elif code == CONST and constant == 0:
-            form = {}
-        elif name in ("neg", "twice") and (one := forms[a]) is not None:
-            form = {key: value * (-1 if name == "neg" else 2) for key, value in one.items()}
-        elif name in ("add", "sub") and (one := forms[a]) is not None and (other := forms[b]) is not None:
-            form = _sum(one, other, Fraction(1 if name == "add" else -1))
-        elif name == "mul":
-            for factor, other_place in ((a, b), (b, a)):
-                if nodes[factor].code == CONST and (one := forms[other_place]) is not None:
-                    form = {key: value * literal(nodes[factor].constant) for key, value in one.items()}
-        forms.append(form)
-    return forms
-
-
-def _sum(one: Mapping[int, Fraction], other: Mapping[int, Fraction], factor: Fraction) -> Form:
-    found = dict(one)
-    for key, value in other.items():
-        found[key] = found.get(key, Fraction(0)) + factor * value
-    return {key: value for key, value in found.items() if value}
-
-
-@final
-class _Span:
-    """All sums of some forms, with rational factors."""
-
-    def __init__(self, forms: Mapping[int, Form]) -> None:
-        self._rows = list[tuple[int, Form, Form]]()  # the leading argument, the form, and of which forms it is made
-        for place, form in forms.items():
-            left, made = self._reduced(form, {place: Fraction(1)})
-            if left:
-                key = min(left)
-                self._rows.append((key, left, made))
-
-    def _reduced(self, form: Form, made: Form) -> tuple[Form, Form]:
-        for key, row, of in self._rows:
-            if key in form:
-                factor = -form[key] / row[key]
-                form, made = _sum(form, row, factor), _sum(made, of, factor)
-        return form, made
-
-    def factors(self, form: Form) -> Form | None:
-        """The forms of which one is the sum, with their factors; None where it is none."""
-        left, made = self._reduced(form, {})
-        return None if left else {key: -value for key, value in made.items()}

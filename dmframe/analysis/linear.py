@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import (
     LARGE,
     MOST,
@@ -199,7 +200,7 @@ def linearise(
     moving: bool = False,
     clock: float | None = None,
 ) -> Linear:
-    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0 and nothing drawn.
+    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn or rounded.
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ def linearise(
     ShapeError, EngineError
         A state of another size; no equilibrium; a loop that needs a clock.
     """
-    still = frozen(diagram)
+    still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
     point = equilibrium(still, estimates, start, clock) if state is None else np.array(state, dtype=float)
     if point.shape != (loop.state.numel(),):

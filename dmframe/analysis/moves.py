@@ -10,6 +10,9 @@ identity is read off the operations, not off numbers: 0 times anything, and sums
 
 .. math:: \frac{\partial g}{\partial x} = L R, \qquad L = \frac{\partial \hat g}{\partial y}, \quad
     R = \frac{\partial y}{\partial x}
+
+A sum of states that no sample changes, identically, is a number and not a state: one of its states is put as what it
+then is. Two integrals of one command, the servo's and its model's, differ by such a number.
 """
 
 from __future__ import annotations
@@ -18,13 +21,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.analysis.least_cut import LEAST, SMALL, Cut, Form
+from dmframe.analysis.least_cut import ITSELF, LEAST, SMALL, Cut, vanishing
+from dmframe.analysis.rounding import APPLY, unknown
 from dmframe.analysis.set_point import at_set_point, moves, undrawn
+from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
@@ -43,9 +48,12 @@ class SplitMoves:
     count
         How many signals y has.
     y, L, R
-        Their programs; L and R are dense, column-major.
+        Their programs; L and R store what is not zero by structure, column by column.
     guards
         Columns (x, p, T) -> numbers that are all above zero where no comparison turns out another way.
+    kept
+        Sums of states that no sample changes, and that are zero: factors by state and power of T. The first state of
+        each, with factor one, is none of those that y, L and R read.
     """
 
     loop: ClosedLoop
@@ -54,6 +62,7 @@ class SplitMoves:
     L: Program
     R: Program
     guards: Program
+    kept: Sequence[Sum] = ()
 
     @cached_property
     def flow(self) -> tuple[Program, Program]:
@@ -77,8 +86,21 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
         expression = ca.substitute(expression, loop.p[zeros], ca.SX.zeros(len(zeros)))
     symbols = [loop.state, loop.p, loop.period]
     inputs = [[Fixed.around(Fraction(float(value))) for value in point], list(p), [period]]
-    chosen, guards = _chosen(read(ca.Function("moves", symbols, [ca.densify(expression)])), symbols, inputs)
-    program = read(ca.Function("moves", symbols, [ca.densify(chosen)]))
+
+    def read_moves(value: SX) -> Program:
+        return read(ca.Function("moves", symbols, [ca.cse(ca.densify(value))]))
+
+    chosen, guards = _chosen(read_moves(expression), symbols, inputs)
+    program = read_moves(chosen)
+    kept = [item for item in _conserved(loop, program) if abs(float(kept_value(item, *inputs[::2]))) <= LEAST]
+    if kept:
+        chosen, guards = _without(kept, loop, chosen), _without(kept, loop, guards)
+        for item in kept:
+            (state, _), *_ = item
+            chosen[state] = 0
+            inputs[0][state] = -kept_value(dict(list(item.items())[1:]), *inputs[::2])
+        program = read_moves(chosen)
+    program = read_moves(_summed(loop, program, symbols, fixed_values(program, inputs)))
     cut, sums = Cut(program, fixed_values(program, inputs)).found()
     y = ca.SX.sym("y", len(cut))
     signals, rest = _rebuilt(program, symbols, cut, sums, y)
@@ -89,23 +111,72 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
     R = ca.jacobian(signals, loop.state)
 
     def program_of(name: str, value: SX) -> Program:
-        return read(ca.Function(name, symbols, [ca.cse(ca.densify(value))]))
+        return read(ca.Function(name, symbols, [ca.cse(value)]))
 
-    return SplitMoves(
-        loop, len(cut), *(program_of(n, v) for n, v in (("y", signals), ("L", L), ("R", R), ("guards", guards)))
-    )
-
-
-_APPLY: Final = {
-    code: (lambda a, b, code=code: ca.SX.binary(code, a, b))
-    if row.arity == 2
-    else (lambda a, code=code: ca.SX.unary(code, a))
-    for code, row in OPERATIONS.items()
-}
+    programs = {name: program_of(name, v) for name, v in (("y", signals), ("L", L), ("R", R), ("guards", guards))}
+    return SplitMoves(loop, len(cut), kept=tuple(kept), **programs)
 
 
-def _refuse(code: int) -> Exception:
-    return UndecidedError(f"CasADi's instruction {code} is not known here")
+def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
+    """Sums of states that no sample changes, with factors that are rational in T; `program` says what states move.
+
+    Of what flows between samples, states count whose rates read nothing that flows; of others, those without a set.
+    """
+    (places,) = program.stored(range(len(program.nodes)))
+    sums, flowing = sums_of(program.nodes), stack(v.symbol for v in loop.flowing)
+    put_back = [item.state for item in loop.projections]
+    own, row = dict[int, Sum](), 0
+    for v in loop.variables:
+        (rate,) = loop.projected([v.rate], joined=False)
+        free = not any(ca.depends_on(state, v.symbol) for state in put_back)
+        steady = v not in loop.flowing or not ca.depends_on(loop.on_path(rate), flowing)
+        for k in range(row, row + v.symbol.numel()):
+            one = sums[places[k]]
+            if free and steady and one is not None:
+                own[k] = one if v.next is not None else scaled(one, Fraction(1), 1) or {}
+        row += v.symbol.numel()
+    return conserved(own)
+
+
+def kept_value(item: Sum, x: Sequence[Fixed], T: Sequence[Fixed]) -> Fixed:
+    """What a sum of states is."""
+    total = Fixed(0, 0)
+    for (state, power), factor in item.items():
+        term = Fixed.around(factor) * x[state]
+        total = total + (term * T[0] if power else term)
+    return total
+
+
+def _without(kept: Sequence[Sum], loop: ClosedLoop, expression: SX) -> SX:
+    """An expression with the first state of each sum put as what it is where the sum is zero."""
+    T, first, meanings = loop.period, list[SX](), list[SX]()
+    for item in kept:
+        (own, *others) = item.items()
+        first.append(loop.state[own[0][0]])
+        parts = (-_number(factor) * loop.state[state] * (T if power else 1) for (state, power), factor in others)
+        meanings.append(sum(parts, ca.SX(0)))
+    return ca.substitute(expression, ca.vertcat(*first), ca.vertcat(*meanings))
+
+
+def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: Sequence[Any]) -> SX:
+    """The moves; of a sampled state that cancels in its own, as a sum in which it does not stand."""
+    zero, kinds = vanishing(program.nodes, numbers)
+    (places,) = program.stored(range(len(program.nodes)))
+    whole = [zero[k] and kinds[k] == ITSELF for k in range(len(zero))]
+    for place in places:
+        whole[place] = False
+    sums, values, T = sums_of(program.nodes, whole), _values(program, symbols), symbols[2]
+    own = {node.b: k for k, node in reversed(list(enumerate(program.nodes))) if node.code == INPUT and not node.a}
+    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
+
+    def summed(state: int, place: int) -> SX:
+        one = sums[place]
+        here = sampled[state] and zero[place] and one is not None and (place, 0) not in one
+        if one is None or not here or (own.get(state, -1), 0) in one:
+            return values[place]
+        return sum((_number(factor) * T**power * values[k] for (k, power), factor in one.items()), ca.SX(0))
+
+    return ca.vertcat(*(summed(state, place) for state, place in enumerate(places)))
 
 
 def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[Fixed]]) -> tuple[SX, SX]:
@@ -146,7 +217,7 @@ def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[F
         else:
             arity = OPERATIONS[code].arity if code in OPERATIONS else 0
             if not arity:
-                raise _refuse(code)
+                raise unknown(code)
             value = ca.SX.binary(code, values[a], values[b]) if arity == 2 else ca.SX.unary(code, values[a])
         values.append(value)
     (found,) = program.stored(values)
@@ -169,7 +240,7 @@ def _logic(name: str, a: SX, b: SX) -> SX:
 
 
 def _rebuilt(
-    program: Program, symbols: Sequence[SX], cut: Sequence[int], sums: Mapping[int, Form], y: SX
+    program: Program, symbols: Sequence[SX], cut: Sequence[int], sums: Mapping[int, Sum], y: SX
 ) -> tuple[SX, SX]:
     """The cut's values in the function's arguments; and the outputs with `y` in their place."""
     places, order = {place: k for k, place in enumerate(cut)}, iter(range(len(program.nodes)))
@@ -179,21 +250,25 @@ def _rebuilt(
         if place in places:
             return y[places[place]]
         if place in sums:
-            return sum((_number(factor) * y[places[key]] for key, factor in sums[place].items()), ca.SX(0))
+            one = sums[place].items()
+            return sum(
+                (_number(factor) * symbols[2] ** power * y[places[key]] for (key, power), factor in one), ca.SX(0)
+            )
         return value
 
-    def values(keep: Any) -> list[SX]:
-        return run(
-            program,
-            _APPLY,
-            given=lambda argument, element: symbols[argument].nz[element],
-            constant=ca.SX,
-            refuse=_refuse,
-            keep=keep,
-        )
-
-    own, (found,) = values(None), program.stored(values(keep))
+    own, (found,) = _values(program, symbols), program.stored(_values(program, symbols, keep))
     return ca.vertcat(ca.SX(0, 1), *(own[place] for place in cut)), ca.vertcat(ca.SX(0, 1), *found)
+
+
+def _values(program: Program, symbols: Sequence[SX], keep: Any = None) -> list[SX]:
+    return run(
+        program,
+        APPLY,
+        given=lambda argument, element: symbols[argument].nz[element],
+        constant=ca.SX,
+        refuse=unknown,
+        keep=keep,
+    )
 
 
 def _number(value: Fraction) -> SX:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.rational import Passivity, Rational, passivity, transfer
+from dmframe.analysis.rounding import unrounded
 from dmframe.analysis.set_point import computable, equilibrium, frozen
 from dmframe.block import AbstractBlock
 from dmframe.block.model import BlockModel
@@ -101,7 +102,7 @@ def servo_transfer(
     EngineError
         Numbers that overflow.
     """
-    still = frozen(diagram)
+    still = unrounded(frozen(diagram))
     point = equilibrium(still, start=start) if state is None else np.asarray(state, dtype=float)
     servo, arm = _servo_and_arm(diagram)
     M, B, K = _arm(still, arm, point)

@@ -34,6 +34,12 @@ LATE: Final = 1e6
 
 _STEPS: Final = 60
 
+_FLAT: Final = 1e-12
+"""A row of slopes below this moves nothing."""
+
+_DELTA: Final = 1e-13
+"""Of evened slopes, the square of what counts as none."""
+
 
 def frozen(diagram: Diagram, t: float = 0.0) -> Diagram:
     """The same diagram with its trajectories held at what they are at t [s], and their derivatives at zero.
@@ -74,7 +80,7 @@ def equilibrium(
     from scipy.linalg import lstsq
 
     loop, T = diagram.loop, period_of(diagram.loop, clock)
-    held = true_values(diagram) | _given(loop, estimates or {})
+    held = true_values(diagram, resting=True) | _given(loop, estimates or {})
     x = start_state(diagram, start or {})
     labels = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     free = np.array([label not in held for label in labels], dtype=bool)
@@ -92,7 +98,10 @@ def equilibrium(
         if at_rest(rate, x, 1e-3):
             return x
         now = computable(loop, "set-point", slope(x, p, T, 0)[0].full())
-        step = lstsq(now[:, free], -rate, cond=1e-12, lapack_driver="gelsy" if len(x) > LARGE else "gelsd")[0]
+        if len(x) > LARGE:
+            step = _shortest(now[:, free], -rate)
+        else:
+            step = lstsq(now[:, free], -rate, cond=1e-12, lapack_driver="gelsd")[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
     computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
@@ -105,10 +114,31 @@ def equilibrium(
     )
 
 
+def _shortest(slope: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The shortest step that takes rates away, of a large loop: its slope has few entries.
+
+    A' (A A' + delta)^-1 b, each row of A evened first; delta stands for directions that nothing moves.
+    """
+    from scipy.sparse import block_array, csc_array, eye_array
+    from scipy.sparse.linalg import splu
+
+    sizes = np.maximum(np.max(np.abs(slope), axis=1), 1e-300)
+    sizes[sizes < _FLAT] = 1.0
+    A = csc_array(slope / sizes[:, None])
+    rows, columns = A.shape
+    joined = block_array([[eye_array(columns), A.T], [A, -_DELTA * eye_array(rows)]], format="csc")
+    right = np.concatenate([np.zeros(columns), wanted / sizes])
+    factors = splu(joined)
+    found = factors.solve(right)
+    found = found + factors.solve(right - joined @ found)
+    return np.asarray(found[:columns])
+
+
 def at_rest(rate: Any, state: np.ndarray, share: float = 1.0) -> bool:
     """True for rates that are small enough at a state, or smaller than a share of that."""
     largest = float(np.max(np.abs(np.asarray(rate)), initial=0.0))
-    return largest <= AT_REST * share * (1 + float(np.max(np.abs(state), initial=0.0)))
+    sizes = np.abs(np.asarray(state))
+    return largest <= AT_REST * share * (1 + float(np.max(sizes[sizes < LATE], initial=0.0)))  # a count is no size
 
 
 def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:

@@ -21,13 +21,22 @@ import numpy as np
 from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.linear import Linear
 from dmframe.analysis.moves import SplitMoves
-from dmframe.analysis.period import SHORTEST, Bracket
+from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
+from dmframe.analysis.set_point import LARGE
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError
 from dmframe.exact.fixed import Fixed
 from dmframe.exact.matrix import Matrix
+from dmframe.exact.rounded import Rounded, falls, gram, similar
 
 _REFINED: Final = 6
+_DENSE: Final = 80
+"""Of more rows, floats with radii take the place of many places: a tenth of a second, and not minutes."""
+
+_NOTHING: Final = 1e-25
+_MOST_POWER: Final = 40
+"""Balancing leaves out what is only rounding, and goes no further than this: a memory would be scaled without end."""
+
 _HOPELESS: Final = 1e-12
 _STEPS: Final = 4
 _SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
@@ -53,6 +62,8 @@ class StabilityProof:
     period
         The longest period that was proved [s]; each was proved for itself, and nothing is said of those between. None
         where none was.
+    kept
+        How many sums of states no sample changes, exactly: they are taken as they are at the set-point.
     """
 
     directions: int = 0
@@ -61,6 +72,7 @@ class StabilityProof:
     radius: float | None = None
     period: float | None = None
     reason: str = ""
+    kept: int = 0
 
 
 def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
@@ -73,6 +85,8 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
     numbers = scaled.floats()
     if not np.all(np.isfinite(numbers)):
         return False
+    if len(numbers) > _DENSE:
+        return _falls(scaled)
     _, (sizes, _) = matrix_balance(numbers, permute=False, separate=True)
     powers = [int(power) for power in np.rint(np.log2(sizes))]
     even = scaled.scaled([-power for power in powers], powers)
@@ -100,6 +114,26 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
     return P.positive_definite() and decrease.positive_definite()
 
 
+def _falls(F: Matrix) -> bool:
+    """The same of a large matrix, in floats: in coordinates in which it contracts, a power has a norm below one."""
+    from scipy.linalg import matrix_balance
+
+    numbers = F.floats()
+    numbers[np.abs(numbers) < _NOTHING] = 0.0
+    _, (sizes, _) = matrix_balance(numbers, permute=False, separate=True)
+    powers = [int(power) for power in np.clip(np.rint(np.log2(sizes)), -_MOST_POWER, _MOST_POWER)]
+    even = Rounded.of(F.scaled([-power for power in powers], powers))
+    P = gram(even.middle)
+    if not np.all(np.isfinite(P)):
+        return False
+    try:
+        basis = np.linalg.inv(np.linalg.cholesky(P).T)
+    except np.linalg.LinAlgError:
+        return False
+    moved = similar(even, np.ascontiguousarray(basis))
+    return moved is not None and falls(moved)
+
+
 def prove_stability(
     diagram: Diagram,
     linear: Linear,
@@ -125,21 +159,21 @@ def prove_stability(
         loop = EnclosedLoop(diagram, linear, some, moving=moving, split=split)
         within = loop.at(some).within
         radius = None if clock is None else _proved_radius(loop, clock)
-        period = _longest(loop, bracket)
+        period = _longest(loop, bracket, clock if radius is not None else None)
     except DmframeError as error:
         return StabilityProof(reason=error.text), split
-    resting = len(linear.states) - loop.moving
+    resting = len(linear.states) - loop.moving - loop.kept
     why = _why(linear, loop, clock, radius, period)
-    return StabilityProof(loop.moving, resting, within, radius, period, why), loop.split
+    return StabilityProof(loop.moving, resting, within, radius, period, why, loop.kept), loop.split
 
 
 def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float | None, period: float | None) -> str:
     """Why one of the two is not proved."""
     if period is not None and (clock is None or radius is not None):
         return ""
-    if linear.drifting:
-        return f"in {linear.drifting} of its directions it drifts steadily, which nothing brings back"
-    more = linear.at_rest - len(linear.states) + loop.moving
+    if linear.drifting > loop.kept:
+        return f"in {linear.drifting - loop.kept} of its directions it drifts steadily, which nothing brings back"
+    more = linear.at_rest - len(linear.states) + loop.moving + loop.kept
     if more > 0:
         return f"floats find that it rests in more directions, by {more}; its equations do not show that"
     return "floats find it unstable" if clock is not None and linear.spectral_radius(clock) >= 1 else ""
@@ -162,8 +196,10 @@ def _short(period: float) -> float:
     return float(Fraction(math.floor(Fraction(period) * Fraction(10) ** digits)) / Fraction(10) ** digits)
 
 
-def _longest(loop: EnclosedLoop, bracket: Bracket) -> float | None:
-    """Bisection over periods that are proved one by one."""
+def _longest(loop: EnclosedLoop, bracket: Bracket, own: float | None) -> float | None:
+    """Bisection over periods that are proved one by one; of a large loop, which floats look at on its own clock alone,
+    upwards from there.
+    """
 
     def proved(period: float) -> bool:
         try:
@@ -171,14 +207,20 @@ def _longest(loop: EnclosedLoop, bracket: Bracket) -> float | None:
         except EngineError:
             return False
 
-    lower, upper = 0.0, bracket.stable
-    for share in _SHARES if bracket.stable else ():
-        period = _short(bracket.stable * share)
-        if proved(period):
-            lower = period
-            break
-        upper = period
-    for _ in range(_STEPS if lower and lower < 0.99 * upper else 0):
+    lower, upper, steps = 0.0, bracket.stable, _STEPS
+    if len(loop.linear.states) > LARGE:
+        lower, steps = own or 0.0, 2
+        upper = 2 * lower
+        while lower and upper <= LONGEST and proved(upper):
+            lower, upper = upper, 2 * upper
+    else:
+        for share in _SHARES if bracket.stable else ():
+            period = _short(bracket.stable * share)
+            if proved(period):
+                lower = period
+                break
+            upper = period
+    for _ in range(steps if lower and lower < 0.99 * upper <= LONGEST else 0):
         middle = _short((lower + upper) / 2)
         lower, upper = (middle, upper) if proved(middle) else (lower, middle)
     return lower or None

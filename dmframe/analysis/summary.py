@@ -11,6 +11,7 @@ from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
+from dmframe.analysis.rounding import rounds
 from dmframe.analysis.servo import JointLoop, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.analysis.tie import TieGain, tie_gains
@@ -56,6 +57,8 @@ class LoopAnalysis:
         The largest adaptation gains that the clock bears, quasi-statically; nothing without a clock.
     unknown
         Estimates of which no true value is known: they are where the set-point has them.
+    rounded
+        Whether a signal is rounded, as by an encoder.
     """
 
     clock: float | None
@@ -67,11 +70,14 @@ class LoopAnalysis:
     proofs: tuple[StabilityProof, StabilityProof]
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
+    rounded: bool = False
 
     @property
     def note(self) -> str:
         """What the numbers speak of."""
         note = NOTE if self.at_rest.clock is None else NOTE_OF_A_CLOCK
+        if self.rounded:
+            note += " What is rounded is taken as it is in the mean, the steps as fine."
         if self.unknown:
             note += f" No true value is known of {', '.join(self.unknown)}: they are where the set-point has them."
         return note
@@ -119,10 +125,9 @@ def analyse(
         if clock is None
         else emulation_limits(diagram, clock, at_rest.point, solver=solver, start=start, seconds=seconds)
     )
-    unknown = tuple(label for label, value in estimates_of(diagram).items() if value is None)
-    return LoopAnalysis(
-        clock, at_rest, moving, servo_transfer(diagram, at_rest.point), periods, ties, proofs, limits, unknown
-    )
+    unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
+    joints = servo_transfer(diagram, at_rest.point)
+    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounds(diagram.loop))
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -145,6 +150,7 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
                 "proved_period": proof.period,
                 "directions": proof.directions,
                 "resting": proof.resting,
+                "kept": proof.kept,
                 "within": proof.within,
                 "reason": proof.reason,
             }

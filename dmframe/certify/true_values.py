@@ -13,10 +13,11 @@ from dmframe.certify.samples import certificates_over_samples
 from dmframe.diagram import Diagram
 
 
-def estimated(diagram: Diagram) -> dict[str, SX | None]:
+def estimated(diagram: Diagram, *, resting: bool = False) -> dict[str, SX | None]:
     """The estimates, by state label, each with what it estimates as an expression in the diagram's parameters.
 
     None stands for a true value that is no function of parameters alone, and for all of a diagram that claims nothing.
+    Where the loop is `resting`, constants that nobody knows, such as where an integrator started, are taken as zero.
     """
     loop, found = diagram.loop, dict[str, SX | None]()
     known = symbols_in(parameter.symbol for parameter in loop.parameters)
@@ -29,6 +30,9 @@ def estimated(diagram: Diagram) -> dict[str, SX | None]:
     for name, certificate in certificates.items():
         for state, true in _stated(certificate).items():
             value = ca.SX(true) + ca.SX.zeros(*diagram.models[name].states[state].shape)
+            if resting and isinstance(certificate, SampledCertificate):
+                unknown = ca.veccat(ca.SX(0, 1), *certificate.constants.values())
+                value = ca.substitute(value, unknown, ca.SX.zeros(unknown.shape))
             value = ca.vec(ca.densify(*loop.joined([value])))
             found[f"{name}.{state}"] = value if symbols_in([value]) <= known else None
     return found
@@ -40,7 +44,7 @@ def _stated(certificate: Certificate | SampledCertificate) -> dict[str, SX]:
     return {state: true.value for state, true in certificate.estimates.items()}
 
 
-def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
+def estimates_of(diagram: Diagram, *, resting: bool = False) -> dict[str, np.ndarray | None]:
     """`estimated` at the diagram's own numbers."""
     loop = diagram.loop
 
@@ -49,9 +53,9 @@ def estimates_of(diagram: Diagram) -> dict[str, np.ndarray | None]:
             return None
         return np.asarray(ca.Function("truth", [loop.p], [value])(loop.p_values).full().ravel())
 
-    return {label: number(value) for label, value in estimated(diagram).items()}
+    return {label: number(value) for label, value in estimated(diagram, resting=resting).items()}
 
 
-def true_values(diagram: Diagram) -> dict[str, np.ndarray]:
+def true_values(diagram: Diagram, *, resting: bool = False) -> dict[str, np.ndarray]:
     """What each estimate estimates, of those of which it is known."""
-    return {label: value for label, value in estimates_of(diagram).items() if value is not None}
+    return {label: value for label, value in estimates_of(diagram, resting=resting).items() if value is not None}

@@ -164,6 +164,8 @@ def _meaning(proof: StabilityProof) -> str:
     if proof.period is None:
         return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
     rests = f"; in {proof.resting} more it rests anywhere, exactly" if proof.resting else ""
+    if proof.kept:
+        rests += f"; {proof.kept} sums of states, which no sample changes, are taken as they are there"
     return (
         f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
         f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "

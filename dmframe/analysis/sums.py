@@ -1,0 +1,162 @@
+r"""What a program's values are as sums, exactly: factors that are rational times a power of the period T.
+
+Two things are read off them: terms that cancel, as an estimate does in what it moves, and sums of states that a sample
+leaves as they are, as the difference of two integrals of one command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from fractions import Fraction
+from typing import Final, final
+
+from dmframe.exact.literal import literal
+from dmframe.program import CONST, INPUT, Node, by_code
+
+Term = tuple[int, int]
+"""A value's place in a program, and a power of T by which it is multiplied."""
+
+Sum = dict[Term, Fraction]
+
+PERIOD: Final = 2
+"""Which argument of the program is T."""
+
+_POWERS: Final = (0, 1)
+"""The powers of T that the factors of a conserved sum may hold."""
+
+_NAMED: Final = by_code({name: name for name in ("add", "sub", "neg", "twice", "mul", "div")})
+
+
+def sums_of(nodes: Sequence[Node], whole: Sequence[bool] = (), *, inputs_alone: bool = False) -> list[Sum | None]:
+    """Of each value the sum that it is, of inputs and of values that are no sums, or are `whole`.
+
+    None for those that are no sums of inputs, where `inputs_alone` count.
+    """
+    found, factors, first = list[Sum | None](), list[tuple[Fraction, int] | None](), dict[tuple[int, int], int]()
+    for place, (code, a, b, constant, _) in enumerate(nodes):
+        name, factor = _NAMED.get(code), None
+        own: Sum | None = None if inputs_alone else {(place, 0): Fraction(1)}
+        if code == INPUT:
+            own = {(first.setdefault((a, b), place), 0): Fraction(1)}
+            factor = (Fraction(1), 1) if a == PERIOD else None
+        elif code == CONST:
+            factor = literal(constant), 0
+            own = {} if constant == 0 else own
+        elif name in ("neg", "twice"):
+            times = Fraction(-1 if name == "neg" else 2)
+            own, factor = scaled(found[a], times, 0, own), _times(factors[a], (times, 0))
+        elif name in ("add", "sub"):
+            one, other = found[a], found[b]
+            if one is not None and other is not None:
+                own = added(one, other, Fraction(1 if name == "add" else -1))
+        elif name == "mul":
+            factor = _times(factors[a], factors[b])
+            for known, of in ((factors[a], b), (factors[b], a)):
+                if known is not None:
+                    own = scaled(found[of], *known, own)
+                    break
+        elif name == "div" and (known := factors[b]) is not None and known[0]:
+            under = 1 / known[0], -known[1]
+            factor, own = _times(factors[a], under), scaled(found[a], *under, own)
+        found.append({(place, 0): Fraction(1)} if whole and whole[place] and code != INPUT else own)
+        factors.append(factor)
+    return found
+
+
+def scaled(one: Sum | None, times: Fraction, power: int, otherwise: Sum | None = None) -> Sum | None:
+    """A sum times a number and a power of T; `otherwise`, of what is none."""
+    if one is None:
+        return otherwise
+    return {(place, k + power): times * value for (place, k), value in one.items() if times}
+
+
+def added(one: Mapping[Term, Fraction], other: Mapping[Term, Fraction], factor: Fraction) -> Sum:
+    """A sum and a factor times another, without terms that cancel."""
+    found = dict(one)
+    for key, value in other.items():
+        new = found.get(key, Fraction(0)) + factor * value
+        if new:
+            found[key] = new
+        else:
+            found.pop(key, None)
+    return found
+
+
+def _times(one: tuple[Fraction, int] | None, other: tuple[Fraction, int] | None) -> tuple[Fraction, int] | None:
+    return None if one is None or other is None else (one[0] * other[0], one[1] + other[1])
+
+
+@final
+class Span:
+    """All sums of some sums, with factors that are rational."""
+
+    def __init__(self) -> None:
+        self._rows = dict[Term, tuple[Sum, Sum]]()  # by the leading term: the sum, and of which it is made
+
+    def add(self, one: Sum, name: Term) -> Sum | None:
+        """One more. Where it is a sum of the others: that relation, factors by name, as a sum that is zero."""
+        left, made = self._reduced(one, {name: Fraction(1)})
+        if not left:
+            return made
+        self._rows[min(left)] = left, made
+        return None
+
+    def factors(self, one: Sum) -> Sum | None:
+        """The sums of which one is the sum, with their factors by name; None where it is none."""
+        left, made = self._reduced(one, {})
+        return None if left else {key: -value for key, value in made.items()}
+
+    def _reduced(self, one: Sum, made: Sum) -> tuple[Sum, Sum]:
+        while leading := self._rows.keys() & one.keys():
+            key = min(leading)  # its row brings in later terms alone
+            row, of = self._rows[key]
+            factor = -one[key] / row[key]
+            one, made = added(one, row, factor), added(made, of, factor)
+        return one, made
+
+
+def conserved(moves: Mapping[int, Sum], powers: Iterable[int] = _POWERS) -> list[Sum]:
+    """Sums of states that a sample leaves as they are, each with a state, the first of it, that stands in no other.
+
+    Parameters
+    ----------
+    moves
+        By state: what it moves in a sample, as a sum.
+
+    Returns the factors by state and power of T; of the first state it is one.
+    """
+    active = {state: one for state, one in moves.items() if one}
+    while True:  # what stands in one state's move alone cancels in no sum
+        uses = dict[int, int]()
+        for one in active.values():
+            for place in {place for place, _ in one}:
+                uses[place] = uses.get(place, 0) + 1
+        left = {state: one for state, one in active.items() if all(uses[place] > 1 for place, _ in one)}
+        if len(left) == len(active):
+            break
+        active = left
+    span, relations = Span(), list[Sum]()
+    for power in powers:
+        for state, one in active.items():
+            relation = span.add(scaled(one, Fraction(1), power) or {}, (state, power))
+            if relation is not None:
+                relations.append(relation)
+    return _each_with_its_own(relations)
+
+
+def _each_with_its_own(relations: Sequence[Sum]) -> list[Sum]:
+    """Those relations of which one state, with a factor free of T, stands in no other."""
+    found = list[Sum]()
+    for relation in relations:
+        taken = {next(iter(other))[0] for other in found}
+        powers = dict[int, set[int]]()
+        for state, power in relation:
+            powers.setdefault(state, set()).add(power)
+        own = [s for s, p in powers.items() if p == {0} and not any(s in {k for k, _ in other} for other in found)]
+        if own and not taken & powers.keys():
+            first = own[0], 0
+            found.append({first: Fraction(1)} | {k: v / relation[first] for k, v in relation.items() if k != first})
+    return found
+
+
+__all__ = ["PERIOD", "Span", "Sum", "Term", "added", "conserved", "scaled", "sums_of"]
