@@ -59,6 +59,7 @@ def _gains(claim: SampledClaim, symbols: Symbols) -> list[Group]:
     """The controller's parameters that the claim holds."""
     blocks = claim.base.diagram.blocks
     held = symbols_in([item for part in claim.parts for item in (part.V, part.lost, part.gained)])
+    held |= symbols_in(ca.SX(item) for part in claim.parts for own in part.steps for item in own.constant.values())
     return [
         group
         for group in symbols.groups
