@@ -313,11 +313,14 @@ class LeastSquaresLaw(SampledLaw):
     """
 
     forgetting: float = 0.98
+    heaviest: float = 20.0  # [kg m^2] and so on, at most
     faces: int = 0
     cuts: int = 0
 
     def begin(self, q: Array) -> None:
         super().begin(q)
+        links = slice(self.constant + 1, -2)
+        self.lower[links], self.upper[links] = -self.heaviest * self.w_0, self.heaviest * self.w_0
         self.W = np.array([np.diag(1 / self.Gamma)] * q.size)
 
     def learn(self, h: Array, g: Array, free: Array) -> None:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import casadi as ca
 import numpy as np
 import pytest
-from sampled_by_hand import Observer, Plant, SampledLaw, closed_loop, rms
+from sampled_by_hand import LeastSquaresLaw, Observer, Plant, SampledLaw, closed_loop, rms
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -104,6 +104,25 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
     for i, part in enumerate(SERVO.joints):
         np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
         np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
+
+
+@pytest.mark.parametrize(("average", "forgetting", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
+def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, forgetting: float, inertia: float) -> None:
+    """Also where faces of the box are met, and where one leads out of another."""
+    ticks = 40
+    law = LeastSquaresLaw(ur10(), T, average=average, forgetting=forgetting, heaviest=inertia)
+    hand = by_hand(law, ticks)
+    told = {"estimator": "least_squares", "average": average, "forgetting": forgetting}
+    box = f"inverse.inertia_box=[{-inertia}, {inertia}]"
+    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in told.items()))
+    for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
+        found = error(mine) if label is None else mine[label]
+        np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
+    learnt = mine["inverse.theta"][ticks]
+    for i, part in enumerate(SERVO.joints):
+        np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
+    assert law.faces > 5
+    assert (law.cuts > 0) is (inertia < 1)
 
 
 def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
