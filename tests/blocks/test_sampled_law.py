@@ -19,6 +19,7 @@ from dmframe.errors import DmframeError
 from dmframe.port import Access, Port, Side, State
 from dmframe.robot.parameters import DynamicParameters
 from dmframe.simulate import Log, Recording, simulate
+from dmframe.steps import unpacked
 from dmframe_blocks._averaged_servo import averaged_servo
 
 BLOCKS = block_types()
@@ -296,6 +297,39 @@ def test_on_a_fast_clock_an_encoder_asks_for_the_mean_of_several_rows() -> None:
     alone = run(FAST, 16.0, "inverse.average=1", "inverse.stride=1", delay=1, encoder=True)
     assert rms(error(alone)) > 0.5
     assert alone["inverse.guarded"].mean() > 0.2
+
+
+def test_what_an_estimator_does_not_have_is_refused() -> None:
+    for options, says in (
+        ({"estimator": "least_squares", "replay": 5}, "expected no replay with estimator least_squares"),
+        ({"estimator": "least_squares", "stride": 2}, "expected no stride with estimator least_squares"),
+        ({"forgetting": 0.9}, "expected no forgetting with estimator projection"),
+        ({"estimator": "least_squares", "forgetting": 1.1}, "expected forgetting at most 1"),
+    ):
+        with pytest.raises(DmframeError, match=says):
+            inverse(**options)
+
+
+def test_least_squares_goes_with_a_delay_an_encoder_and_a_supervisor() -> None:
+    squares = ("inverse.estimator=least_squares", "inverse.average=2")
+    assert rms(error(run(SLOW, 40.0, *squares, delay=1, encoder=True))) < 0.1
+    graph = load_experiment("ur10_slow_supervised", list(squares))
+    found = simulate(graph.diagram(), 20.0, clock=T, start=graph.start, engine="interpreted")
+    assert float(found["supervisor.predictor"][-1].item()) == 2.0
+    assert rms(error(found)) < 1
+
+
+def test_over_2000_s_behind_an_encoder_least_squares_stays_and_its_memory_positive() -> None:
+    log = Log(signals=("inverse.gathered", "inverse.guarded", "arm.x", "path.x_d"))
+    squares = ("inverse.estimator=least_squares", "inverse.average=2")
+    graph = load_experiment("ur10_slow_sampled_delay", list(squares))
+    found = simulate(graph.diagram(), 2000.0, clock=T, start=graph.start, log=log)
+    assert rms(error(found)) < 0.03
+    assert not found["inverse.guarded"].any()
+    for triangles in found["inverse.gathered"][::500]:
+        for matrix in unpacked(SERVO.parts, ca.DM(triangles)):
+            values = np.linalg.eigvalsh(ca.evalf(matrix).full())
+            assert values[0] >= -1e-12 * values[-1]
 
 
 def test_results_hold_the_estimate_and_leave_its_memory_out() -> None:
