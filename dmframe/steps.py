@@ -192,7 +192,7 @@ class LeastSquaresSteps:
         Columns: the parameters of all outputs, one below the other.
     parts
         How many parameters each output has.
-    floor, forgetting
+    floor, retention
         :math:`\nu > 0` and :math:`\lambda`, scalars of parameters.
     rows
         Pairs of h, a column like theta, and y, a column with one element an output; in their order.
@@ -208,7 +208,7 @@ class LeastSquaresSteps:
     gain: SX
     parts: tuple[int, ...]
     floor: SX
-    forgetting: SX
+    retention: SX
     rows: tuple[tuple[SX, SX], ...]
     box: tuple[SX, ...] = ()
 
@@ -219,15 +219,15 @@ class LeastSquaresSteps:
     def pieces(self) -> tuple[SX, ...]:
         """Its expressions."""
         rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.gathered, self.true, self.gain, self.floor, self.forgetting, *rows, *self.box
+        return self.theta, self.gathered, self.true, self.gain, self.floor, self.retention, *rows, *self.box
 
     def with_pieces(self, pieces: Sequence[SX]) -> LeastSquaresSteps:
         """The same steps of other expressions."""
-        theta, gathered, true, gain, floor, forgetting, *rest = pieces
+        theta, gathered, true, gain, floor, retention, *rest = pieces
         count = 2 * len(self.rows)
         rows, box = tuple(zip(rest[:count:2], rest[1:count:2], strict=True)), tuple(rest[count:])
         names = self.estimate, self.memory
-        return LeastSquaresSteps(*names, theta, gathered, true, gain, self.parts, floor, forgetting, rows, box)
+        return LeastSquaresSteps(*names, theta, gathered, true, gain, self.parts, floor, retention, rows, box)
 
     @property
     def storage(self) -> Square:
@@ -243,7 +243,7 @@ class LeastSquaresSteps:
     @property
     def kept(self) -> SX:
         """The memory at the next sample."""
-        return self.forgetting * packed(self._taken.gathered)
+        return self.retention * packed(self._taken.gathered)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -263,7 +263,7 @@ class LeastSquaresSteps:
     @property
     def constant(self) -> Mapping[str, SX]:
         """What must not move."""
-        return {"true": self.true, "gain": self.gain, "floor": self.floor, "forgetting": self.forgetting}
+        return {"true": self.true, "gain": self.gain, "floor": self.floor, "retention": self.retention}
 
     @property
     def change(self) -> SX:

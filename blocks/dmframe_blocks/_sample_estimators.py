@@ -1,4 +1,4 @@
-"""How a sampled inverse learns from rows: projections onto new and stored ones, or least squares with forgetting."""
+"""How a sampled inverse learns from rows: projections onto new and stored ones, or least squares that forgets."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Learning(NamedTuple):
     gain: Any
     floor: Any
     box: Any
-    forgetting: Any
+    retention: Any
 
 
 class Estimator(Protocol):
@@ -88,12 +88,12 @@ class LeastSquares:
         sizes, box = named("sizes", by.gain), named("box", by.box)
         both = named("learnt", self.regressed(x.theta, x.gathered, h, g, sizes, by.floor, box))
         size = self.averaged.size
-        return both[:size], {"gathered": by.forgetting * both[size:]}
+        return both[:size], {"gathered": by.retention * both[size:]}
 
     def steps(self, x: Signals, true: SX, h: SX, g: SX, by: Learning) -> Steps:
         """Steps of least squares."""
         box = tuple(ca.horzsplit(by.box))
-        states, sizes = (x.theta, x.gathered, true, by.gain), (self.averaged.parts, by.floor, by.forgetting)
+        states, sizes = (x.theta, x.gathered, true, by.gain), (self.averaged.parts, by.floor, by.retention)
         return LeastSquaresSteps("theta", "gathered", *states, *sizes, ((h, g),), box)
 
     def kept(self, x: Signals, h: SX, g: SX) -> tuple[Kept, ...]:

@@ -58,7 +58,7 @@ class SampledInverse(AbstractBlock):
 
     *Estimate by least squares.* Instead, of all rows so far: for the new one alone, with a matrix G for each joint,
 
-        theta = theta + P h (g - h' theta)/(nu + h' P h),    P = (1/Gamma + G)^-1,    G = forgetting (G + h h'/nu)
+        theta = theta + P h (g - h' theta)/(nu + h' P h),    P = (1/Gamma + G)^-1,    G = retention (G + h h'/nu)
 
     The squared errors, weighed by 1/Gamma + G, rise by no more than eta^2/nu a sample. P is never above Gamma, so that
     what no row shows is learnt no faster than with projections; what many rows have shown is hardly moved by one more.
@@ -86,9 +86,10 @@ class SampledInverse(AbstractBlock):
     delay : 0, 1 or 2
         Whole samples from a command to its effect. It must be right.
     estimator : projection or least_squares
-        How theta is learnt. Least squares is quieter behind an encoder, and answers a load that changes later.
-    forgetting : scalar, > 0, <= 1
-        Of least squares: what a sample counts, over the next. At .98 some 50 samples count.
+        How theta is learnt. Behind an encoder least squares wants `average` 2 or more, without which it drifts, and is
+        quieter then; it errs more, for seconds, when a load changes.
+    retention : scalar, > 0, <= 1
+        Of least squares: the share of G that is kept from sample to sample. At 0.98 some 50 samples count.
     replay : number, > 0
         How many samples are kept and learnt from again; least squares keeps none.
     average : number, > 0
@@ -180,7 +181,7 @@ class SampledInverse(AbstractBlock):
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
     delay: Literal[0, 1, 2] = 0
     estimator: Literal["projection", "least_squares"] = "projection"
-    forgetting: Scalar = Positive(default=0.98)
+    retention: Scalar = Positive(default=0.98)
     replay: int = Field(20, ge=1)
     average: int = Field(1, ge=1)
     stride: int = Field(1, ge=1)
@@ -206,9 +207,11 @@ class SampledInverse(AbstractBlock):
 
     @model_validator(mode="after")
     def _fits(self) -> SampledInverse:
-        if self.forgetting > 1:
-            raise ValueError(f"expected forgetting at most 1, with which nothing is forgotten, found {self.forgetting}")
-        other = ("replay", "stride") if self.estimator == "least_squares" else ("forgetting",)
+        if self.retention > 1:
+            raise ValueError(
+                f"expected a retention of 1 at most, with which nothing is forgotten, found {self.retention}"
+            )
+        other = ("replay", "stride") if self.estimator == "least_squares" else ("retention",)
         for name in other:
             if getattr(self, name) != type(self).model_fields[name].default:
                 raise ValueError(f"expected no {name} with estimator {self.estimator}, which has none; leave it out")
@@ -350,7 +353,7 @@ class SampledInverse(AbstractBlock):
         return least_squares(averaged) if squares else Projection(averaged, self.replay, self.stride)
 
     def _learning(self, p: Signals) -> Learning:
-        return Learning(self._gamma(p), p.nu, self._box(p), p.forgetting)
+        return Learning(self._gamma(p), p.nu, self._box(p), p.retention)
 
     def _gamma(self, p: Signals) -> SX:
         """The squares of how far each element may be from its start."""

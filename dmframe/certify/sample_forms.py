@@ -111,8 +111,8 @@ def _unfit_memory(item: LeastSquaresSteps) -> Iterator[str]:
     of = f"the steps of {item.estimate}"
     if len(item.states) != len(item.names):
         yield f"{of}: expected their memory to be a state of its own, found {item.memory}"
-    if not ca.SX(item.forgetting).is_scalar():
-        yield f"{of}: expected one forgetting, found {_size(item.forgetting.shape)}"
+    if not ca.SX(item.retention).is_scalar():
+        yield f"{of}: expected one retention, found {_size(item.retention.shape)}"
     size = packed_size(item.parts)
     if item.gathered.shape != (size, 1):
         yield f"{of}: expected lower triangles of {size} x 1, found {_size(item.gathered.shape)}"

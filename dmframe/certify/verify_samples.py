@@ -190,9 +190,9 @@ def _steps(part: SampledPart, item: Steps, numbers: Numbers) -> Iterator[Checked
 def _least_squares(
     part: SampledPart, item: LeastSquaresSteps, numbers: Numbers, start: Mapping[str, Any]
 ) -> Iterator[Checked]:
-    name, share = f"{part.block}: forgetting of the steps of {item.estimate}", ca.SX(item.forgetting)
+    name, share = f"{part.block}: retention of the steps of {item.estimate}", ca.SX(item.retention)
     room = ca.vertcat(share, 1 - share)
-    yield decided(name, "0 <= forgetting <= 1", LEMMAS[LeastSquaresSteps], _least(room, numbers), False, room)
+    yield decided(name, "0 <= retention <= 1", LEMMAS[LeastSquaresSteps], _least(room, numbers), False, room)
     yield from triangle_starts(part.block, item, numbers, start)
 
 

@@ -312,7 +312,7 @@ class LeastSquaresLaw(SampledLaw):
     cut, and nothing is remembered.
     """
 
-    forgetting: float = 0.98
+    retention: float = 0.98
     heaviest: float = 20.0  # [kg m^2] and so on, at most
     faces: int = 0
     cuts: int = 0
@@ -341,7 +341,7 @@ class LeastSquaresLaw(SampledLaw):
             if np.any(self.theta[joint] != x):
                 W = np.diag(1 / self.Gamma)
                 self.cuts += 1
-            self.W[joint] = self.forgetting * W + (1 - self.forgetting) * np.diag(1 / self.Gamma)
+            self.W[joint] = self.retention * W + (1 - self.retention) * np.diag(1 / self.Gamma)
 
 
 @dataclass

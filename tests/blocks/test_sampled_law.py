@@ -107,13 +107,13 @@ def test_tick_by_tick_it_does_what_the_law_by_hand_does(tau: float | None, avera
         np.testing.assert_allclose(np.linalg.norm(learnt[part]), np.linalg.norm(hand["theta"][-1, i]), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("average", "forgetting", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
-def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, forgetting: float, inertia: float) -> None:
+@pytest.mark.parametrize(("average", "retention", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
+def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retention: float, inertia: float) -> None:
     """Also where faces of the box are met, and where one leads out of another."""
     ticks = 40
-    law = LeastSquaresLaw(ur10(), T, average=average, forgetting=forgetting, heaviest=inertia)
+    law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
     hand = by_hand(law, ticks)
-    told = {"estimator": "least_squares", "average": average, "forgetting": forgetting}
+    told = {"estimator": "least_squares", "average": average, "retention": retention}
     box = f"inverse.inertia_box=[{-inertia}, {inertia}]"
     mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in told.items()))
     for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
@@ -303,8 +303,8 @@ def test_what_an_estimator_does_not_have_is_refused() -> None:
     for options, says in (
         ({"estimator": "least_squares", "replay": 5}, "expected no replay with estimator least_squares"),
         ({"estimator": "least_squares", "stride": 2}, "expected no stride with estimator least_squares"),
-        ({"forgetting": 0.9}, "expected no forgetting with estimator projection"),
-        ({"estimator": "least_squares", "forgetting": 1.1}, "expected forgetting at most 1"),
+        ({"retention": 0.9}, "expected no retention with estimator projection"),
+        ({"estimator": "least_squares", "retention": 1.1}, "expected a retention of 1 at most"),
     ):
         with pytest.raises(DmframeError, match=says):
             inverse(**options)

@@ -129,7 +129,7 @@ def _above_its_start(self: LeastSquares, x: Any, h: Any, g: Any, by: Any) -> Any
     """W is forgotten together with its start, so that P grows beyond Gamma."""
     theta, kept = _learnt(self, x, h, g, by)
     G = ca.SX(kept["gathered"])
-    G[0] -= (1 - by.forgetting) / by.gain[0]
+    G[0] -= (1 - by.retention) / by.gain[0]
     return theta, {"gathered": G}
 
 

@@ -134,11 +134,11 @@ def steps_of(size: int, *, box: bool = True) -> tuple[LeastSquaresSteps, list[An
     """Two outputs of so many parameters, with symbols for all."""
     parts = (size, size - 1)
     total, outputs = sum(parts), len(parts)
-    sizes = {"theta": total, "G": packed_size(parts), "true": total, "gain": total, "floor": 1, "forgetting": 1}
+    sizes = {"theta": total, "G": packed_size(parts), "true": total, "gain": total, "floor": 1, "retention": 1}
     symbols = {name: ca.SX.sym(name, count) for name, count in sizes.items()}
     h, y, ends = ca.SX.sym("h", total), ca.SX.sym("y", outputs), ca.SX.sym("ends", total, 2)
     named = [symbols[name] for name in ("theta", "G", "true", "gain")]
-    own = (parts, symbols["floor"], symbols["forgetting"], ((h, y),), tuple(ca.horzsplit(ends)) if box else ())
+    own = (parts, symbols["floor"], symbols["retention"], ((h, y),), tuple(ca.horzsplit(ends)) if box else ())
     return LeastSquaresSteps("theta", "G", *named, *own), [*symbols.values(), h, y, ends]
 
 
@@ -243,13 +243,13 @@ class Learner(AbstractBlock):
     truth: Ports = (Port("m"), Port("b"), Port("force"))
     gain: Scalar = Positive(default=2.0)
     floor: Scalar = Positive(default=0.01)
-    forgetting: Scalar = Positive(default=0.9)
+    retention: Scalar = Positive(default=0.9)
     most: Scalar = Positive(default=10.0)
     lie: str = ""
 
     def _steps(self, u: Signals, x: Signals, p: Signals, true: Any) -> LeastSquaresSteps:
         h, one = ca.vertcat((u.v - x.v_old) / u.T, (u.y - x.y_old) / u.T), ca.DM.ones(2)
-        own = (x.theta, x.G, true, p.gain * one, (2,), p.floor, p.forgetting, ((h, x.c_old),), (0 * one, p.most * one))
+        own = (x.theta, x.G, true, p.gain * one, (2,), p.floor, p.retention, ((h, x.c_old),), (0 * one, p.most * one))
         return LeastSquaresSteps("theta", "G", *own)
 
     def _mutated(self, x: Signals, p: Signals, steps: LeastSquaresSteps) -> tuple[Any, Any]:
@@ -267,11 +267,11 @@ class Learner(AbstractBlock):
             case "sign":
                 theta = 2 * x.theta - steps.held
             case "prior_forgotten":
-                G = G - (1 - p.forgetting) * ca.vertcat(1, 0, 1) / p.gain
+                G = G - (1 - p.retention) * ca.vertcat(1, 0, 1) / p.gain
             case "remembers_less":
                 G = 0.99 * G
             case "never_gathers":
-                G = p.forgetting * x.G
+                G = p.retention * x.G
         return theta, G
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -292,11 +292,11 @@ class Learner(AbstractBlock):
             case "elsewhere":
                 steps = replace(steps, gathered=2 * x.G)
             case "moving":
-                steps = replace(steps, forgetting=x.count)
+                steps = replace(steps, retention=x.count)
             case "own_rows":
                 steps = replace(steps, rows=((steps.rows[0][0] + x.G[0], steps.rows[0][1]),))
             case "two_factors":
-                steps = replace(steps, forgetting=p.forgetting * ca.DM.ones(2))
+                steps = replace(steps, retention=p.retention * ca.DM.ones(2))
         return SampledCertificate(steps=(steps,), relations=(Relation(truth.m * u.v, truth.b * u.v - truth.force),))
 
 
@@ -311,12 +311,12 @@ def test_an_estimator_by_least_squares_is_proved_over_samples() -> None:
     assert {control.fault for control in found.controls} >= {
         "learner.theta: its move reversed",
         "learner.G: its move reversed",
-        "learner.forgetting changed in the equations only",
+        "learner.retention changed in the equations only",
         "learner.floor changed in the equations only",
         "learner.gain changed in the equations only",
         "learner.most changed in the equations only",
     }
-    assert "learner: forgetting of the steps of theta" in [item.name for item in found.conditions]
+    assert "learner: retention of the steps of theta" in [item.name for item in found.conditions]
     assert not any("divide" in item.text for item in found.assumptions)
     assert "plus eta^2 over the floor" in "\n".join(item.step for item in found.statements)
 
@@ -345,9 +345,9 @@ def test_another_law_is_refuted(lie: str, state: str) -> None:
         ("unknown_state", "speaks of H, which is none of its sampled states"),
         ("short", "expected lower triangles of 3 x 1, found 2 x 1"),
         ("elsewhere", "start for G from something else than that state"),
-        ("moving", "the forgetting of the steps of theta moves"),
+        ("moving", "the retention of the steps of theta moves"),
         ("own_rows", "the rows of theta hold G itself"),
-        ("two_factors", "expected one forgetting, found 2 x 1"),
+        ("two_factors", "expected one retention, found 2 x 1"),
     ],
 )
 def test_a_claim_of_another_form_is_none(lie: str, says: str) -> None:
@@ -367,12 +367,12 @@ def test_a_memory_starts_positive_semidefinite(start: list[float], holds: bool) 
 
 
 def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_told() -> None:
-    assert "forgetting of the steps of theta" in verdict(forgetting=1.01).reason
+    assert "retention of the steps of theta" in verdict(retention=1.01).reason
     assert "true value of theta inside its box" in verdict(most=1.5).reason
 
 
 def test_along_a_run_v_falls_and_the_true_values_are_found() -> None:
-    built = Diagram.build({"learner": Learner(forgetting=0.99), "cart": Cart()})
+    built = Diagram.build({"learner": Learner(retention=0.99), "cart": Cart()})
     run = simulate(built, 20.0, clock=0.05, engine="interpreted")
     error, G = run.states["learner.theta"] - np.array([2.0, 0.5]), run.states["learner.G"]
     W = np.array([[[1 / 2 + a, b], [b, 1 / 2 + c]] for a, b, c in G])
