@@ -342,7 +342,9 @@ def _put_back(theta: SX, gathered: SX, P: SX, lower: SX, upper: SX) -> tuple[SX,
         theta = theta - P[:, i] * ((theta[i] - face) / P[i, i])
         theta[i] = face  # which it is, but for rounding
     cut = ca.fmin(ca.fmax(theta, lower), upper)
-    return cut, gathered * (ca.sum1(theta != cut) < 1)
+    for i in range(theta.numel() - 1):  # the last is where it was just put
+        gathered = gathered * (theta[i] == cut[i])
+    return cut, gathered
 
 
 def packed(matrices: Sequence[SX]) -> SX:

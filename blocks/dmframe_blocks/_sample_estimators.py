@@ -137,8 +137,10 @@ class LeastSquares:
             face = ca.fmin(ca.fmax(theta[i], box[i, 0]), box[i, 1])
             theta = theta - P[:, i] * (theta[i] - face) / P[i, i]
             theta[i] = face  # as it is but for rounding, which would count as outside below
-        cut = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1])
-        return cut, (ca.sum1(theta != cut) < 1) * G
+        cut, inside = ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1]), ca.SX(1)
+        for i in range(theta.shape[0] - 1):  # the last is where it was just put
+            inside *= theta[i] == cut[i]
+        return cut, inside * G
 
 
 @lru_cache(maxsize=8)
