@@ -125,7 +125,8 @@ def compiled(step: Step) -> tuple[Lanes | None, str | None]:
 
 
 def _told(step: Step, given: np.ndarray, p: np.ndarray, state: np.ndarray) -> Sequence[Any]:
-    return step.tick(state, given, p)[:2]
+    moved, recorded, *_ = step.tick(state, given, p)
+    return moved, recorded
 
 
 def _works(library: Path, step: Step) -> bool:
@@ -162,7 +163,7 @@ def _works(library: Path, step: Step) -> bool:
     after, last = (np.reshape(array, (-1, width)) for array in (found[1], found[6]))
     last = last[EIGHTHS + 2 :: PER_OUTPUT]
     for lane in range(width):
-        told = partial(_told, brief, given[0], group.p[:, lane])
-        if not alike([after[:, lane], last[:, lane]], told, group.state[:, lane]):
+        other = partial(_told, brief, given[0], group.p[:, lane])
+        if not alike([after[:, lane], last[:, lane]], other, group.state[:, lane]):
             return False
     return True
