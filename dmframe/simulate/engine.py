@@ -116,7 +116,7 @@ def _compiled(step: Step) -> tuple[Any, str | None]:
 
 SCALES: Final = (1.0, 1e-3, 1e-6)
 """Of the states at which a new library is tried, each another number; the first that stays tame."""
-LAST_DIGITS: Final = 1e-13
+LAST_DIGITS: Final = 1e-11
 """By how much the states differ from which it is told what rounding does."""
 TAME: Final = 1e9
 """Below it an interpreter's numbers are compared with."""

@@ -92,9 +92,8 @@ def test_a_folder_in_which_others_may_write_is_no_cache(cache: Path, pendulum: R
 
 def test_what_rounding_alone_moves_counts_for_no_fault_and_nothing_else_is_let_through() -> None:
     def told(state: np.ndarray) -> list[ca.DM]:
-        return [
-            ca.DM([(1e12 * state[0] + state[0]) - 1e12 * state[0], 3 * state[1]])
-        ]  # the first has lost all but four digits
+        x, y = state
+        return [ca.DM([x + 1e12 * x * x - (1e6 * x) ** 2, 3 * y])]  # the first has lost all but four digits
 
     state = np.array([0.7, 1.1])
     first, second = told(state)[0].full().ravel()
