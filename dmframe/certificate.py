@@ -18,6 +18,7 @@ import casadi as ca
 
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
 from dmframe.fields import check_fields
+from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
 from dmframe.terms import (
     MONOTONE,
     TINY,
@@ -26,7 +27,6 @@ from dmframe.terms import (
     Dissipated,
     Gathered,
     Lemma,
-    NormalisedSteps,
     NormSquare,
     Square,
     Stored,
@@ -292,7 +292,7 @@ class SampledCertificate:
     residual
         What is gained.
     steps
-        Estimates that take normalised steps.
+        Estimates that take normalised steps, or steps of least squares.
     kept
         States that hold earlier samples.
     relations
@@ -308,7 +308,7 @@ class SampledCertificate:
     storage: tuple[Square, ...] = ()
     decrease: tuple[Square, ...] = ()
     residual: tuple[Square, ...] = ()
-    steps: tuple[NormalisedSteps, ...] = ()
+    steps: tuple[Steps, ...] = ()
     kept: tuple[Kept, ...] = ()
     relations: tuple[Relation, ...] = ()
     solved: tuple[SX, ...] = ()
@@ -335,12 +335,14 @@ __all__ = [
     "Gathered",
     "Inequality",
     "Kept",
+    "LeastSquaresSteps",
     "Lemma",
     "NormSquare",
     "NormalisedSteps",
     "Relation",
     "SampledCertificate",
     "Square",
+    "Steps",
     "Stored",
     "TrueValue",
     "beyond",

@@ -54,14 +54,15 @@ def ldl(A: Any) -> tuple[Any, list[Any]]:
     d : list of n SX scalars
     """
     n = A.shape[0]
-    L = ca.SX.eye(n)
+    L, weighed = ca.SX.eye(n), ca.SX(n, n)  # weighed = L diag(d)
     d: list[Any] = []
     for j in range(n):
-        # column[i] = L[i, j] d[j], kept before the division: n reciprocals for the whole factorisation.
-        column = [A[i, j] - sum(L[i, k] * d[k] * L[j, k] for k in range(j)) for i in range(j, n)]
+        # column = L[:, j] d[j], kept before the division: n reciprocals for the whole factorisation.
+        column = ca.SX(A[j:, j]) - weighed[j:, :j] @ L[j, :j].T
         d.append(column[0])
-        for i in range(j + 1, n):
-            L[i, j] = column[i - j] / d[j]
+        if j + 1 < n:
+            L[j + 1 :, j] = column[1:] / d[j]
+            weighed[j + 1 :, j] = L[j + 1 :, j] * d[j]
     return L, d
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from types import MappingProxyType
 from typing import Final, final
 
@@ -283,126 +282,6 @@ class Clipped:
         """The same term of other expressions."""
         first, width, other = pieces
         return Clipped(first, width, other, self.of)
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class NormalisedSteps:
-    r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
-
-    For row after row (h, y), each output j with parameters of its own, with the floor :math:`\nu > 0` and the diagonal
-    gain :math:`\Gamma > 0`:
-
-    .. math:: \varepsilon_j = y_j - h_j^\top \theta_j, \quad n_j = \nu + h_j^\top \Gamma_j h_j, \quad
-        \theta_j \leftarrow \theta_j + \Gamma_j h_j \varepsilon_j / n_j
-
-    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
-    :math:`\tilde\theta^\top \Gamma^{-1} \tilde\theta` by exactly
-
-    .. math:: - (h^\top \tilde\theta)^2 / n - \nu \varepsilon^2 / n^2 + \eta^2 / n
-
-    whatever the rows are: the first two are never positive, and the third is what the data have that no
-    :math:`\theta_{true}` explains. Put back into a box that holds the true value, an estimate comes no farther from it.
-
-    Parameters
-    ----------
-    estimate
-        The state's name.
-    theta, true, gain
-        Columns: the parameters of all outputs, one below the other.
-    parts
-        How many parameters each output has.
-    floor
-        A scalar of parameters.
-    rows
-        Pairs of h, a column like theta, and y, a column with one element an output; in their order.
-    box
-        Nothing, or the least and the greatest values, columns, into which the estimate is put back after each step.
-    """
-
-    estimate: str
-    theta: SX
-    true: SX
-    gain: SX
-    parts: tuple[int, ...]
-    floor: SX
-    rows: tuple[tuple[SX, SX], ...]
-    box: tuple[SX, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-
-    @property
-    def pieces(self) -> tuple[SX, ...]:
-        """Its expressions."""
-        rows = (piece for row in self.rows for piece in row)
-        return self.theta, self.true, self.gain, self.floor, *rows, *self.box
-
-    def with_pieces(self, pieces: Sequence[SX]) -> NormalisedSteps:
-        """The same steps of other expressions."""
-        theta, true, gain, floor, *rest = pieces
-        count = 2 * len(self.rows)
-        rows = tuple(zip(rest[:count:2], rest[1:count:2], strict=True))
-        return NormalisedSteps(self.estimate, theta, true, gain, self.parts, floor, rows, tuple(rest[count:]))
-
-    @property
-    def storage(self) -> Square:
-        r""":math:`|\theta - \theta_{true}|^2` weighed with the inverse of the gain."""
-        return Square(self.theta - self.true, 1 / self.gain)
-
-    @property
-    def held(self) -> SX:
-        """The estimate at the next sample."""
-        return self._taken[0]
-
-    @property
-    def change(self) -> SX:
-        """By what all steps together move what is stored, but for what the box takes away from it."""
-        return self._taken[1]
-
-    @property
-    def decrease(self) -> SX:
-        r"""The sum of :math:`(h^\top \tilde\theta)^2 / n + \nu \varepsilon^2 / n^2`, never negative."""
-        return self._taken[2]
-
-    @property
-    def residual(self) -> SX:
-        r"""The sum of :math:`\eta^2 / n`, never negative."""
-        return self._taken[3]
-
-    @property
-    def sizes(self) -> tuple[SX, ...]:
-        """The norms n of each row, by which its step divides: columns."""
-        return tuple(self._size(h) for h, _ in self.rows)
-
-    def _size(self, h: SX) -> SX:
-        return self.floor + summed(self.parts, h * h * self.gain)
-
-    @cached_property
-    def _taken(self) -> tuple[SX, SX, SX, SX]:
-        theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
-        for h, y in self.rows:
-            size = self._size(h)
-            missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
-            lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
-            gained += ca.sum1((missed + error) ** 2 / size)
-            after = stepped(self.parts, theta, h, y, self.gain, self.floor)
-            moved += ca.dot(after - theta, (after + theta - 2 * self.true) / self.gain)
-            theta = ca.fmin(ca.fmax(after, self.box[0]), self.box[1]) if self.box else after
-        return theta, moved, lost, gained
-
-
-def stepped(parts: Sequence[int], theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
-    r"""One step of `NormalisedSteps`: :math:`\theta + \Gamma h \varepsilon / (\nu + h^\top \Gamma h)`."""
-    learnt = gain * h
-    share = (y - summed(parts, h * theta)) / (floor + summed(parts, h * learnt))
-    return theta + learnt * ca.vertcat(*(ca.repmat(share[j], count) for j, count in enumerate(parts)))
-
-
-def summed(parts: Sequence[int], column: SX) -> SX:
-    """The sum over each output's parameters."""
-    ends = [sum(parts[: j + 1]) for j in range(len(parts))]
-    return ca.vertcat(*(ca.sum1(column[end - count : end]) for end, count in zip(ends, parts, strict=True)))
 
 
 Dissipated = Square | NormSquare | Lemma | Gathered

@@ -67,8 +67,8 @@ class AveragedServo:
 
     Attributes
     ----------
-    joints
-        The part of the column that belongs to each joint.
+    joints, parts
+        The part of the column that belongs to each joint, and how many numbers that is.
     size
         How many numbers the column holds.
     elements
@@ -86,7 +86,7 @@ class AveragedServo:
             self.elements += [Element(f"w{i}_{inertial[k].name}") for k in used]
             self.elements += [Element(f"w{i}_{_FRICTION[kind]}") for kind in self.friction]
             self.joints.append(slice(first, len(self.elements)))
-        self.size = len(self.elements)
+        self.size, self.parts = len(self.elements), tuple(part.stop - part.start for part in self.joints)
 
     @cached_property
     def row(self) -> Callable[..., Expression]:

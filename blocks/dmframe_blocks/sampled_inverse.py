@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, final
 
 import casadi as ca
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import (
     SX,
     Condition,
     Kept,
-    NormalisedSteps,
     Relation,
     SampledCertificate,
 )
@@ -25,6 +24,7 @@ from dmframe.robot.parameters import Friction
 from dmframe.terms import clip
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
+from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
 
 _PREDICTING = 4
 """Newton's steps with which the average velocity of a sample is predicted whose command is known."""
@@ -56,6 +56,15 @@ class SampledInverse(AbstractBlock):
     inverse of Gamma, rises in no step by more than eta^2/(nu + h' Gamma h), eta being what averages of functions lose
     against functions of averages, whatever the command, the period and the gain.
 
+    *Estimate by least squares.* Instead, of all rows so far: for the new one alone, with a matrix G for each joint,
+
+        theta = theta + P h (g - h' theta)/(nu + h' P h),    P = (1/Gamma + G)^-1,    G = retention (G + h h'/nu)
+
+    The squared errors, weighed by 1/Gamma + G, rise by no more than eta^2/nu a sample. P is never above Gamma, so that
+    what no row shows is learnt no faster than with projections; what many rows have shown is hardly moved by one more.
+    A face of the box is met along the nearest line as P^-1 measures it; where that leads out of another face, G of
+    that joint starts again at zero.
+
     *Command.* u makes the predicted error of the coming sample zero, if its average velocity is dq_r:
 
         u = (dq_r + psi(dq_r, u = 0)' theta + L (y - psi' theta))/(1 + k_P T/2 + k_I T^2/4)
@@ -76,12 +85,17 @@ class SampledInverse(AbstractBlock):
         Friction with a column for each joint.
     delay : 0, 1 or 2
         Whole samples from a command to its effect. It must be right.
+    estimator : projection or least_squares
+        How theta is learnt. Behind an encoder least squares wants `average` 2 or more, without which it drifts, and is
+        quieter then; it errs more, for seconds, when a load changes.
+    retention : scalar, > 0, <= 1
+        Of least squares: the share of G that is kept from sample to sample. At 0.98 some 50 samples count.
     replay : number, > 0
-        How many samples are kept and learnt from again.
+        How many samples are kept and learnt from again; least squares keeps none.
     average : number, > 0
         How many samples in a row are learnt from as one, their mean: some 70 ms of an encoder with steps.
     stride : number, > 0
-        Of how many samples one is stored: those that are replayed should be some 90 ms apart.
+        Of how many samples one is stored: those that are replayed should be some 90 ms apart. Not of least squares.
     filtered : true or false
         Learn from changes within tau. Without it an error of the target, even constant, grows in z.
     tau : scalar, s, > 0
@@ -148,8 +162,9 @@ class SampledInverse(AbstractBlock):
     )
     states: ClassVar[tuple[State, ...]] = (
         State("theta", "c", sampled=True),
-        State("rows", "W c", sampled=True, recorded=False),
-        State("goals", "W n", "rad/s", sampled=True, recorded=False),
+        State("gathered", "G", sampled=True, optional=True, recorded=False),
+        State("rows", "W c", sampled=True, optional=True, recorded=False),
+        State("goals", "W n", "rad/s", sampled=True, optional=True, recorded=False),
         State("late_rows", "A c", sampled=True, optional=True, recorded=False),
         State("late_goals", "A n", "rad/s", sampled=True, optional=True, recorded=False),
         State("psi_slow", "c", sampled=True, optional=True, recorded=False),
@@ -170,6 +185,8 @@ class SampledInverse(AbstractBlock):
     servo: Literal["pid", "pi"] = "pid"
     friction: tuple[Friction, ...] = ("viscous", "coulomb")
     delay: Literal[0, 1, 2] = 0
+    estimator: Literal["projection", "least_squares"] = "projection"
+    retention: Scalar = Positive(default=0.98)
     replay: int = Field(20, ge=1)
     average: int = Field(1, ge=1)
     stride: int = Field(1, ge=1)
@@ -194,13 +211,27 @@ class SampledInverse(AbstractBlock):
     supervised: bool = False
     time_stamps: bool = False
 
+    @model_validator(mode="after")
+    def _fits(self) -> SampledInverse:
+        if self.retention > 1:
+            raise ValueError(
+                f"expected a retention of 1 at most, with which nothing is forgotten, found {self.retention}"
+            )
+        other = ("replay", "stride") if self.estimator == "least_squares" else ("retention",)
+        for name in other:
+            if getattr(self, name) != type(self).model_fields[name].default:
+                raise ValueError(f"expected no {name} with estimator {self.estimator}, which has none; leave it out")
+        return self
+
     def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
         """c: the parameters of all joints."""
         return {"c": averaged_servo(robot, self.servo, frozenset(self.friction)).elements}
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
-        """W rows are stored, A are averaged with a new one; d commands act now or wait."""
-        return {**super().sizes(robot), "W": self.replay, "A": self.average - 1, "d": self.delay + 1}
+        """W rows are stored, G numbers gathered, A rows averaged with a new one; d commands act now or wait."""
+        gathered = sum(map(triangle, averaged_servo(robot, self.servo, frozenset(self.friction)).parts))
+        own = {"W": self.replay, "G": gathered, "A": self.average - 1, "d": self.delay + 1}
+        return {**super().sizes(robot), **own}
 
     def needs(self, port: str) -> bool:
         """What is sent, where another block decides it."""
@@ -223,12 +254,11 @@ class SampledInverse(AbstractBlock):
         row, goal, kept = self._meant(x, p, *self._lesson(x, p, u_applied, h, g))
         if self.time_stamps:
             kept["t_before"] = u.t
-        theta_new = named("theta_new", self._updated(x, p, row, goal))
+        theta, learnt = self._estimator(p).learnt(x, row, goal, self._learning(p))
+        theta_new = named("theta_new", theta)
 
         middle = x.q_before + T * v / 2
         target, z = x.q_aim + T * u_applied, x.z + T * (middle - x.q_aim - T * u_applied / 2)
-        if self.stride > 1:
-            kept["turn"] = ca.if_else(x.turn < self.stride - 1, x.turn + 1, 0)
         start, slow, next_slow = Start(u.q, target, z, middle, v), 0 * y, dict[str, SX]()
         if self.filtered:
             psi_slow = named("psi_next", averaged.changing(x.psi_slow + T / p.tau * (psi - x.psi_slow)))
@@ -247,8 +277,7 @@ class SampledInverse(AbstractBlock):
             },
             next={
                 "theta": theta_new,
-                "rows": self._stored(x, p, x.rows, row),
-                "goals": self._stored(x, p, x.goals, goal),
+                **learnt,
                 **kept,
                 **next_slow,
                 "q_before": u.q,
@@ -269,32 +298,22 @@ class SampledInverse(AbstractBlock):
         u_applied, _, _, _, h, g = self._sample(u, x, p)
         new, aim = self._lesson(x, p, u_applied, h, g)
         row, goal, kept = self._meant(x, p, new, aim)
-        stored = [(x.rows[k, :].T, x.goals[k, :].T) for k in range(self.replay)]
         pid = self.servo == "pid"
         gain = truth.K_D if pid else truth.K_P
         w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
         k_P, k_I = truth.K_P / gain, truth.K_I / gain
         B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
         true = averaged.row(k_P if pid else k_I, k_I, offset, w @ robot.inertia.T, w * B, w * D)
-        steps = NormalisedSteps(
-            "theta",
-            x.theta,
-            true,
-            self._gamma(p),
-            tuple(part.stop - part.start for part in averaged.joints),
-            p.nu,
-            ((row, goal), *stored, (row, goal)),
-            tuple(ca.horzsplit(self._box(p))),
-        )
+        estimator = self._estimator(p)
         i = truth.i - offset / k_I
         Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
         one, phi, still = ca.DM.ones(robot.n), robot.coulomb(truth.dq), 0 * truth.dq
         rest = averaged.row(truth.q - truth.q_c if pid else i, i, one, Y, truth.dq, phi)
         moving = averaged.row(still, still, still, robot.momentum_regressor(truth.q, truth.dq), still, still)
         return SampledCertificate(
-            steps=(steps,),
+            steps=(estimator.steps(x, true, row, goal, self._learning(p)),),
             kept=(
-                *(Kept(name, item.T, self._turn(x)) for name, item in (("rows", row), ("goals", goal))),
+                *estimator.kept(x, row, goal),
                 *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
             ),
             relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
@@ -343,19 +362,13 @@ class SampledInverse(AbstractBlock):
         mean = named("mean_row", (row + averaged.total(x.late_rows)) / number)
         return mean, named("mean_goal", (goal + averaged.total(x.late_goals)) / number), late
 
-    def _stored(self, x: Signals, p: Signals, rows: SX, new: SX) -> SX:
-        """The rows with a new one, each time that its turn has come."""
-        pushed = self._averaged(p).pushed(rows, new)
-        return pushed if self.stride == 1 else ca.if_else(self._turn(x), pushed, rows)
+    def _estimator(self, p: Signals) -> Estimator:
+        averaged = self._averaged(p)
+        squares = self.estimator == "least_squares"
+        return least_squares(averaged) if squares else Projection(averaged, self.replay, self.stride)
 
-    def _turn(self, x: Signals) -> SX:
-        """True at each sample whose row is stored."""
-        return 1 if self.stride == 1 else x.turn < 1
-
-    def _updated(self, x: Signals, p: Signals, h: SX, g: SX) -> SX:
-        """Theta after a new row, the stored ones, and the new one again, in its box."""
-        learnt, Gamma, box = self._averaged(p).learnt, named("sizes", self._gamma(p)), named("box", self._box(p))
-        return learnt(x.theta, h, g, x.rows, x.goals, Gamma, p.nu, box)
+    def _learning(self, p: Signals) -> Learning:
+        return Learning(self._gamma(p), p.nu, self._box(p), p.retention)
 
     def _gamma(self, p: Signals) -> SX:
         """The squares of how far each element may be from its start."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, final
 
@@ -15,6 +17,7 @@ from dmframe.build.trial import called
 from dmframe.codegen import lanes_source
 from dmframe.errors import EngineError
 from dmframe.results.metrics import EIGHTHS
+from dmframe.simulate.engine import alike
 from dmframe.simulate.step import Step
 
 PER_OUTPUT: Final = EIGHTHS + 4
@@ -121,6 +124,11 @@ def compiled(step: Step) -> tuple[Lanes | None, str | None]:
     return Lanes(step, run, int(width[0])), loaded.notice
 
 
+def _told(step: Step, given: np.ndarray, p: np.ndarray, state: np.ndarray) -> Sequence[Any]:
+    moved, recorded, *_ = step.tick(state, given, p)
+    return moved, recorded
+
+
 def _works(library: Path, step: Step) -> bool:
     """True where each lane of a new library gives the interpreter's numbers, over one tick."""
     told = called(library, "dm_lanes", [{"doubles": [0.0]}])
@@ -155,8 +163,7 @@ def _works(library: Path, step: Step) -> bool:
     after, last = (np.reshape(array, (-1, width)) for array in (found[1], found[6]))
     last = last[EIGHTHS + 2 :: PER_OUTPUT]
     for lane in range(width):
-        state, recorded = brief.tick(group.state[:, lane], given[0], group.p[:, lane])
-        for mine, theirs in ((after[:, lane], state), (last[:, lane], recorded)):
-            if not np.allclose(mine, theirs.full().ravel(), rtol=1e-6, atol=1e-9, equal_nan=True):
-                return False
+        other = partial(_told, brief, given[0], group.p[:, lane])
+        if not alike([after[:, lane], last[:, lane]], other, group.state[:, lane]):
+            return False
     return True

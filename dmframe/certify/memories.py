@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Gathered
+from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_semidefinite
@@ -36,6 +36,28 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
                         name, "G(0) is symmetric and positive semidefinite", None, holds, "V is positive"
                     )
     return list(found.values())
+
+
+def triangle_starts(
+    block: str, steps: LeastSquaresSteps, numbers: Numbers, given: Mapping[str, Any]
+) -> Iterator[Checked]:
+    """Whether the matrices that steps of least squares gather start positive semidefinite; a start of zero is."""
+    start = start_of(f"{block}.{steps.memory}", numbers, given)
+    known = [value for value in start if isinstance(value, Fraction)]
+    if len(known) == len(start) and not any(known):
+        return
+    name, text = f"{block}: start of {steps.memory}", "each G(0) is positive semidefinite"
+    if len(known) < len(start):
+        yield Checked(name, f"{text}; undecided: expected numbers", None, False, "V is positive", "undecided")
+        return
+    left, holds = iter(known), True
+    for size in steps.parts:
+        matrix = [[Fraction()] * size for _ in range(size)]
+        for column in range(size):
+            for row in range(column, size):
+                matrix[row][column] = matrix[column][row] = next(left)
+        holds &= is_semidefinite(matrix)
+    yield Checked(name, text, None, holds, "V is positive")
 
 
 def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], memory: SX) -> list[list[Fraction]] | None:

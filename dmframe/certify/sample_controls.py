@@ -59,6 +59,8 @@ def _gains(claim: SampledClaim, symbols: Symbols) -> list[Group]:
     """The controller's parameters that the claim holds."""
     blocks = claim.base.diagram.blocks
     held = symbols_in([item for part in claim.parts for item in (part.V, part.lost, part.gained)])
+    steps = [item for part in claim.parts for item in part.steps]
+    held |= symbols_in(ca.SX(piece) for item in steps for piece in (*item.constant.values(), *item.box))
     return [
         group
         for group in symbols.groups

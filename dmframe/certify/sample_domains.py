@@ -22,7 +22,7 @@ SHOWN = 6
 def domains(claim: SampledClaim, symbols: Symbols, seed: int) -> Iterator[Assumption]:
     """That what V and a block's memories hold is defined at the next sample: assumed where signals decide it.
 
-    Steps divide by their norms, which are positive, and the period is; both are left out.
+    What steps divide by is positive, such as their norms, and so is the period; both are left out.
     """
     for part in claim.parts:
         asked = list(_asked(claim, part, symbols))

@@ -18,17 +18,17 @@ import casadi as ca
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate, Kept, NormalisedSteps, Relation, SampledCertificate, Square
+from dmframe.certificate import SX, Certificate, Kept, Relation, SampledCertificate, Square, Steps
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.certify.identity import Equality
+from dmframe.certify.sample_forms import unfit
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Variable, stack
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import view
-from dmframe.errors import BlockError, nearest
+from dmframe.errors import BlockError
 from dmframe.port import Side
-from dmframe.program import EDGES, JUMPS, KINKS, codes
 
 
 @final
@@ -40,7 +40,7 @@ class SampledPart:
     storage: tuple[Square, ...]
     decrease: tuple[Square, ...]
     residual: tuple[Square, ...]
-    steps: tuple[NormalisedSteps, ...]
+    steps: tuple[Steps, ...]
     kept: tuple[Kept, ...]
     relations: tuple[Relation, ...]
     """Their commands are not substituted: they are free."""
@@ -121,7 +121,7 @@ class SampledClaim:
         return ca.substitute([expression], [old], [new])[0]
 
     def change(self, part: SampledPart) -> SX:
-        """V(next) - V of one block, but for what boxes take away from it."""
+        """V(next) - V of one block, but for what boxes and forgetting take away from it."""
         own = total([term.value for term in part.storage]) / 2
         return self.moved(own) - own + total([item.change for item in part.steps]) / 2
 
@@ -135,9 +135,8 @@ class SampledClaim:
         scale = ca.fabs(change) + ca.fabs(part.lost) + ca.fabs(part.gained)
         if part.stored:
             yield Equality(part.block, "V(next) - V", change + part.lost - part.gained, scale)
-        for item in part.steps:
-            becomes = self.next[f"{part.block}.{item.estimate}"]
-            yield _equal(part.block, f"what {item.estimate} becomes", becomes, item.held)
+        for name, said in (move for item in part.steps for move in item.moves.items()):
+            yield _equal(part.block, f"what {name} becomes", self.next[f"{part.block}.{name}"], said)
         for memory in part.kept:
             label = f"{part.block}.{memory.state}"
             pushed = memory.pushed(self.symbols[label])
@@ -184,7 +183,7 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     for text in _no_constants(claim):
         raise NotApplicableError(text)
     for part in parts:
-        for text in _unfit(claim, part):
+        for text in unfit(claim, part):
             raise NotApplicableError(f"{part.block}: {text}")
     return claim
 
@@ -295,94 +294,6 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
         tuple(loop.crossed([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
         {key: ca.SX(value) for key, value in stated.constants.items()},
     )
-
-
-def _unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
-    """What is wrong with the form of a block's claim."""
-    own = {
-        label.partition(".")[2]: symbol for label, symbol in claim.symbols.items() if label.startswith(f"{part.block}.")
-    }
-    yield from _misshapen(part, own)
-    loop = claim.base.loop
-    constant = symbols_in(parameter.symbol for parameter in loop.parameters)
-    constant |= symbols_in(part.constants.values())
-    allowed = constant | symbols_in(own.values())
-    moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
-    for term in part.stored:
-        for piece in term.pieces:
-            for strange in symbols_in([piece]) - allowed:
-                what = moving.get(strange, "what is no parameter")
-                yield f"V holds {what}, of which nothing says what it is one sample later; expected its sampled states"
-        if symbols_in([term.weight]) - constant:
-            yield "V weighs with what moves; expected weights made of parameters"
-    weighed = symbols_in([part.V]) - constant
-    for term in part.residual:
-        for symbol in symbols_in(map(ca.SX, term.pieces)) & weighed:
-            yield (
-                f"what V gains holds {moving[symbol]}, which V holds too, so that V could do anything; expected a "
-                "residual made of what is not in V"
-            )
-    for item in part.steps:
-        for role in ("true", "gain", "floor"):
-            if symbols_in([getattr(item, role)]) - constant:
-                yield f"the {role} of the steps of {item.estimate} moves; expected one made of parameters"
-        if any(symbols_in([end]) - constant for end in item.box):
-            yield f"the box of {item.estimate} moves; expected one made of parameters"
-        if symbols_in(map(ca.SX, (piece for row in item.rows for piece in row))) & symbols_in([item.theta]):
-            yield f"the rows of {item.estimate} hold {item.estimate} itself; expected what is measured or stored"
-    for relation in part.relations:
-        momentum = ca.Function("momentum", ca.symvar(relation.momentum), [relation.momentum])
-        if codes(momentum) & (JUMPS | KINKS | EDGES):
-            yield "the momentum of a relation jumps or has a kink, so that it has no derivative; expected a smooth one"
-        flowing = symbols_in(variable.symbol for variable in loop.flowing)
-        if symbols_in([relation.momentum]) - flowing - constant:
-            yield (
-                "the momentum of a relation holds more than what the plant moves between samples and constants: the "
-                "time, or what jumps at a sample; expected states of the plant"
-            )
-
-
-def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:
-    for name in (*(item.estimate for item in part.steps), *(item.state for item in part.kept)):
-        if name not in own:
-            yield f"certificate() speaks of {name}, which is none of its sampled states; {nearest(name, own)}"
-            return
-    for item in part.steps:
-        size = ca.SX(item.theta).numel()
-        wanted = [("theta", item.theta), ("true", item.true), ("gain", item.gain)]
-        wanted += [(f"row {place}", h) for place, (h, _) in enumerate(item.rows)]
-        wanted += [("end of the box", end) for end in item.box]
-        for what, piece in wanted:
-            if ca.SX(piece).shape != (size, 1):
-                yield f"the steps of {item.estimate}: expected a {what} of {size} x 1, found {_size(piece.shape)}"
-        if sum(item.parts) != size or min(item.parts, default=0) < 1:
-            yield f"the steps of {item.estimate}: expected parts that make up {size} parameters, found {item.parts}"
-        if any(y.shape != (len(item.parts), 1) for _, y in item.rows):
-            yield f"the steps of {item.estimate}: expected {len(item.parts)} measured numbers a row, found others"
-        if not ca.SX(item.floor).is_scalar():
-            yield f"the steps of {item.estimate}: expected one floor, found {_size(item.floor.shape)}"
-        if len(item.box) not in (0, 2):
-            yield f"the steps of {item.estimate}: expected a box of two ends, found {len(item.box)}"
-        state = own[item.estimate]
-        if state.shape != item.theta.shape or not ca.is_equal(item.theta, state, 2):
-            yield f"the steps of {item.estimate} start from something else than that state"
-    for memory in part.kept:
-        if not ca.SX(memory.when).is_scalar():
-            yield f"{memory.state} is stored when {_size(memory.when.shape)} numbers say so; expected one"
-        if not memory.fits(own[memory.state]):
-            shape, one = own[memory.state].shape, memory.newest.shape
-            yield f"{memory.state} is {_size(shape)}, which is no whole number of {_size(one)}"
-    for term in (*part.storage, *part.decrease, *part.residual):
-        vector, weight = map(ca.SX, term.pieces)
-        if not vector.is_column() or weight.shape not in (vector.shape, (1, 1)):
-            yield "expected columns with a diagonal weight, found other shapes"
-    for relation in part.relations:
-        if not relation.momentum.is_column() or relation.momentum.shape != relation.rest.shape:
-            yield "expected the momentum and the rest of a relation to be columns of one length"
-
-
-def _size(shape: Sequence[int]) -> str:
-    return f"{shape[0]} x {shape[1]}"
 
 
 __all__ = ["SampledClaim", "SampledPart", "certificates_over_samples", "sampled_claim_of"]

@@ -164,7 +164,7 @@ def _verified(
     clock: _Clock,
 ) -> Verdict:
     if diagram.loop.clocked:
-        return _over_samples(diagram, trials, seed, uncertain, clock)
+        return _over_samples(diagram, trials, seed, uncertain, start, clock)
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
     smooth, known = smoothness(diagram, claim), len(diagram.resolver.trajectories)
@@ -225,10 +225,15 @@ def _verified(
 
 
 def _over_samples(
-    diagram: Diagram, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]], clock: _Clock
+    diagram: Diagram,
+    trials: int,
+    seed: int,
+    uncertain: Mapping[str, Sequence[Interval]],
+    start: Mapping[str, Any],
+    clock: _Clock,
 ) -> Verdict:
     try:
-        found = prove_over_samples(diagram, trials=trials, seed=seed, uncertain=uncertain)
+        found = prove_over_samples(diagram, trials=trials, seed=seed, uncertain=uncertain, start=start)
     except ValueFault as error:
         return Verdict("not_applicable", error.text, build=clock.build)
     return Verdict(

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 import casadi as ca
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, NormalisedSteps
+from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSteps, Steps
 from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
 from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
+from dmframe.certify.memories import triangle_starts
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
@@ -30,11 +31,23 @@ from dmframe.exact import Tape, ZeroTest, zero_test
 from dmframe.exact.rational import Interval
 
 SIGNS = "V is positive, what it loses and gains not negative"
-LEMMA = "a box is convex, and V weighs each element by itself"
-EACH = (
-    "each normalised step on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma, by minus the squares of "
-    "what the row sees of the error and of what it misses, plus eta^2, each over its norm"
-)
+LEMMAS: Final[Mapping[type, str]] = {
+    NormalisedSteps: "a box is convex, and V weighs each element by itself",
+    LeastSquaresSteps: (
+        "a box is convex: the nearest point of a face in the norm that V weighs with, or a cut where that is diagonal, "
+        "is no farther from what it holds; and G, a sum of h h'/floor of which a share is forgotten, is not negative"
+    ),
+}
+EACH: Final[Mapping[type, str]] = {
+    NormalisedSteps: (
+        "each normalised step on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma, by minus the squares "
+        "of what the row sees of the error and of what it misses, plus eta^2, each over its norm"
+    ),
+    LeastSquaresSteps: (
+        "each step of least squares on a row h, y moves |theta - theta_true|^2, weighed with 1/Gamma + G, by minus the "
+        "square of what the row misses over its norm, plus eta^2 over the floor; what is forgotten takes away more"
+    ),
+}
 
 
 @final
@@ -55,9 +68,15 @@ class SampledProof:
 
 
 def prove_over_samples(
-    diagram: Diagram, *, trials: int, seed: int, uncertain: Mapping[str, Sequence[Interval]]
+    diagram: Diagram,
+    *,
+    trials: int,
+    seed: int,
+    uncertain: Mapping[str, Sequence[Interval]],
+    start: Mapping[str, Any],
 ) -> SampledProof:
     """Prove V(next) - V, exactly, for all values of states, measurements, commands, gains and the sampling period.
+    `start` is the graph's key of that name.
 
     Raises `NotApplicableError` where no block claims anything over samples, and `ValueFault` where a claim is nowhere
     defined.
@@ -76,7 +95,7 @@ def prove_over_samples(
         return SampledProof(claim, test, f"{found.says} is not what the block claims", "refuted", found)
     controls = sampled_controls(claim, symbols, seed=own)
     numbers = Numbers(claim.base, uncertain)
-    conditions, assumptions = _conditions(claim, numbers)
+    conditions, assumptions = _conditions(claim, numbers, start)
     outcome, reason = _judged(conditions, controls, _empty(claim, symbols, own))
     return SampledProof(
         claim,
@@ -136,7 +155,9 @@ def _judged(
     )
 
 
-def _conditions(claim: SampledClaim, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def _conditions(
+    claim: SampledClaim, numbers: Numbers, start: Mapping[str, Any]
+) -> tuple[list[Checked], list[Assumption]]:
     claiming = {part.block for part in claim.parts}
     stated = [(name, item) for name, item in conditions_stated(claim.base) if name in claiming]
     checked, assumed = decide(stated, numbers)
@@ -145,6 +166,8 @@ def _conditions(claim: SampledClaim, numbers: Numbers) -> tuple[list[Checked], l
         checked += _weights(part, numbers)
         for item in part.steps:
             checked += _steps(part, item, numbers)
+            if isinstance(item, LeastSquaresSteps):
+                checked += _least_squares(part, item, numbers, start)
             inside, unknown = _boxed(part, item, numbers)
             checked, assumed = [*checked, *inside], [*assumed, *unknown]
     return checked, assumed
@@ -158,34 +181,44 @@ def _weights(part: SampledPart, numbers: Numbers) -> Iterator[Checked]:
             yield decided(name, f"weight {sign} 0", SIGNS, least, strict, ca.SX(term.weight))
 
 
-def _steps(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> Iterator[Checked]:
+def _steps(part: SampledPart, item: Steps, numbers: Numbers) -> Iterator[Checked]:
     for role, value in (("gain", item.gain), ("floor", item.floor)):
         name, value = f"{part.block}: {role} of the steps of {item.estimate}", ca.vec(ca.densify(ca.SX(value)))
         yield decided(name, f"{role} > 0", SIGNS, _least(value, numbers), True, value)
+
+
+def _least_squares(
+    part: SampledPart, item: LeastSquaresSteps, numbers: Numbers, start: Mapping[str, Any]
+) -> Iterator[Checked]:
+    name, share = f"{part.block}: retention of the steps of {item.estimate}", ca.SX(item.retention)
+    room = ca.vertcat(share, 1 - share)
+    yield decided(name, "0 <= retention <= 1", LEMMAS[LeastSquaresSteps], _least(room, numbers), False, room)
+    yield from triangle_starts(part.block, item, numbers, start)
 
 
 def _least(expression: SX, numbers: Numbers) -> Any:
     return lambda: numbers.least(ca.SX(expression))
 
 
-def _boxed(part: SampledPart, item: NormalisedSteps, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
+def _boxed(part: SampledPart, item: Steps, numbers: Numbers) -> tuple[list[Checked], list[Assumption]]:
     """That the true value lies in the box, decided where parameters tell it, else assumed."""
     if not item.box:
         return [], []
     lower, upper, true = (ca.vec(ca.densify(ca.SX(end))) for end in (*item.box, item.true))
+    lemma = LEMMAS[type(item)]
     room = ca.vertcat(true - lower, upper - true)
     known = [row for row in range(room.shape[0]) if symbols_in([room[row]]) <= numbers.known]
     text, checked = f"{part.block}: true value of {item.estimate} inside its box", list[Checked]()
     if known:
         checked.append(
-            decided(text, "lower <= true value <= upper", LEMMA, _least(room[known], numbers), False, room[known])
+            decided(text, "lower <= true value <= upper", lemma, _least(room[known], numbers), False, room[known])
         )
     left = sorted({row % true.shape[0] for row in range(room.shape[0]) if row not in known})
     if left:
         width, name = (upper - lower)[left], f"{part.block}: box of {item.estimate} holds something"
-        checked.append(decided(name, "lower <= upper", LEMMA, _least(width, numbers), False, width))
+        checked.append(decided(name, "lower <= upper", lemma, _least(width, numbers), False, width))
     said = f"{text}, in {len(left)} of {true.shape[0]} elements, which are constants that nobody knows"
-    return checked, [Assumption(said, LEMMA)] if left else []
+    return checked, [Assumption(said, lemma)] if left else []
 
 
 def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
@@ -196,7 +229,9 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
     for part in claim.parts:
         for item in part.steps:
             eta = f"{part.block}: eta, what the rows of {item.estimate} leave unexplained of the means over a sample"
-            yield Assumption(f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH)
+            yield Assumption(
+                f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
+            )
         if part.steps and not part.relations:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")
@@ -224,12 +259,12 @@ def _statements(claim: SampledClaim) -> Iterator[Statement]:
             name = f"{item.estimate} ({part.block})"
             if item.box:
                 yield Statement(name, "is bounded", "it is put back into its box at each sample")
-            yield Statement(f"V of {name}", "does not rise where eta is zero", EACH)
+            yield Statement(f"V of {name}", "does not rise where eta is zero", EACH[type(item)])
             many = f", over {len(item.rows)} steps a sample" if len(item.rows) > 1 else ""
             yield Statement(
                 f"what the rows see of the error of {name}",
                 f"is square-summable where eta is{many}",
-                f"summed over the samples, with V >= 0: {EACH}",
+                f"summed over the samples, with V >= 0: {EACH[type(item)]}",
             )
         if part.storage:
             yield Statement(f"V of {part.block}", "does not rise but by its residual", "the identity above")

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 import casadi as ca
 import numpy as np
 import pytest
-from sampled_by_hand import Arm, Circle, Observer, Plant, SampledLaw, closed_loop, rms
+from sampled_by_hand import Arm, Circle, LeastSquaresLaw, Observer, Plant, SampledLaw, closed_loop, rms
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, STEP, T, ur10
 
 import dmframe as dm
@@ -21,6 +21,7 @@ from dmframe.port import Access, Port, Side, State
 from dmframe.robot.library import find_robot
 from dmframe.robot.parameters import DynamicParameters
 from dmframe.simulate import Log, Recording, simulate
+from dmframe.steps import unpacked
 from dmframe_blocks._averaged_servo import averaged_servo
 
 BLOCKS = block_types()
@@ -135,6 +136,25 @@ def test_a_redundant_robot_tracks_as_well_and_keeps_its_posture() -> None:
     q, q_0 = found.recording["arm.q"], np.array([1.2, -1.2, 1.2, 0, -np.pi / 2, 0])
     assert np.max(np.abs(q - q_0)) < 0.6
     assert not found.recording["inverse.guarded"].any()
+
+
+@pytest.mark.parametrize(("average", "retention", "inertia"), [(1, 0.98, 20.0), (2, 1.0, 0.5)])
+def test_by_least_squares_it_does_what_the_law_by_hand_does(average: int, retention: float, inertia: float) -> None:
+    """Also where faces of the box are met, and where one leads out of another."""
+    ticks = 40
+    law = LeastSquaresLaw(ur10(), T, average=average, retention=retention, heaviest=inertia)
+    hand = by_hand(law, ticks)
+    told = {"estimator": "least_squares", "average": average, "retention": retention}
+    box = f"inverse.inertia_box=[{-inertia}, {inertia}]"
+    mine = run(SLOW, ticks * T, "task.damping=0", box, *(f"inverse.{name}={value}" for name, value in told.items()))
+    for name, label in (("q", "arm.q"), ("u", "inverse.dq_c"), ("v_des", "task.dq_r"), ("error", None)):
+        found = error(mine) if label is None else mine[label]
+        np.testing.assert_allclose(found[:ticks], hand[name], atol=1e-8, err_msg=name)
+    learnt = mine["inverse.theta"][ticks]
+    for i, part in enumerate(SERVO.joints):
+        np.testing.assert_allclose(learnt[part][[0, 1, 2, -2, -1]], hand["theta"][-1, i, [0, 1, 2, -2, -1]], atol=1e-7)
+    assert law.faces > 5
+    assert (law.cuts > 0) is (inertia < 1)
 
 
 def test_that_agreement_would_miss_a_law_with_another_memory() -> None:
@@ -354,6 +374,39 @@ def test_on_a_fast_clock_an_encoder_asks_for_the_mean_of_several_rows() -> None:
     alone = run(FAST, 16.0, "inverse.average=1", "inverse.stride=1", delay=1, encoder=True)
     assert rms(error(alone)) > 0.5
     assert alone["inverse.guarded"].mean() > 0.2
+
+
+def test_what_an_estimator_does_not_have_is_refused() -> None:
+    for options, says in (
+        ({"estimator": "least_squares", "replay": 5}, "expected no replay with estimator least_squares"),
+        ({"estimator": "least_squares", "stride": 2}, "expected no stride with estimator least_squares"),
+        ({"retention": 0.9}, "expected no retention with estimator projection"),
+        ({"estimator": "least_squares", "retention": 1.1}, "expected a retention of 1 at most"),
+    ):
+        with pytest.raises(DmframeError, match=says):
+            inverse(**options)
+
+
+def test_least_squares_goes_with_a_delay_an_encoder_and_a_supervisor() -> None:
+    squares = ("inverse.estimator=least_squares", "inverse.average=2")
+    assert rms(error(run(SLOW, 20.0, *squares, delay=1, encoder=True))) < 0.4
+    graph = load_experiment("ur10_slow_supervised", list(squares))
+    found = simulate(graph.diagram(), 8.0, clock=T, start=graph.start, engine="interpreted")
+    assert float(found["supervisor.predictor"][-1].item()) == 2.0
+    assert rms(error(found)) < 3
+
+
+def test_over_2000_s_behind_an_encoder_least_squares_stays_and_its_memory_positive() -> None:
+    log = Log(signals=("inverse.gathered", "inverse.guarded", "arm.x", "path.x_d"))
+    squares = ("inverse.estimator=least_squares", "inverse.average=2")
+    graph = load_experiment("ur10_slow_sampled_delay", list(squares))
+    found = simulate(graph.diagram(), 2000.0, clock=T, start=graph.start, log=log)
+    assert rms(error(found)) < 0.03
+    assert not found["inverse.guarded"].any()
+    for triangles in found["inverse.gathered"][::500]:
+        for matrix in unpacked(SERVO.parts, ca.DM(triangles)):
+            values = np.linalg.eigvalsh(ca.evalf(matrix).full())
+            assert values[0] >= -1e-12 * values[-1]
 
 
 def test_results_hold_the_estimate_and_leave_its_memory_out() -> None:

@@ -9,15 +9,19 @@ import pytest
 
 import dmframe as dm
 from dmframe.certify import Verdict, verify
+from dmframe.linalg import inverse_spd
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe_blocks._averaged_servo import AveragedServo, averaged_servo
+from dmframe_blocks._sample_estimators import LeastSquares
 
 PID = {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]}
+SQUARES = {"estimator": "least_squares", "average": 2}
 PI = {"type": "pi_servo", "K_P": [60, 30], "K_I": [120, 60]}
 
 
 def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **inverse: Any) -> Verdict:
     kind = maker["type"].partition("_")[0]
+    memory = {} if "estimator" in inverse else {"replay": 2}
     graph = dm.load(
         {
             "dmframe": 1,
@@ -28,7 +32,7 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
             "blocks": {
                 "path": {"type": "circle", "center": [0.6, 0.2], "radius": 0.1, "rate": "0.5 rad/s"},
                 "task": {"type": "sampled_tracking", "gamma": 1},
-                "inverse": {"type": "sampled_inverse", "servo": kind, "w_0": 0.02, "replay": 2, **inverse},
+                "inverse": {"type": "sampled_inverse", "servo": kind, "w_0": 0.02, **memory, **inverse},
                 "servo": maker,
                 "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2], **(arm or {})},
             },
@@ -45,6 +49,7 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
         (PID, {"filtered": False}),
         (PID, {"delay": 1}),
         (PI, {"average": 2, "stride": 3, "time_stamps": True, "w_0": [0.02, 0.04]}),
+        (PI, SQUARES),
     ],
 )
 def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any]) -> None:
@@ -96,6 +101,55 @@ def test_another_adaptation_is_refuted(law: Any, monkeypatch: pytest.MonkeyPatch
     averaged_servo.cache_clear()
     monkeypatch.setattr(AveragedServo, "projected", law)
     assert _says(verdict()) == "inverse: what theta becomes"
+    averaged_servo.cache_clear()
+
+
+def _gain_after(self: LeastSquares, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> Any:
+    P = inverse_spd(ca.diag(1 / Gamma) + G + h @ h.T / nu)
+    n = nu + ca.dot(h, P @ h)
+    return self.put_back(theta + P @ h * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, P, box)
+
+
+def _away_by_squares(self: LeastSquares, theta: Any, G: Any, h: Any, g: Any, Gamma: Any, nu: Any, box: Any) -> Any:
+    P = inverse_spd(ca.diag(1 / Gamma) + G)
+    n = nu + ca.dot(h, P @ h)
+    return self.put_back(theta - P @ h * (g - ca.dot(h, theta)) / n, G + h @ h.T / nu, P - P @ h @ h.T @ P / n, box)
+
+
+def _clipped(self: LeastSquares, theta: Any, G: Any, P: Any, box: Any) -> Any:
+    return ca.fmin(ca.fmax(theta, box[:, 0]), box[:, 1]), G
+
+
+def _remembering(self: LeastSquares, theta: Any, G: Any, P: Any, box: Any) -> Any:
+    found, _ = _put_back(self, theta, G, P, box)
+    return found, G
+
+
+def _above_its_start(self: LeastSquares, x: Any, h: Any, g: Any, by: Any) -> Any:
+    """W is forgotten together with its start, so that P grows beyond Gamma."""
+    theta, kept = _learnt(self, x, h, g, by)
+    G = ca.SX(kept["gathered"])
+    G[0] -= (1 - by.retention) / by.gain[0]
+    return theta, {"gathered": G}
+
+
+_put_back, _learnt = LeastSquares.put_back, LeastSquares.learnt
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "state"),
+    [
+        ("step", _gain_after, "theta"),
+        ("step", _away_by_squares, "theta"),
+        ("put_back", _clipped, "theta"),
+        ("put_back", _remembering, "gathered"),
+        ("learnt", _above_its_start, "gathered"),
+    ],
+)
+def test_another_least_squares_is_refuted(name: str, law: Any, state: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    averaged_servo.cache_clear()
+    monkeypatch.setattr(LeastSquares, name, law)
+    assert _says(verdict(PI, estimator="least_squares")) == f"inverse: what {state} becomes"
     averaged_servo.cache_clear()
 
 

@@ -6,12 +6,14 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from dmframe.build import compiler as compilers
 from dmframe.build.trial import called
 from dmframe.simulate import Recording
+from dmframe.simulate.engine import alike
 
 Runner = Callable[..., Recording]
 
@@ -86,3 +88,18 @@ def test_a_folder_in_which_others_may_write_is_no_cache(cache: Path, pendulum: R
     assert run.engine == "compiled"
     assert f"the cache {cache} cannot be used (others may write there)" in run.notices[0]
     assert list(cache.iterdir()) == []
+
+
+def test_what_rounding_alone_moves_counts_for_no_fault_and_nothing_else_is_let_through() -> None:
+    def told(state: np.ndarray) -> list[ca.DM]:
+        x, y = state
+        return [ca.DM([x + 1e12 * x * x - (1e6 * x) ** 2, 3 * y])]  # the first has lost all but four digits
+
+    state = np.array([0.7, 1.1])
+    first, second = told(state)[0].full().ravel()
+    assert alike([[first + 2e-5, second]], told, state)
+    assert not alike([[first + 1.0, second]], told, state)
+    assert not alike([[first, second * (1 + 1e-5)]], told, state)
+    assert not alike([[np.nan, second]], told, state)
+    assert alike([[np.nan]], lambda _: [ca.DM([np.nan])], state)
+    assert alike([[np.inf]], lambda _: [ca.DM([np.inf])], state)

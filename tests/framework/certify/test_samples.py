@@ -32,7 +32,7 @@ from dmframe.port import PERIOD, TIME, Access, Port, Side, State
 from dmframe.report.verdict_text import verdict_text
 from dmframe.report.words import meaning_of
 from dmframe.simulate import simulate
-from dmframe.terms import stepped
+from dmframe.steps import stepped
 
 Ports = ClassVar[tuple[Port, ...]]
 States = ClassVar[tuple[State, ...]]

@@ -1,0 +1,368 @@
+"""Estimates that move from sample to sample: what their steps store, lose and gain, and where they end.
+
+Each kind builds its own identity of its parts, so that nobody can call a term non-negative that is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import final
+
+import casadi as ca
+
+from dmframe.condition import SX
+from dmframe.fields import check_fields
+from dmframe.linalg import inverse_spd, ldl
+from dmframe.terms import Square
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class NormalisedSteps:
+    r"""Steps of the normalised gradient (projection algorithm, NLMS) that an estimate takes from sample to sample.
+
+    For row after row (h, y), each output j with parameters of its own, with the floor :math:`\nu > 0` and the diagonal
+    gain :math:`\Gamma > 0`:
+
+    .. math:: \varepsilon_j = y_j - h_j^\top \theta_j, \quad n_j = \nu + h_j^\top \Gamma_j h_j, \quad
+        \theta_j \leftarrow \theta_j + \Gamma_j h_j \varepsilon_j / n_j
+
+    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
+    :math:`\tilde\theta^\top \Gamma^{-1} \tilde\theta` by exactly
+
+    .. math:: - (h^\top \tilde\theta)^2 / n - \nu \varepsilon^2 / n^2 + \eta^2 / n
+
+    whatever the rows are: the first two are never positive, and the third is what the data have that no
+    :math:`\theta_{true}` explains. Put back into a box that holds the true value, an estimate comes no farther from it.
+
+    Parameters
+    ----------
+    estimate
+        The state's name.
+    theta, true, gain
+        Columns: the parameters of all outputs, one below the other.
+    parts
+        How many parameters each output has.
+    floor
+        A scalar of parameters.
+    rows
+        Pairs of h, a column like theta, and y, a column with one element an output; in their order.
+    box
+        Nothing, or the least and the greatest values, columns, into which the estimate is put back after each step.
+    """
+
+    estimate: str
+    theta: SX
+    true: SX
+    gain: SX
+    parts: tuple[int, ...]
+    floor: SX
+    rows: tuple[tuple[SX, SX], ...]
+    box: tuple[SX, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        rows = (piece for row in self.rows for piece in row)
+        return self.theta, self.true, self.gain, self.floor, *rows, *self.box
+
+    def with_pieces(self, pieces: Sequence[SX]) -> NormalisedSteps:
+        """The same steps of other expressions."""
+        theta, true, gain, floor, *rest = pieces
+        count = 2 * len(self.rows)
+        rows = tuple(zip(rest[:count:2], rest[1:count:2], strict=True))
+        return NormalisedSteps(self.estimate, theta, true, gain, self.parts, floor, rows, tuple(rest[count:]))
+
+    @property
+    def storage(self) -> Square:
+        r""":math:`|\theta - \theta_{true}|^2` weighed with the inverse of the gain."""
+        return Square(self.theta - self.true, 1 / self.gain)
+
+    @property
+    def held(self) -> SX:
+        """The estimate at the next sample."""
+        return self._taken[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states that the steps move."""
+        return (self.estimate,)
+
+    @property
+    def states(self) -> Mapping[str, SX]:
+        """These states."""
+        return {self.estimate: self.theta}
+
+    @property
+    def moves(self) -> Mapping[str, SX]:
+        """What they are at the next sample."""
+        return {self.estimate: self.held}
+
+    @property
+    def constant(self) -> Mapping[str, SX]:
+        """What must not move."""
+        return {"true": self.true, "gain": self.gain, "floor": self.floor}
+
+    @property
+    def change(self) -> SX:
+        """By what all steps together move what is stored, but for what the box takes away from it."""
+        return self._taken[1]
+
+    @property
+    def decrease(self) -> SX:
+        r"""The sum of :math:`(h^\top \tilde\theta)^2 / n + \nu \varepsilon^2 / n^2`, never negative."""
+        return self._taken[2]
+
+    @property
+    def residual(self) -> SX:
+        r"""The sum of :math:`\eta^2 / n`, never negative."""
+        return self._taken[3]
+
+    @property
+    def sizes(self) -> tuple[SX, ...]:
+        """What the steps divide by, columns that are positive: the norms n of each row."""
+        return tuple(self._size(h) for h, _ in self.rows)
+
+    def _size(self, h: SX) -> SX:
+        return self.floor + summed(self.parts, h * h * self.gain)
+
+    @cached_property
+    def _taken(self) -> tuple[SX, SX, SX, SX]:
+        theta, moved, lost, gained = self.theta, ca.SX(0), ca.SX(0), ca.SX(0)
+        for h, y in self.rows:
+            size = self._size(h)
+            missed, error = y - summed(self.parts, h * theta), summed(self.parts, h * (theta - self.true))
+            lost += ca.sum1(error**2 / size + self.floor * missed**2 / size**2)
+            gained += ca.sum1((missed + error) ** 2 / size)
+            after = stepped(self.parts, theta, h, y, self.gain, self.floor)
+            moved += ca.dot(after - theta, (after + theta - 2 * self.true) / self.gain)
+            theta = ca.fmin(ca.fmax(after, self.box[0]), self.box[1]) if self.box else after
+        return theta, moved, lost, gained
+
+
+def stepped(parts: Sequence[int], theta: SX, h: SX, y: SX, gain: SX, floor: SX) -> SX:
+    r"""One step of `NormalisedSteps`: :math:`\theta + \Gamma h \varepsilon / (\nu + h^\top \Gamma h)`."""
+    learnt = gain * h
+    share = (y - summed(parts, h * theta)) / (floor + summed(parts, h * learnt))
+    return theta + learnt * ca.vertcat(*(ca.repmat(share[j], count) for j, count in enumerate(parts)))
+
+
+def summed(parts: Sequence[int], column: SX) -> SX:
+    """The sum over each output's parameters."""
+    ends = [sum(parts[: j + 1]) for j in range(len(parts))]
+    return ca.vertcat(*(ca.sum1(column[end - count : end]) for end, count in zip(ends, parts, strict=True)))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LeastSquaresSteps:
+    r"""Steps of recursive least squares that an estimate takes from sample to sample, and forgets.
+
+    For row after row (h, y), each output j with parameters and a matrix :math:`G_j` of its own, which starts at zero or
+    positive semidefinite:
+
+    .. math:: W = \Gamma^{-1} + G, \quad \varepsilon = y - h^\top \theta, \quad n = \nu + h^\top W^{-1} h, \quad
+        \theta \leftarrow \theta + W^{-1} h \varepsilon / n, \quad G \leftarrow G + h h^\top / \nu
+
+    With :math:`\tilde\theta = \theta - \theta_{true}` and :math:`\eta = y - h^\top \theta_{true}`, each step moves
+    :math:`\tilde\theta^\top W \tilde\theta` by exactly
+
+    .. math:: - \varepsilon^2 / n + \eta^2 / \nu
+
+    whatever the rows are. What follows only takes away from it:
+
+    - Element after element, an estimate outside its box is put onto the face along the nearest line in the norm of W,
+      :math:`\theta \leftarrow \theta - W^{-1} e_i (\theta_i - b_i) / (W^{-1})_{ii}`. Where it then is outside still,
+      since one face may lead it out of another, :math:`G \leftarrow 0` and each element is cut at its end: W is then
+      diagonal. So it ends in its box at each sample.
+    - After all rows :math:`G \leftarrow \lambda G`, with :math:`0 \le \lambda \le 1`.
+
+    Parameters
+    ----------
+    estimate, memory
+        The states' names. The memory holds the lower triangles of all G, column by column, one below the other.
+    theta, gathered
+        These states, columns.
+    true, gain
+        Columns: the parameters of all outputs, one below the other.
+    parts
+        How many parameters each output has.
+    floor, retention
+        :math:`\nu > 0` and :math:`\lambda`, scalars of parameters.
+    rows
+        Pairs of h, a column like theta, and y, a column with one element an output; in their order.
+    box
+        Nothing, or the least and the greatest values, columns.
+    """
+
+    estimate: str
+    memory: str
+    theta: SX
+    gathered: SX
+    true: SX
+    gain: SX
+    parts: tuple[int, ...]
+    floor: SX
+    retention: SX
+    rows: tuple[tuple[SX, SX], ...]
+    box: tuple[SX, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        rows = (piece for row in self.rows for piece in row)
+        return self.theta, self.gathered, self.true, self.gain, self.floor, self.retention, *rows, *self.box
+
+    def with_pieces(self, pieces: Sequence[SX]) -> LeastSquaresSteps:
+        """The same steps of other expressions."""
+        theta, gathered, true, gain, floor, retention, *rest = pieces
+        count = 2 * len(self.rows)
+        rows, box = tuple(zip(rest[:count:2], rest[1:count:2], strict=True)), tuple(rest[count:])
+        names = self.estimate, self.memory
+        return LeastSquaresSteps(*names, theta, gathered, true, gain, self.parts, floor, retention, rows, box)
+
+    @property
+    def storage(self) -> Square:
+        r""":math:`|\theta - \theta_{true}|^2` weighed with W."""
+        metrics = (_metric(self._part(self.gain, j), G) for j, G in enumerate(unpacked(self.parts, self.gathered)))
+        return Square(self.theta - self.true, ca.diagcat(*metrics))
+
+    @property
+    def held(self) -> SX:
+        """The estimate at the next sample."""
+        return self._taken.theta
+
+    @property
+    def kept(self) -> SX:
+        """The memory at the next sample."""
+        return self.retention * packed(self._taken.gathered)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the states that the steps move."""
+        return self.estimate, self.memory
+
+    @property
+    def states(self) -> Mapping[str, SX]:
+        """These states."""
+        return {self.estimate: self.theta, self.memory: self.gathered}
+
+    @property
+    def moves(self) -> Mapping[str, SX]:
+        """What they are at the next sample."""
+        return {self.estimate: self.held, self.memory: self.kept}
+
+    @property
+    def constant(self) -> Mapping[str, SX]:
+        """What must not move."""
+        return {"true": self.true, "gain": self.gain, "floor": self.floor, "retention": self.retention}
+
+    @property
+    def change(self) -> SX:
+        """By what all steps together move what is stored, but for what box and forgetting take away from it."""
+        return self._taken.moved
+
+    @property
+    def decrease(self) -> SX:
+        r"""The sum of :math:`\varepsilon^2 / n`, never negative."""
+        return self._taken.lost
+
+    @property
+    def residual(self) -> SX:
+        r"""The sum of :math:`\eta^2 / \nu`, never negative."""
+        return self._taken.gained
+
+    @property
+    def sizes(self) -> tuple[SX, ...]:
+        """What the steps divide by, columns that are positive: pivots of W, norms n, diagonals of W^-1."""
+        return self._taken.sizes
+
+    def _part(self, column: SX, j: int) -> SX:
+        end = sum(self.parts[: j + 1])
+        return column[end - self.parts[j] : end]
+
+    @cached_property
+    def _taken(self) -> _Taken:
+        theta, moved, lost, gained = list[SX](), ca.SX(0), ca.SX(0), ca.SX(0)
+        memories, sizes = list(unpacked(self.parts, self.gathered)), list[SX]()
+        for j in range(len(self.parts)):
+            now, true, gain = (self._part(column, j) for column in (self.theta, self.true, self.gain))
+            for h, y in ((self._part(h, j), y[j]) for h, y in self.rows):
+                W = _metric(gain, memories[j])
+                learnt = inverse_spd(W) @ h
+                size, missed, error = self.floor + ca.dot(h, learnt), y - ca.dot(h, now), now - true
+                memories[j] += h @ h.T / self.floor
+                after, next_W = now + learnt * missed / size, _metric(gain, memories[j])
+                moved += _form(after - true, next_W) - _form(error, W)
+                lost += missed**2 / size
+                gained += (missed + ca.dot(h, error)) ** 2 / self.floor
+                sizes += [*ldl(W)[1], size]
+                now = after
+                if self.box:
+                    P = inverse_spd(next_W)
+                    sizes += [*ldl(next_W)[1], ca.diag(P)]
+                    now, memories[j] = _put_back(now, memories[j], P, *(self._part(end, j) for end in self.box))
+            theta.append(now)
+        return _Taken(ca.vertcat(*theta), tuple(memories), moved, lost, gained, tuple(sizes))
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class _Taken:
+    """What steps of least squares come to."""
+
+    theta: SX
+    gathered: tuple[SX, ...]
+    moved: SX
+    lost: SX
+    gained: SX
+    sizes: tuple[SX, ...]
+
+
+def _metric(gain: SX, gathered: SX) -> SX:
+    return ca.diag(1 / gain) + gathered
+
+
+def _form(vector: SX, W: SX) -> SX:
+    return ca.dot(vector, W @ vector)
+
+
+def _put_back(theta: SX, gathered: SX, P: SX, lower: SX, upper: SX) -> tuple[SX, SX]:
+    """Onto one face after the other in the norm of W = P^-1; else into the box by force, and nothing remembered."""
+    for i in range(theta.numel()):
+        face = ca.fmin(ca.fmax(theta[i], lower[i]), upper[i])
+        theta = theta - P[:, i] * ((theta[i] - face) / P[i, i])
+        theta[i] = face  # which it is, but for rounding
+    cut = ca.fmin(ca.fmax(theta, lower), upper)
+    for i in range(theta.numel() - 1):  # the last is where it was just put
+        gathered = gathered * (theta[i] == cut[i])
+    return cut, gathered
+
+
+def packed(matrices: Sequence[SX]) -> SX:
+    """The lower triangles of symmetric matrices, column by column, one below the other."""
+    return ca.vertcat(*(ca.densify(G)[ca.Sparsity.lower(G.shape[0])].nz[:] for G in matrices))
+
+
+def unpacked(parts: Sequence[int], column: SX) -> Sequence[SX]:
+    """The symmetric matrices of these sizes whose lower triangles the column holds."""
+    sizes = [count * (count + 1) // 2 for count in parts]
+    pieces = ca.vertsplit(column, [sum(sizes[:j]) for j in range(len(sizes) + 1)])
+    return [ca.tril2symm(ca.SX(ca.Sparsity.lower(n), piece)) for n, piece in zip(parts, pieces, strict=True)]
+
+
+def packed_size(parts: Sequence[int]) -> int:
+    """How many numbers the lower triangles hold."""
+    return sum(count * (count + 1) // 2 for count in parts)
+
+
+Steps = NormalisedSteps | LeastSquaresSteps
+"""Steps of which a proof over samples knows what they do to V."""
