@@ -86,7 +86,10 @@ def _wanted(asked: Node) -> Entries:
     found = _set(str(like[1].value), (KEY, LIKE)) if like is not None else {}
     faults = list[DmframeError]()
     for name, (at, node) in own.items():
-        if node.value is not None and not isinstance(node.value, dict):
+        if isinstance(node.value, dict) and "type" in node.value:
+            text = f"{KEY}.{name}.type: the key {name} is the type already; leave type out"
+            faults.append(ValueFault(text, path=(KEY, name, "type")))
+        elif node.value is not None and not isinstance(node.value, dict):
             text = f"{KEY}.{name}: expected its parameters, {{samples: 1}}, or null to leave it out"
             faults.append(ValueFault(text, path=(KEY, name)))
         elif node.value is None:

@@ -149,6 +149,11 @@ def test_what_the_graph_has_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -
             "reality: {circle: {}}",
             "graph:12:19: reality.circle: expected a block of the plant, found one of the source",
         ),
+        (
+            "reality: {encoder: {type: transport_delay}}",
+            "graph:12:27: reality.encoder.type: the key encoder is",
+        ),
+        ("reality: {like: ur, encoder: {type: circle, step: 1}}", "reality.encoder.type: the key encoder is the type"),
         ("reality: {mine.py:Mine: {}}", "reality.mine.py:Mine: a block of your own stands under blocks"),
         (
             "reality: {encoder: {stp: 1, step: 1}}",
