@@ -18,7 +18,7 @@ from dmframe.config.document import Document, mapping_of, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
 from dmframe.config.overrides import changed, overridden, put
 from dmframe.config.places import placed
-from dmframe.config.reality import names_reality, split, with_reality
+from dmframe.config.reality import KEY, names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
@@ -31,6 +31,15 @@ from dmframe.units import to_unit
 
 if TYPE_CHECKING:
     from dmframe.certify import Verdict
+
+
+@final
+@dataclass(frozen=True)
+class Asked:
+    """A document that still has its key ``reality``, and what was set after that, so that it can be asked for anew."""
+
+    document: Document
+    later: tuple[Mapping[str, Any] | Sequence[str], ...] = ()
 
 
 @final
@@ -50,6 +59,8 @@ class Experiment:
         What was set, as ``--set`` has it.
     swapped
         In a file's baseline the blocks that are there for others of the file; None for the graph itself.
+    asked
+        Where ``reality`` put blocks in, what was asked of it.
     """
 
     name: str
@@ -61,6 +72,7 @@ class Experiment:
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
     swapped: tuple[str, ...] | None = None
+    asked: Asked | None = None
 
     @property
     def solver(self) -> Solver:
@@ -190,23 +202,38 @@ class Experiment:
         DmframeError
             All faults of the values at once.
         """
-        document, overrides = self.document, tuple[str, ...]()
-        for part in split(values):
-            document, told = changed(document, part, KEYS)
-            document, overrides = _expanded(document, find_block), (*overrides, *told)
+        real, others = split(values)
+        document, asked, overrides = self.document, self.asked, tuple[str, ...]()
+        if real:  # what it put in before goes, as with --set
+            document, overrides = changed(asked.document if asked else document, real, KEYS)
+            asked = Asked(document, asked.later if asked else ())
+            document = _expanded(document, find_block)
+            for step in asked.later:
+                document = (
+                    changed(document, step, KEYS)[0] if isinstance(step, Mapping) else _overridden(document, step)
+                )
+        document, told = changed(document, others, KEYS)
+        overrides = (*overrides, *told)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
         made = experiment_of(document)
-        return replace(made, name=self.name, overrides=(*self.overrides, *mine), swapped=self.swapped)
+        return replace(
+            made,
+            name=self.name,
+            overrides=(*self.overrides, *mine),
+            swapped=self.swapped,
+            asked=_then(asked, others),
+        )
 
     def with_duration(self, duration: float) -> Experiment:
         """The same graph, run for another time [s]."""
         document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
+        data, asked = {**self.data, "duration": duration}, _then(self.asked, {"duration": duration})
+        return replace(self, file=file, data=data, document=document, asked=asked)
 
     def __reduce__(self) -> Any:
         """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.document, self.name, self.overrides, self.swapped)
+        return _again, (self.document, self.name, self.overrides, self.swapped, self.asked)
 
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
@@ -231,15 +258,32 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     -----
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
-    document = with_overrides(read_file(find_graph(str(source))), overrides)
-    return replace(experiment_of(document), overrides=tuple(overrides))
+    document = read_file(find_graph(str(source)))
+    first, others = _parted(overrides)
+    asked = overridden(document, first, KEYS)
+    made = experiment_of(_overridden(_expanded(asked, find_block), others))
+    return replace(made, overrides=tuple(overrides), asked=Asked(asked, (others,)) if KEY in asked.data else None)
 
 
 def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:
     """The document with ``--set`` values put in; what they say of ``reality`` first, so that its blocks are there."""
+    first, others = _parted(overrides)
+    return _overridden(_expanded(overridden(document, first, KEYS), find), others)
+
+
+def _parted(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What overrides say of ``reality``, and all others."""
     first = [text for text in overrides if names_reality(text.partition("=")[0])]
-    document = _expanded(overridden(document, first, KEYS), find)
-    return overridden(document, [text for text in overrides if text not in first], KEYS)
+    return first, [text for text in overrides if text not in first]
+
+
+def _overridden(document: Document, overrides: Sequence[str]) -> Document:
+    return overridden(document, overrides, KEYS)
+
+
+def _then(asked: Asked | None, values: Mapping[str, Any]) -> Asked | None:
+    """What was asked of ``reality``, and other values set after it."""
+    return replace(asked, later=(*asked.later, values)) if asked and values else asked
 
 
 def _expanded(document: Document, find: Find) -> Document:
@@ -255,20 +299,24 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
 
     Raises what `load_experiment` does.
     """
-    path = Path(document.name)
+    path, asked = Path(document.name), Asked(document) if KEY in document.data else None
     document = _expanded(document, find)
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{visible(notice)}\n")
-    return _made(read.document, path, find)
+    return replace(_made(read.document, path, find), asked=asked)
 
 
 def _again(
-    document: Document, name: str, overrides: tuple[str, ...], swapped: tuple[str, ...] | None = None
+    document: Document,
+    name: str,
+    overrides: tuple[str, ...],
+    swapped: tuple[str, ...] | None = None,
+    asked: Asked | None = None,
 ) -> Experiment:
     """One that was pickled."""
-    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped)
+    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, asked=asked)
 
 
 def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:

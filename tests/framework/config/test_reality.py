@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -131,6 +132,27 @@ def test_what_the_graph_has_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -
     assert "notice: reality encoder is left out: the graph has it, wheel" in told
     assert "notice: reality torque_limits is left out: the graph has it, joint_stops" in told
     assert graph.reality("ur") == graph
+
+
+def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    plain, filed = dm.load(TEXT), dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
+    for graph in (plain.reality(), filed, pickle.loads(pickle.dumps(filed)), plain.reality().reality("ur")):
+        assert not added(graph.reality("none"))
+        assert not added(graph.set(clock="8 ms").until(1).reality("none"))
+        assert graph.set(clock="8 ms").until(1).reality("none").duration == 1
+        assert tuple(added(graph.reality({"encoder": {"step": 0.01}}))) == ("encoder",)
+    late = filed.set({"reality.transport_delay.samples": 3, "encoder.step": 0.5})
+    assert tuple(added(late)) == tuple(name for name in UR if name != "command_ramp")
+    assert late.blocks["transport_delay"].samples == 3
+    assert late.set(reality="ur").blocks["encoder"].step == 0.5
+    assert not capsys.readouterr().err
+    with pytest.raises(DmframeError, match=r"encoder\.step.*unknown block"):
+        late.reality("none")
+
+
+def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    dm.load(TEXT.replace("  arm: ", "  wheel:   {type: encoder, step: 0.01}\n  arm: ")).reality("none")
+    assert "notice: reality none leaves the graph's own blocks in: wheel" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
