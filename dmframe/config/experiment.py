@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -16,7 +17,7 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, mapping_of, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
-from dmframe.config.overrides import changed, overridden, put
+from dmframe.config.overrides import changed, overridden, put, texts_of
 from dmframe.config.places import placed
 from dmframe.config.reality import KEY, names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
@@ -33,13 +34,17 @@ if TYPE_CHECKING:
     from dmframe.certify import Verdict
 
 
+Step = Callable[[Document], Document]
+"""Puts a value into a document; it can be pickled."""
+
+
 @final
 @dataclass(frozen=True)
 class Asked:
     """A document that still has its key ``reality``, and what was set after that, so that it can be asked for anew."""
 
     document: Document
-    later: tuple[Mapping[str, Any] | Sequence[str], ...] = ()
+    later: tuple[Step, ...] = ()
 
 
 @final
@@ -203,32 +208,36 @@ class Experiment:
             All faults of the values at once.
         """
         real, others = split(values)
-        document, asked, overrides = self.document, self.asked, tuple[str, ...]()
-        if real:  # what it put in before goes, as with --set
-            document, overrides = changed(asked.document if asked else document, real, KEYS)
-            asked = Asked(document, asked.later if asked else ())
-            document = _expanded(document, find_block)
-            for step in asked.later:
-                document = (
-                    changed(document, step, KEYS)[0] if isinstance(step, Mapping) else _overridden(document, step)
-                )
-        document, told = changed(document, others, KEYS)
-        overrides = (*overrides, *told)
+        overrides, faults = texts_of({**real, **others}), list[DmframeError]()
+        steps = [[partial(_changed, values=part)] if part else [] for part in (real, others)]
+        document, asked = self.with_steps(steps[0], steps[1], faults)
+        raise_all(faults)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
-        made = experiment_of(document)
-        return replace(
-            made,
-            name=self.name,
-            overrides=(*self.overrides, *mine),
-            swapped=self.swapped,
-            asked=_then(asked, others),
-        )
+        made, overrides = experiment_of(document), (*self.overrides, *mine)
+        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
+
+    def with_steps(
+        self, real: Sequence[Step], others: Sequence[Step], faults: list[DmframeError]
+    ) -> tuple[Document, Asked | None]:
+        """The document with values put in, those of ``reality`` first; blocks that it had put in go, as with ``--set``.
+
+        Faults of the values are added to `faults`; one of the sets themselves is raised.
+        """
+        document, asked = self.document, self.asked
+        if real:
+            document = _after(asked.document if asked else document, real, faults)
+            asked = Asked(document, asked.later if asked else ())
+            document = _after(_expanded(document, find_block), asked.later, faults)
+        return _after(document, others, faults), _then(asked, *others)
 
     def with_duration(self, duration: float) -> Experiment:
         """The same graph, run for another time [s]."""
         document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        data, asked = {**self.data, "duration": duration}, _then(self.asked, {"duration": duration})
+        data, asked = (
+            {**self.data, "duration": duration},
+            _then(self.asked, partial(_changed, values={"duration": duration})),
+        )
         return replace(self, file=file, data=data, document=document, asked=asked)
 
     def __reduce__(self) -> Any:
@@ -261,8 +270,11 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     document = read_file(find_graph(str(source)))
     first, others = _parted(overrides)
     asked = overridden(document, first, KEYS)
-    made = experiment_of(_overridden(_expanded(asked, find_block), others))
-    return replace(made, overrides=tuple(overrides), asked=Asked(asked, (others,)) if KEY in asked.data else None)
+    made, later = (
+        experiment_of(_overridden(_expanded(asked, find_block), others)),
+        (partial(_overridden, overrides=others),),
+    )
+    return replace(made, overrides=tuple(overrides), asked=Asked(asked, later) if KEY in asked.data else None)
 
 
 def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:
@@ -281,9 +293,23 @@ def _overridden(document: Document, overrides: Sequence[str]) -> Document:
     return overridden(document, overrides, KEYS)
 
 
-def _then(asked: Asked | None, values: Mapping[str, Any]) -> Asked | None:
+def _changed(document: Document, values: Mapping[str, Any]) -> Document:
+    return changed(document, values, KEYS)
+
+
+def _after(document: Document, steps: Sequence[Step], faults: list[DmframeError]) -> Document:
+    """The document after some steps, the faults of each added to `faults`."""
+    for step in steps:
+        try:
+            document = step(document)
+        except DmframeError as error:
+            faults += error.faults
+    return document
+
+
+def _then(asked: Asked | None, *steps: Step) -> Asked | None:
     """What was asked of ``reality``, and other values set after it."""
-    return replace(asked, later=(*asked.later, values)) if asked and values else asked
+    return replace(asked, later=(*asked.later, *steps)) if asked else None
 
 
 def _expanded(document: Document, find: Find) -> Document:

@@ -15,8 +15,11 @@ from dmframe.catalogue import find_reality, realities
 from dmframe.cli.graphs import graphs_of
 from dmframe.config import load_experiment
 from dmframe.config.document import read_file
+from dmframe.config.given import node_of
 from dmframe.config.reality import SET
 from dmframe.errors import DmframeError
+from dmframe.graph import Graph
+from dmframe.study.grid import Given, changed
 
 TEXT = """\
 dmframe: 1
@@ -148,6 +151,21 @@ def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.Ca
     assert not capsys.readouterr().err
     with pytest.raises(DmframeError, match=r"encoder\.step.*unknown block"):
         late.reality("none")
+
+
+def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
+    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n").experiment
+    sets = {
+        "none": [("reality", "none")],
+        "ur": [("encoder.step", 0.5), ("reality", "ur")],
+    }
+    made = {}
+    for name, values in sets.items():
+        givens = [Given(label, node_of(value, (label,), name), name) for label, value in values]
+        made[name] = Graph(changed(filed, givens))
+    assert [tuple(added(graph)) for graph in made.values()] == [(), UR]
+    assert made["ur"].blocks["encoder"].step == 0.5
+    assert not capsys.readouterr().err
 
 
 def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
