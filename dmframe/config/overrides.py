@@ -21,6 +21,8 @@ LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may hold dots, as ``servo.K_D`` does: what follows the section's name is one key."""
 NAMED: Final = {"robot": "model", "reality": "like"}
 """Sections that may be a name alone, and the key which that is short for."""
+_INNER = re.compile(r", first at :\d+:\d+")
+"""A place in the one line that a value is read as, which nobody has written."""
 _COMMENT = re.compile(r"(?:^|\s)#")
 
 
@@ -134,7 +136,8 @@ def _read(written: str, said: str) -> Node:
         return read_document(f"value: {written}\n", "").root
     except DmframeError as error:
         reason = error.faults[0].text
-        raise ValueFault(f"{said}: {reason.removeprefix('value: ')}") from None
+        reason = _INNER.sub("", reason.removeprefix("value: ").removeprefix("value."))
+        raise ValueFault(f"{said}: {reason}") from None
 
 
 def _only(root: Node, said: str) -> Node:

@@ -209,6 +209,19 @@ def test_what_is_wrong_is_told_with_its_place(section: str, text: str) -> None:
     assert text in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{encoder: {step: .nan}}", "}}: encoder.step: expected a finite number, found .nan"),
+        ("{like: ur, like: none}", "}: like stands twice; keep one of them"),
+    ],
+)
+def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> None:
+    with pytest.raises(DmframeError) as caught:
+        load_experiment("arm2_joint", [f"reality={text}"])
+    assert str(caught.value).endswith(told)
+
+
 def test_a_block_that_fits_nowhere_is_refused() -> None:
     with pytest.raises(DmframeError, match="expected a block that stands between controller and robot, or one in"):
         dm.load(f"{TEXT}reality: {{accelerometer: {{}}}}\n")
