@@ -170,10 +170,27 @@ def _servo_and_arm(diagram: Diagram) -> tuple[str, str]:
             shown = diagram.models[arm].equations.outputs.keys()
             if COMMAND in diagram.models[servo].inputs and {"dq", "ddq"} <= shown:
                 return servo, arm
+            if between := _between(diagram, servo):
+                raise MissingError(
+                    f"servo: expected one that drives {arm} itself, found {' and '.join(between)} in between, which "
+                    "transfer functions of the servo would leave out; analyse the graph without"
+                )
     raise MissingError(
         f"servo: expected a block of the plant that takes {COMMAND} and gives {VOLTAGE} to an arm with dq and ddq, "
         "found none; transfer functions need one"
     )
+
+
+def _between(diagram: Diagram, block: str) -> list[str]:
+    """The blocks that stand between a servo and the arm, the servo's side first, `block` being the last of them."""
+    found = list[str]()
+    while any(port.instead_of == VOLTAGE for port in diagram.blocks[block].outputs) and block not in found:
+        found.insert(0, block)
+        source = diagram.sources.get((block, VOLTAGE))
+        if not isinstance(source, Wire):
+            break
+        block = source.block
+    return found
 
 
 def _inverse(diagram: Diagram, servo: str) -> str | None:

@@ -15,7 +15,7 @@ import casadi as ca
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from dmframe import notebook
-from dmframe.block.faults import parameter_faults
+from dmframe.block.faults import parameter_faults, told_apart
 from dmframe.block.names import type_name
 from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
@@ -129,7 +129,9 @@ class AbstractBlock(BaseModel):
     @classmethod
     def _read_quantity(cls, value: Any, info: Any) -> Any:
         spec = spec_of(cls.model_fields[info.field_name])
-        if spec is None or (value is None and cls.model_fields[info.field_name].default is None):
+        if spec is None:
+            return told_apart(value, cls.model_fields[info.field_name].annotation)
+        if value is None and cls.model_fields[info.field_name].default is None:
             return value
         try:
             return read(value, spec)

@@ -7,14 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import UnionType
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args, get_origin
 
 from pydantic import ValidationError
-from pydantic_core import ErrorDetails
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from dmframe.block.names import type_name
 from dmframe.errors import BlockError, DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.parameter import specs
+from dmframe.units import shorten
 
 if TYPE_CHECKING:
     from dmframe.block.base import AbstractBlock
@@ -54,8 +56,48 @@ def _fault(block: type[AbstractBlock], detail: ErrorDetails, where: str) -> Dmfr
             return ValueFault(f"{at}: expected {expected}, found {detail['input']!r}", path=path)
         case "tuple_type":
             return ValueFault(f"{at}: expected a list, found {detail['input']!r}", path=path)
+        case "greater_than_equal" | "less_than_equal":
+            (sign, bound), *_ = detail.get("ctx", {}).items()
+            words = {"ge": "at least", "le": "at most"}
+            return ValueFault(f"{at}: expected a whole number, {words[sign]} {bound}, found {_said(detail)}", path=path)
+        case "int_type" | "int_parsing" | "int_from_float" | "int_parsing_size":
+            return ValueFault(f"{at}: expected a whole number, found {_said(detail)}", path=path)
+        case "bool_type" | "bool_parsing":
+            return ValueFault(f"{at}: expected true or false, found {_said(detail)}", path=path)
         case _:
             return ValueFault(f"{at}: {detail['msg'][0].lower()}{detail['msg'][1:]}", path=path)
+
+
+def _said(detail: ErrorDetails) -> str:
+    """What was found, as a file has it."""
+    found = detail["input"]
+    return {True: "true", False: "false"}[found] if isinstance(found, bool) else shorten(repr(found), 40)
+
+
+def told_apart(value: Any, kind: Any) -> Any:
+    """The value of a parameter without a unit. To pydantic true is 1 and "1" is 1, 1 is true and "yes" is true.
+
+    Raises what pydantic's own faults are raised as.
+    """
+    kinds = _kinds(kind)
+    if value is None or not kinds <= {bool, int, str, type(None)}:
+        return value
+    if isinstance(value, bool) and bool not in kinds and kinds & {int}:
+        raise PydanticCustomError("int_type", "a whole number")
+    if isinstance(value, str) and str not in kinds and int in kinds:
+        raise PydanticCustomError("int_parsing", "a whole number")
+    if not isinstance(value, bool) and kinds <= {bool, type(None)}:
+        raise PydanticCustomError("bool_type", "true or false")
+    return value
+
+
+def _kinds(kind: Any) -> set[Any]:
+    """The types that an annotation stands for, those of the values of a Literal."""
+    if get_origin(kind) is Literal:
+        return {type(choice) for choice in get_args(kind)}
+    if get_origin(kind) in (Union, UnionType):
+        return {found for part in get_args(kind) for found in _kinds(part)}
+    return {kind} if isinstance(kind, type) else {object}
 
 
 @contextmanager

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from dmframe.gain import Prior, Rows, check_definite
 from dmframe.parameter import PAIRS, array, specs
 from dmframe.port import Element, Port, State
 from dmframe.robot.rational import decimal
+from dmframe.units import shorten
+
+LARGEST: Final = 10_000
+"""The largest number that a block may bind a letter to; graphs whose expressions have more elements are not built."""
 
 
 @final
@@ -85,6 +89,10 @@ def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
             isinstance(letter, str) and isinstance(size, int) for letter, size in found.items()
         ):
             raise BlockError(f"{name}: expected sizes() to return a whole number for each letter, found {found!r:.60}")
+        for letter, size in found.items():
+            if not 0 <= size <= LARGEST:
+                text = f"expected at most {LARGEST}" if size > LARGEST else "expected 0 or more"
+                raise BlockError(f"{name}: {text} for the size {letter}, found {shorten(str(size), 20)}")
     except BlockError as fault:
         fault.path = fault.path or ("blocks", name)
         raise

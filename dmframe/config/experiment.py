@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, final
 
@@ -16,9 +17,9 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, mapping_of, read_file
 from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
-from dmframe.config.overrides import changed, overridden, put
+from dmframe.config.overrides import changed, overridden, put, texts_of
 from dmframe.config.places import placed
-from dmframe.config.reality import names_reality, split, with_reality
+from dmframe.config.reality import KEY, names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
@@ -31,6 +32,19 @@ from dmframe.units import to_unit
 
 if TYPE_CHECKING:
     from dmframe.certify import Verdict
+
+
+Step = Callable[[Document], Document]
+"""Puts a value into a document; it can be pickled."""
+
+
+@final
+@dataclass(frozen=True)
+class Asked:
+    """A document that still has its key ``reality``, and what was set after that, so that it can be asked for anew."""
+
+    document: Document
+    later: tuple[Step, ...] = ()
 
 
 @final
@@ -50,6 +64,8 @@ class Experiment:
         What was set, as ``--set`` has it.
     swapped
         In a file's baseline the blocks that are there for others of the file; None for the graph itself.
+    asked
+        Where ``reality`` put blocks in, what was asked of it.
     """
 
     name: str
@@ -61,6 +77,7 @@ class Experiment:
     start: Mapping[str, Any]
     overrides: tuple[str, ...] = ()
     swapped: tuple[str, ...] | None = None
+    asked: Asked | None = None
 
     @property
     def solver(self) -> Solver:
@@ -190,23 +207,42 @@ class Experiment:
         DmframeError
             All faults of the values at once.
         """
-        document, overrides = self.document, tuple[str, ...]()
-        for part in split(values):
-            document, told = changed(document, part, KEYS)
-            document, overrides = _expanded(document, find_block), (*overrides, *told)
+        real, others = split(values)
+        overrides, faults = texts_of({**real, **others}), list[DmframeError]()
+        steps = [[partial(_changed, values=part)] if part else [] for part in (real, others)]
+        document, asked = self.with_steps(steps[0], steps[1], faults)
+        raise_all(faults)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
-        made = experiment_of(document)
-        return replace(made, name=self.name, overrides=(*self.overrides, *mine), swapped=self.swapped)
+        made, overrides = experiment_of(document), (*self.overrides, *mine)
+        return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
+
+    def with_steps(
+        self, real: Sequence[Step], others: Sequence[Step], faults: list[DmframeError]
+    ) -> tuple[Document, Asked | None]:
+        """The document with values put in, those of ``reality`` first; blocks that it had put in go, as with ``--set``.
+
+        Faults of the values are added to `faults`; one of the sets themselves is raised.
+        """
+        document, asked = self.document, self.asked
+        if real:
+            document = _after(asked.document if asked else document, real, faults)
+            asked = Asked(document, asked.later if asked else ())
+            document = _after(_expanded(document, find_block), asked.later, faults)
+        return _after(document, others, faults), _then(asked, *others)
 
     def with_duration(self, duration: float) -> Experiment:
         """The same graph, run for another time [s]."""
         document = put(self.document, "duration", duration, f"--until {duration:g}")
         file = self.file.model_copy(update={"duration": duration})
-        return replace(self, file=file, data={**self.data, "duration": duration}, document=document)
+        data, asked = (
+            {**self.data, "duration": duration},
+            _then(self.asked, partial(_changed, values={"duration": duration})),
+        )
+        return replace(self, file=file, data=data, document=document, asked=asked)
 
     def __reduce__(self) -> Any:
         """Pickled as its document: a process elsewhere makes its blocks anew."""
-        return _again, (self.document, self.name, self.overrides, self.swapped)
+        return _again, (self.document, self.name, self.overrides, self.swapped, self.asked)
 
     def __repr__(self) -> str:
         return f"<Experiment {self.name}>"
@@ -231,15 +267,49 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     -----
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
-    document = with_overrides(read_file(find_graph(str(source))), overrides)
-    return replace(experiment_of(document), overrides=tuple(overrides))
+    document = read_file(find_graph(str(source)))
+    first, others = _parted(overrides)
+    asked = overridden(document, first, KEYS)
+    made, later = (
+        experiment_of(_overridden(_expanded(asked, find_block), others)),
+        (partial(_overridden, overrides=others),),
+    )
+    return replace(made, overrides=tuple(overrides), asked=Asked(asked, later) if KEY in asked.data else None)
 
 
 def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:
     """The document with ``--set`` values put in; what they say of ``reality`` first, so that its blocks are there."""
+    first, others = _parted(overrides)
+    return _overridden(_expanded(overridden(document, first, KEYS), find), others)
+
+
+def _parted(overrides: Sequence[str]) -> tuple[list[str], list[str]]:
+    """What overrides say of ``reality``, and all others."""
     first = [text for text in overrides if names_reality(text.partition("=")[0])]
-    document = _expanded(overridden(document, first, KEYS), find)
-    return overridden(document, [text for text in overrides if text not in first], KEYS)
+    return first, [text for text in overrides if text not in first]
+
+
+def _overridden(document: Document, overrides: Sequence[str]) -> Document:
+    return overridden(document, overrides, KEYS)
+
+
+def _changed(document: Document, values: Mapping[str, Any]) -> Document:
+    return changed(document, values, KEYS)
+
+
+def _after(document: Document, steps: Sequence[Step], faults: list[DmframeError]) -> Document:
+    """The document after some steps, the faults of each added to `faults`."""
+    for step in steps:
+        try:
+            document = step(document)
+        except DmframeError as error:
+            faults += error.faults
+    return document
+
+
+def _then(asked: Asked | None, *steps: Step) -> Asked | None:
+    """What was asked of ``reality``, and other values set after it."""
+    return replace(asked, later=(*asked.later, *steps)) if asked else None
 
 
 def _expanded(document: Document, find: Find) -> Document:
@@ -255,20 +325,24 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
 
     Raises what `load_experiment` does.
     """
-    path = Path(document.name)
+    path, asked = Path(document.name), Asked(document) if KEY in document.data else None
     document = _expanded(document, find)
     read = with_new_names(document, path.parent, find)
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{visible(notice)}\n")
-    return _made(read.document, path, find)
+    return replace(_made(read.document, path, find), asked=asked)
 
 
 def _again(
-    document: Document, name: str, overrides: tuple[str, ...], swapped: tuple[str, ...] | None = None
+    document: Document,
+    name: str,
+    overrides: tuple[str, ...],
+    swapped: tuple[str, ...] | None = None,
+    asked: Asked | None = None,
 ) -> Experiment:
     """One that was pickled."""
-    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped)
+    return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, asked=asked)
 
 
 def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:

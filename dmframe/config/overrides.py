@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -21,6 +21,8 @@ LABELLED: Final = (("start",), ("uncertain",), ("wires",), ("robot", "hold"))
 """Sections whose keys may hold dots, as ``servo.K_D`` does: what follows the section's name is one key."""
 NAMED: Final = {"robot": "model", "reality": "like"}
 """Sections that may be a name alone, and the key which that is short for."""
+_INNER = re.compile(r", first at :\d+:\d+")
+"""A place in the one line that a value is read as, which nobody has written."""
 _COMMENT = re.compile(r"(?:^|\s)#")
 
 
@@ -32,9 +34,20 @@ def overridden(document: Document, overrides: Sequence[str], known: Sequence[str
     return document
 
 
-def changed(document: Document, values: Mapping[str, Any], known: Sequence[str]) -> tuple[Document, tuple[str, ...]]:
-    """The document with a program's values put in, and each as ``--set`` would have it."""
-    texts = list[str]()
+def changed(document: Document, values: Mapping[str, Any], known: Sequence[str]) -> Document:
+    """The document with a program's values put in."""
+    for label, node, _, said in _given(values):
+        document = put_at(document, label, node, said, known)
+    return document
+
+
+def texts_of(values: Mapping[str, Any]) -> tuple[str, ...]:
+    """A program's values, each as ``--set`` would have it."""
+    return tuple(text for _, _, text, _ in _given(values))
+
+
+def _given(values: Mapping[str, Any]) -> Iterator[tuple[str, Node, str, str]]:
+    """Labels with their values, each as ``--set`` would have it, and what messages call it."""
     for label, value in values.items():
         if isinstance(label, str) and "=" in label:
             raise ValueFault(f"set {shorten(visible(label), 60)}: expected a name alone, without an equals sign")
@@ -42,10 +55,9 @@ def changed(document: Document, values: Mapping[str, Any], known: Sequence[str])
             raise ValueFault(f"set: expected a text such as 'task.gamma' as the name, found {shorten(repr(label), 30)}")
         said = f"set {shorten(visible(label), 60)}"
         node = node_of(value, (label,), said)
-        texts.append(f"{label}={json.dumps(mapping_of(Node(0, 0, {'value': (node, node)}))['value'])}")
-        said = f"set {shorten(visible(texts[-1]), 200)}"
-        document = put_at(document, label, node, said, known)
-    return document, tuple(texts)
+        text = f"{label}={json.dumps(mapping_of(Node(0, 0, {'value': (node, node)}))['value'])}"
+        said = f"set {shorten(visible(text), 200)}"
+        yield label, node, text, said
 
 
 def put_at(
@@ -124,7 +136,8 @@ def _read(written: str, said: str) -> Node:
         return read_document(f"value: {written}\n", "").root
     except DmframeError as error:
         reason = error.faults[0].text
-        raise ValueFault(f"{said}: {reason.removeprefix('value: ')}") from None
+        reason = _INNER.sub("", reason.removeprefix("value: ").removeprefix("value."))
+        raise ValueFault(f"{said}: {reason}") from None
 
 
 def _only(root: Node, said: str) -> Node:

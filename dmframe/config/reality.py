@@ -8,7 +8,7 @@ they read (`dmframe.port.Port.instead_of`). A type that hands out all that a blo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, final
@@ -60,6 +60,8 @@ def with_reality(document: Document, base: Path, find: Find = find_block) -> Exp
         work = _Work(held, _kinds(held, base, find))
         for name, (at, node) in wanted.items():
             work.put(name, at, node)
+        if asked.value == NONE and (own := work.standing_in()):
+            work.left_out.append(f"{KEY} {NONE} leaves the graph's own blocks in: {', '.join(own)}")
     except DmframeError as error:
         raise placed(error, document) from None
     if isinstance(blocks.value, dict):
@@ -86,7 +88,10 @@ def _wanted(asked: Node) -> Entries:
     found = _set(str(like[1].value), (KEY, LIKE)) if like is not None else {}
     faults = list[DmframeError]()
     for name, (at, node) in own.items():
-        if node.value is not None and not isinstance(node.value, dict):
+        if isinstance(node.value, dict) and "type" in node.value:
+            text = f"{KEY}.{name}.type: the key {name} is the type already; leave type out"
+            faults.append(ValueFault(text, path=(KEY, name, "type")))
+        elif node.value is not None and not isinstance(node.value, dict):
             text = f"{KEY}.{name}: expected its parameters, {{samples: 1}}, or null to leave it out"
             faults.append(ValueFault(text, path=(KEY, name)))
         elif node.value is None:
@@ -164,6 +169,10 @@ class _Work:
         self.blocks[own] = (replace(at, value=own), replace(node, value={**said, **given}))
         self.kinds[own] = kind
 
+    def standing_in(self) -> list[str]:
+        """The blocks that stand in for what they read, whoever put them there."""
+        return [name for name, kind in self.kinds.items() if any(port.instead_of for port in kind.outputs)]
+
     def _replace(self, name: str, kind: type[AbstractBlock], at: Node, node: Node, given: Entries) -> None:
         """Let a type take the place of the block of the plant whose signals it hands out, with its parameters."""
         outputs = {port.name for port in kind.outputs}
@@ -207,7 +216,7 @@ def names_reality(label: str) -> bool:
     return label.strip().partition(".")[0] == KEY
 
 
-def split(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-    """The values of the key ``reality``, then all others."""
-    yield {label: value for label, value in values.items() if names_reality(str(label))}
-    yield {label: value for label, value in values.items() if not names_reality(str(label))}
+def split(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The values of the key ``reality``, and all others."""
+    real = {label: value for label, value in values.items() if names_reality(str(label))}
+    return real, {label: value for label, value in values.items() if label not in real}

@@ -14,6 +14,7 @@ from dmframe.config.experiment import Experiment, experiment_of
 from dmframe.config.given import node_of
 from dmframe.config.grammar import KEYS, shown
 from dmframe.config.overrides import put_at
+from dmframe.config.reality import names_reality
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
 from dmframe.study.grammar import own_name
@@ -173,20 +174,16 @@ def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
     """A graph with values of the study file. Raises `DmframeError`, each fault at its place in the study."""
     if not sets:
         return base
-    document, texts, faults = base.document, list[str](), list[DmframeError]()
-    for given in sets:
-        try:
-            document = given.put(document)
-        except DmframeError as error:
-            faults += error.faults
-        texts.append(f"{given.label}={json.dumps(given.plain)}")
+    texts, faults = [f"{given.label}={json.dumps(given.plain)}" for given in sets], list[DmframeError]()
+    real, others = ([given.put for given in sets if names_reality(given.label) is first] for first in (True, False))
+    document, asked = base.with_steps(real, others, faults)
     try:
         made = experiment_of(document)
     except DmframeError as error:
         raise_all([*faults, *error.faults])
         raise
     raise_all(faults)
-    return replace(made, name=base.name, overrides=(*base.overrides, *texts))
+    return replace(made, name=base.name, overrides=(*base.overrides, *texts), asked=asked)
 
 
 def scaled(experiment: Experiment, factors: Sequence[tuple[Axis, float]]) -> Experiment:

@@ -95,5 +95,52 @@ def test_what_does_not_belong_together_is_told() -> None:
             fitted_delay(positions, commands, period)
 
 
+@pytest.mark.filterwarnings("error")
+def test_what_are_no_numbers_is_told() -> None:
+    u, q = np.random.default_rng(1).standard_normal((40, 2)), np.zeros((41, 2))
+    for positions, commands, period, text in (
+        ("abc", u, 0.1, "q to be rows of real numbers"),
+        (q, [[1], [2, 3]], 0.1, "dq_c to be rows of real numbers"),
+        (q + 1j, u, 0.1, "q to be rows of real numbers"),
+        (None, None, 0.1, "as many joints|rows of real numbers"),
+        (q[:, :0], u[:, :0], 0.1, "as many joints"),
+        (q, u, "0.1 s", "a period in s, a number, found '0.1 s'"),
+        (q, u, None, "a period in s"),
+        (q, u, np.nan, "a period above zero"),
+        (q, u, np.inf, "a period above zero"),
+        (q, u, 1e-320, "a period above zero"),
+        (q + 1e300, u, 0.1, "others in q; record a run that stays bounded"),
+        (q, 1e200 * u, 0.1, "others in dq_c"),
+    ):
+        with pytest.raises(ValueFault, match=text):
+            fitted_delay(positions, commands, period)
+
+
+def test_joints_that_do_not_make_the_velocities_commanded_have_no_delay() -> None:
+    """Of motors without strength, of an encoder of one step, and where half of the commands never arrive."""
+    graph = dm.load("ur10_slow_probe")
+    for name, values in (
+        ("torque_limits", {"torque": 1e-9}),
+        ("encoder", {"step": 1}),
+        ("transport_delay", {"lost": 0.5}),
+    ):
+        found = recorded_delay(graph.reality({name: values}).run(3, engine="interpreted").recording)
+        assert found.refused, (name, str(found))
+
+
+def test_a_thinned_record_is_refused() -> None:
+    graph = dm.load("ur10_slow_probe").set({"inverse.lasting": 6})
+    with pytest.raises(ValueFault, match="every sample, 90 ms apart, found one of every 180 ms"):
+        recorded_delay(graph.set({"log.every": "180 ms"}).run(6, engine="interpreted").recording)
+    with pytest.raises(ValueFault, match=r"a record that holds arm\.q"):
+        recorded_delay(graph.set({"log.signals": ["arm.x"]}).run(3, engine="interpreted").recording)
+
+
+def test_a_run_that_diverged_is_refused_as_such() -> None:
+    graph = dm.load("ur10_slow_probe").set({"inverse.probe": 1e300})
+    with pytest.raises(ValueFault, match="found one that diverged"):
+        recorded_delay(graph.run(3, engine="interpreted").recording)
+
+
 def test_it_is_public() -> None:
     assert dm.fitted_delay is fitted_delay

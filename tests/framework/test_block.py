@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import pytest
+from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals, type_name
 from dmframe.errors import BlockError, DmframeError, Faults, MissingError, UnknownNameError, ValueFault
@@ -52,6 +53,51 @@ def test_all_faults_of_a_block_are_told_together() -> None:
     found = fault(LeakyThing, rate=-1, offset="x", self=3)
     assert isinstance(found, Faults)
     assert [type(item) for item in found.faults] == [ValueFault, ValueFault, UnknownNameError]
+
+
+class Counted(AbstractBlock):
+    kept: int = Field(3, ge=1)
+    delay: Literal[0, 1, 2] = 0
+    late: Literal["no"] | int = 1
+    filtered: bool = True
+    name: str = ""
+
+    def sizes(self, robot: Any) -> dict[str, int]:
+        return {"W": self.kept}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations()
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"kept": True}, "counted.kept: expected a whole number, found true"),
+        ({"kept": "3"}, "counted.kept: expected a whole number, found '3'"),
+        ({"kept": 2.5}, "counted.kept: expected a whole number, found 2.5"),
+        ({"kept": [1]}, "counted.kept: expected a whole number, found [1]"),
+        ({"kept": 0}, "counted.kept: expected a whole number, at least 1, found 0"),
+        ({"delay": True}, "counted.delay: expected a whole number, found true"),
+        ({"delay": 3}, "counted.delay: expected 0, 1 or 2, found 3"),
+        ({"late": False}, "counted.late: expected a whole number, found false"),
+        ({"filtered": 1}, "counted.filtered: expected true or false, found 1"),
+        ({"filtered": "yes"}, "counted.filtered: expected true or false, found 'yes'"),
+        ({"filtered": []}, "counted.filtered: expected true or false, found []"),
+    ],
+)
+def test_a_truth_a_number_and_a_text_are_told_apart(values: dict[str, Any], text: str) -> None:
+    assert str(fault(Counted, **values)) == text
+
+
+def test_what_is_one_passes() -> None:
+    block = Counted(kept=4.0, delay=2, late="no", filtered=False, name="x")
+    assert (block.kept, block.delay, block.late, block.filtered, block.name) == (4, 2, "no", False, "x")
+
+
+@pytest.mark.parametrize("kept", [10_001, 10**9, 10**30])
+def test_a_size_that_no_machine_holds_is_refused(kept: int) -> None:
+    with pytest.raises(BlockError, match="counted: expected at most 10000 for the size W, found 1"):
+        Counted(kept=kept).evaluate()
 
 
 def test_equations_that_read_what_is_not_there_name_the_nearest() -> None:

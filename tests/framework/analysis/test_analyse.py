@@ -353,3 +353,17 @@ def test_a_tick_that_overflows_is_unstable_and_its_poles_are_none() -> None:
     assert linear.spectral_radius(1e290) == np.inf
     with pytest.raises(EngineError, match="overflows; take a faster clock"):
         linear.sampled_poles(1e290)
+
+
+@pytest.mark.parametrize(
+    ("reality", "between"),
+    [
+        ("{torque_limits: {}}", "torque_limits"),
+        ("{friction_compensation: {coulomb: 1}, torque_limits: {}}", "friction_compensation and torque_limits"),
+        ("{elastic_joints: {stiffness: 1e3, inertia: 1}}", "elastic_joints"),
+    ],
+)
+def test_what_stands_between_servo_and_arm_is_named(reality: str, between: str) -> None:
+    graph = load_experiment("ur10_slow_kinematic", [f"reality={reality}"])
+    with pytest.raises(MissingError, match=f"expected one that drives arm itself, found {between} in between"):
+        servo_transfer(graph.diagram(), start=graph.start)

@@ -25,3 +25,10 @@ def test_what_has_no_clock_has_no_delay(dmframe: Any) -> None:
     said = dmframe("delay", "theorem_1")
     assert said.status == 2
     assert "expected a graph with a clock" in said.err
+
+
+def test_what_the_graph_keeps_of_its_runs_does_not_count(dmframe: Any) -> None:
+    late = ("--set", "reality={transport_delay: {samples: 1}}", "--set", "inverse.lasting=9", "--until", "9 s")
+    for log in ("log.every=180 ms", "log.signals=[arm.x]"):
+        said = dmframe("delay", "ur10_slow_probe", *late, "--set", log)
+        assert said.out.endswith("delay: 1\n"), (log, said)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,11 @@ from dmframe.catalogue import find_reality, realities
 from dmframe.cli.graphs import graphs_of
 from dmframe.config import load_experiment
 from dmframe.config.document import read_file
+from dmframe.config.given import node_of
 from dmframe.config.reality import SET
 from dmframe.errors import DmframeError
+from dmframe.graph import Graph
+from dmframe.study.grid import Given, changed
 
 TEXT = """\
 dmframe: 1
@@ -133,6 +137,42 @@ def test_what_the_graph_has_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -
     assert graph.reality("ur") == graph
 
 
+def test_what_was_put_in_before_goes_when_another_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    plain, filed = dm.load(TEXT), dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n")
+    for graph in (plain.reality(), filed, pickle.loads(pickle.dumps(filed)), plain.reality().reality("ur")):
+        assert not added(graph.reality("none"))
+        assert not added(graph.set(clock="8 ms").until(1).reality("none"))
+        assert graph.set(clock="8 ms").until(1).reality("none").duration == 1
+        assert tuple(added(graph.reality({"encoder": {"step": 0.01}}))) == ("encoder",)
+    late = filed.set({"reality.transport_delay.samples": 3, "encoder.step": 0.5})
+    assert tuple(added(late)) == tuple(name for name in UR if name != "command_ramp")
+    assert late.blocks["transport_delay"].samples == 3
+    assert late.set(reality="ur").blocks["encoder"].step == 0.5
+    assert not capsys.readouterr().err
+    with pytest.raises(DmframeError, match=r"encoder\.step.*unknown block"):
+        late.reality("none")
+
+
+def test_a_study_asks_for_it_anew_too(capsys: pytest.CaptureFixture[str]) -> None:
+    filed = dm.load(f"{TEXT}reality: {{like: ur, command_ramp: null}}\n").experiment
+    sets = {
+        "none": [("reality", "none")],
+        "ur": [("encoder.step", 0.5), ("reality", "ur")],
+    }
+    made = {}
+    for name, values in sets.items():
+        givens = [Given(label, node_of(value, (label,), name), name) for label, value in values]
+        made[name] = Graph(changed(filed, givens))
+    assert [tuple(added(graph)) for graph in made.values()] == [(), UR]
+    assert made["ur"].blocks["encoder"].step == 0.5
+    assert not capsys.readouterr().err
+
+
+def test_none_tells_of_blocks_that_the_graph_has_of_its_own(capsys: pytest.CaptureFixture[str]) -> None:
+    dm.load(TEXT.replace("  arm: ", "  wheel:   {type: encoder, step: 0.01}\n  arm: ")).reality("none")
+    assert "notice: reality none leaves the graph's own blocks in: wheel" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("section", "text"),
     [
@@ -149,6 +189,11 @@ def test_what_the_graph_has_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -
             "reality: {circle: {}}",
             "graph:12:19: reality.circle: expected a block of the plant, found one of the source",
         ),
+        (
+            "reality: {encoder: {type: transport_delay}}",
+            "graph:12:27: reality.encoder.type: the key encoder is",
+        ),
+        ("reality: {like: ur, encoder: {type: circle, step: 1}}", "reality.encoder.type: the key encoder is the type"),
         ("reality: {mine.py:Mine: {}}", "reality.mine.py:Mine: a block of your own stands under blocks"),
         (
             "reality: {encoder: {stp: 1, step: 1}}",
@@ -162,6 +207,19 @@ def test_what_is_wrong_is_told_with_its_place(section: str, text: str) -> None:
     with pytest.raises(DmframeError) as caught:
         dm.load(f"{TEXT}{section}\n")
     assert text in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("{encoder: {step: .nan}}", "}}: encoder.step: expected a finite number, found .nan"),
+        ("{like: ur, like: none}", "}: like stands twice; keep one of them"),
+    ],
+)
+def test_a_fault_inside_a_value_names_what_was_written(text: str, told: str) -> None:
+    with pytest.raises(DmframeError) as caught:
+        load_experiment("arm2_joint", [f"reality={text}"])
+    assert str(caught.value).endswith(told)
 
 
 def test_a_block_that_fits_nowhere_is_refused() -> None:
