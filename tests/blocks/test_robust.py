@@ -287,7 +287,13 @@ def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
 
 def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
-    overrides = ["dynamics.leak=0.1", "inverse.dead_zone=0.1", "inverse.error_leak=1", "dynamics.a_d_hat_ball=[0, 10]", UNBOXED]
+    overrides = [
+        "dynamics.leak=0.1",
+        "inverse.dead_zone=0.1",
+        "inverse.error_leak=1",
+        "dynamics.a_d_hat_ball=[0, 10]",
+        UNBOXED,
+    ]
     graph = load_experiment("arm2_joint", [*overrides, "duration=1"])
     diagram = graph.diagram()
     found = Verification(graph, diagram, graph.verify(diagram))
