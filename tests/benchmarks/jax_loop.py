@@ -26,10 +26,9 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
     robot: Any = Arrays(loop, jnp) if arrays else Robot(loop, jnp.sin, jnp.cos)
     sizes = [loop.start[name].size for name in STATES]
     ends = np.cumsum(sizes)[:-1].tolist()
-    free = {name: (np.full(size, -np.inf), np.full(size, np.inf)) for name, size in zip(STATES, sizes, strict=True)}
-    lower, upper = (
-        np.concatenate(ends) for ends in zip(*({**free, **loop.boxes}[name] for name in STATES), strict=True)
-    )
+    boxes = {name: (np.full(size, -np.inf), np.full(size, np.inf)) for name, size in zip(STATES, sizes, strict=True)}
+    boxes |= loop.boxes
+    lower, upper = (np.concatenate([boxes[name][end] for name in STATES]) for end in (0, 1))
     boxed = bool(np.isfinite(lower).any())
     c, r, w = loop.center.tolist(), loop.radius, loop.rate
 

@@ -58,9 +58,7 @@ ADAPTING = {
 
 def with_full(name: str) -> list[str]:
     ((label, size),) = ADAPTING[name].items()
-    none = [
-        f"{block}.a_d_hat_box=null" for block in ("adaptation", "dynamics") if label.startswith(block)
-    ]  # a box it has
+    none = [f"{block}.a_d_hat_box=null" for block in ("adaptation", "dynamics") if label.startswith(block)]
     tool = ["geometry.adapt=tool"] if size == 3 else []
     return [f"{label}={full(size)}", *none, *tool]
 
