@@ -14,7 +14,6 @@ WITHOUT = {  # looked at with `make soak` one by one
     "observed_regulation_pid",
     "panda_full",
     "slotine_li",
-    "ur10_full",  # diverges after hours: KNOWN_GAPS.md
     "ur10_posture",
     "ur10_slow",
     "ur10_slow_tied_position",
