@@ -7,7 +7,7 @@ import pytest
 
 import dmframe as dm
 
-WITHOUT = {  # looked at with `make soak` one by one
+WITHOUT = {  # each looked at by itself, with `make soak`; a new graph has to be, too
     "filtered_regulation_pi",
     "filtered_regulation_pid",
     "observed_regulation_pi",
