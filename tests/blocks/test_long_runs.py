@@ -24,7 +24,9 @@ WITHOUT = {  # each looked at by itself, with `make soak`; a new graph has to be
 def sampled() -> list[str]:
     """The packaged graphs whose dynamics adapt on a clock."""
     found = {name: dm.load(name) for name in dm.graphs()}
-    adapts = {name: type(graph.blocks.get("dynamics")).__name__ == "DynamicCompensator" for name, graph in found.items()}
+    adapts = {
+        name: type(graph.blocks.get("dynamics")).__name__ == "DynamicCompensator" for name, graph in found.items()
+    }
     return [name for name, graph in found.items() if graph.clock is not None and adapts[name]]
 
 
