@@ -17,7 +17,6 @@ WITHOUT = {  # each looked at by itself, with `make soak`; a new graph has to be
     "ur10_posture",
     "ur10_slow",
     "ur10_slow_tied_position",
-    "ur10_slow_tuned",
 }
 
 
