@@ -289,13 +289,17 @@ class Resolver:
         if not chosen:
             return rate
         if len(chosen) > 1:
-            text = f"{model.name}: expected one of {declared.box} and {declared.ball}, found both"
+            text = (
+                f"{model.name}: expected one of {declared.box} and {declared.ball}, found both; "
+                f"{declared.box}: null takes the box away"
+            )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.ball)))
         gain = model.parameters.get(declared.gain)
         if chosen[0] == declared.box and gain is not None and not gain.is_column():
             text = (
                 f"{model.name}: expected no {declared.box} beside a {declared.gain} that is a full matrix: a box is "
-                f"normal to its coordinates in the metric of a diagonal alone; choose {declared.ball}"
+                f"normal to its coordinates in the metric of a diagonal alone; choose {declared.ball}; "
+                f"{declared.box}: null takes the box away"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
         name, leaf = f"{model.name}.{state}", model.states[state]

@@ -81,7 +81,7 @@ class Controller:
         self.z = self.z + T * e_c
         self.q_r = self.q_r + T * dq_r
         if self.boxed:
-            for name in ("w", "w_P", "w_I"):
+            for name in self.lower:
                 setattr(self, name, np.clip(getattr(self, name), self.lower[name], self.upper[name]))
         return np.asarray(dq_c)
 

@@ -26,8 +26,9 @@ def functions(loop: Loop, *, arrays: bool = False) -> tuple[Any, Any, Any, Any]:
     robot: Any = Arrays(loop, jnp) if arrays else Robot(loop, jnp.sin, jnp.cos)
     sizes = [loop.start[name].size for name in STATES]
     ends = np.cumsum(sizes)[:-1].tolist()
-    lower = np.concatenate([np.full(sum(sizes[:3]), -np.inf), *(loop.boxes[name][0] for name in STATES[3:])])
-    upper = np.concatenate([np.full(sum(sizes[:3]), np.inf), *(loop.boxes[name][1] for name in STATES[3:])])
+    boxes = {name: (np.full(size, -np.inf), np.full(size, np.inf)) for name, size in zip(STATES, sizes, strict=True)}
+    boxes |= loop.boxes
+    lower, upper = (np.concatenate([boxes[name][end] for name in STATES]) for end in (0, 1))
     boxed = bool(np.isfinite(lower).any())
     c, r, w = loop.center.tolist(), loop.radius, loop.rate
 

@@ -30,6 +30,10 @@ STATES = {
 }
 
 
+TIMED = {"ur10_full": ("blocks.posture=null", "dynamics.Gamma=100", "dynamics.a_d_hat_box=null")}
+"""What of a packaged graph is taken away or changed before it is timed: the other tools keep no posture."""
+
+
 @dataclass(frozen=True)
 class Loop:
     """One closed loop.
@@ -43,7 +47,7 @@ class Loop:
     center, radius, rate : the circle in the xy plane; m, m, rad/s
     gains : K_c, Lambda, Lambda_P, Lambda_I, Gamma, gamma of the controller
     K_D, K_P, K_I, B, D : the servo and the joints' friction
-    boxes : lower and upper ends of w, w_P, w_I; infinite where there are none
+    boxes : lower and upper ends of a_d_hat, w, w_P, w_I; infinite where there are none
     start : every state at t = 0
     """
 
@@ -116,7 +120,7 @@ class Loop:
         from dmframe.config.experiment import load_experiment
         from dmframe.simulate import start_state
 
-        graph = load_experiment(name)
+        graph = load_experiment(name, TIMED.get(str(name), ()))
         diagram = graph.diagram()
         values = {leaf.label: np.asarray(leaf.value, dtype=float) for leaf in diagram.loop.parameters}
         n = diagram.robot.n
@@ -125,9 +129,9 @@ class Loop:
             return np.broadcast_to(values[label], (n,)).copy()
 
         def box(name: str) -> tuple[Array, Array]:
-            ends = values.get(f"inverse.{name}_box")
+            ends, size = values.get(f"{STATES[name]}_box"), start[name].size
             if ends is None:
-                return np.full(n, -np.inf), np.full(n, np.inf)
+                return np.full(size, -np.inf), np.full(size, np.inf)
             return ends[:, 0].copy(), ends[:, 1].copy()
 
         column, start, first = start_state(diagram, graph.start), {}, 0
@@ -155,6 +159,6 @@ class Loop:
             K_I=joints("servo.K_I"),
             B=joints("arm.viscous"),
             D=joints("arm.coulomb"),
-            boxes={key: box(key) for key in ("w", "w_P", "w_I")},
+            boxes={key: box(key) for key in ("a_d_hat", "w", "w_P", "w_I")},
             start=start,
         )

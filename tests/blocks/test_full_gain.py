@@ -38,6 +38,9 @@ def proof(name: str, *overrides: str) -> Verdict:
     return verify(load_experiment(name, overrides).diagram())
 
 
+UNBOXED = "dynamics.a_d_hat_box=null"
+"""A full gain goes with no box, and `arm2_joint` has one."""
+
 SMALL = "pendulum"
 """Where a law is changed, one joint will do: a proof's time goes with the elements of the gain, 66 for 253."""
 
@@ -55,7 +58,7 @@ ADAPTING = {
 
 def with_full(name: str) -> list[str]:
     ((label, size),) = ADAPTING[name].items()
-    none = ["adaptation.a_d_hat_box=null"] if label.startswith("adaptation") else []  # these graphs have a box
+    none = [f"{block}.a_d_hat_box=null" for block in ("adaptation", "dynamics") if label.startswith(block)]
     tool = ["geometry.adapt=tool"] if size == 3 else []
     return [f"{label}={full(size)}", *none, *tool]
 
@@ -184,7 +187,7 @@ def test_a_box_is_normal_in_the_metric_of_a_diagonal_alone() -> None:
 
 
 def run_of(*overrides: str, engine: Any = "auto", values: dict[str, Any] | None = None) -> np.ndarray:
-    graph = load_experiment("arm2_joint", overrides)
+    graph = load_experiment("arm2_joint", [*overrides, UNBOXED])
     diagram = with_values(graph.diagram(), values) if values else graph.diagram()
     run = simulate(diagram, 1.0, clock=graph.file.clock, start=graph.start, engine=engine)
     assert run.divergence is None
@@ -210,7 +213,7 @@ def test_other_numbers_need_no_other_diagram(engine: Any) -> None:
 
 
 def test_a_batch_takes_matrices_and_priors() -> None:
-    graph = load_experiment("arm2_joint", ["dynamics.Gamma={inverse_of: model}"])
+    graph = load_experiment("arm2_joint", ["dynamics.Gamma={inverse_of: model}", UNBOXED])
     priors = [{"inverse_of": "model", "scale": scale} for scale in (1.0, 3.0)]
     runs = simulate_many(
         graph.diagram(), [{"dynamics.Gamma": prior} for prior in priors], 1.0, clock=graph.file.clock, start=graph.start
@@ -235,7 +238,7 @@ def test_a_batch_takes_matrices_and_priors() -> None:
 )
 def test_values_that_would_take_another_diagram_are_refused(overrides: list[str], value: Any, text: str) -> None:
     with pytest.raises(DmframeError) as fault:
-        with_values(load_experiment("arm2_joint", overrides).diagram(), {"dynamics.Gamma": value})
+        with_values(load_experiment("arm2_joint", [*overrides, UNBOXED]).diagram(), {"dynamics.Gamma": value})
     assert text in str(fault.value)
 
 
@@ -279,7 +282,7 @@ def test_the_report_of_a_full_gain_tells_its_range(tmp_path: Path, monkeypatch: 
 
 def prior_of(*overrides: str) -> np.ndarray:
     diagram = load_experiment(
-        "arm2_joint", ["dynamics.Gamma={inverse_of: model, scale: 2, others: 3}", *overrides]
+        "arm2_joint", ["dynamics.Gamma={inverse_of: model, scale: 2, others: 3}", UNBOXED, *overrides]
     ).diagram()
     found: np.ndarray = diagram.models["dynamics"].values["Gamma"]
     return found
@@ -311,13 +314,13 @@ def test_a_prior_is_exact_before_it_is_rounded_once() -> None:
 
 
 def test_a_prior_is_proved() -> None:
-    verdict = proof("arm2_joint", "dynamics.Gamma={inverse_of: model, scale: 0.1, others: 20}")
+    verdict = proof("arm2_joint", "dynamics.Gamma={inverse_of: model, scale: 0.1, others: 20}", UNBOXED)
     assert verdict.outcome == "proved", verdict.reason
 
 
 def learnt(*overrides: str) -> tuple[float, float]:
     """The tracking error of the last eighth, and how wrong the learnt torques are elsewhere, in parts of all."""
-    graph = load_experiment("arm2_joint", ["model.nominal=0.7", *overrides])
+    graph = load_experiment("arm2_joint", ["model.nominal=0.7", UNBOXED, *overrides])
     diagram = graph.diagram()
     run = simulate(diagram, 20.0, clock=graph.file.clock, start=graph.start)
     assert run.divergence is None

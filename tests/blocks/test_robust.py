@@ -27,6 +27,7 @@ LAWS = {
     "torque_direct_pid": ("inverse",),
     "torque_indirect_pi": ("inverse",),
 }
+UNBOXED = "dynamics.a_d_hat_box=null"  # a ball instead
 OPTIONS = ("leak", "error_leak", "dead_zone")
 
 
@@ -159,7 +160,7 @@ def test_the_json_and_the_page_tell_the_bound(
     [("[0, 10]", "proved"), ("[0, 3]", "not_applicable"), ("[0, 1e-3]", "not_applicable")],
 )
 def test_a_ball_is_proved_if_it_holds_the_true_value(ball: str, outcome: str) -> None:
-    verdict = proof("arm2_joint", f"dynamics.a_d_hat_ball={ball}")
+    verdict = proof("arm2_joint", f"dynamics.a_d_hat_ball={ball}", UNBOXED)
     assert verdict.outcome == outcome
     checked = {item.name: item for item in verdict.conditions}
     inside = checked["dynamics.a_d_hat: true value inside the ball"]
@@ -168,7 +169,7 @@ def test_a_ball_is_proved_if_it_holds_the_true_value(ball: str, outcome: str) ->
 
 
 def test_the_room_in_a_ball_is_that_of_the_true_parameters() -> None:
-    diagram = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 10]"]).diagram()
+    diagram = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 10]", UNBOXED]).diagram()
     true = np.concatenate([np.array(diagram.robot.inertia, dtype=float).ravel(), [1, 0.5]])
     verdict = verify(diagram)
     (found,) = (item.value for item in verdict.conditions if item.name.endswith("true value inside the ball"))
@@ -184,7 +185,7 @@ def test_the_translations_of_the_kinematics_are_kept_in_a_ball_too() -> None:
     [
         (
             ["dynamics.a_d_hat_ball=[0, 3]", "dynamics.a_d_hat_box=[-1, 3]"],
-            "dynamics: expected one of a_d_hat_box and a_d_hat_ball, found both",
+            "dynamics: expected one of a_d_hat_box and a_d_hat_ball, found both; a_d_hat_box: null takes the box away",
         ),
         (["dynamics.a_d_hat_ball=[0, -3]"], "dynamics.a_d_hat_ball: expected a radius > 0, found [0, -3]"),
         (["dynamics.a_d_hat_ball=3"], "dynamics.a_d_hat_ball: expected a ball [centre, radius], found 3"),
@@ -198,7 +199,7 @@ def test_wrong_use_is_told(overrides: list[str], text: str) -> None:
 
 
 def test_a_start_outside_its_ball_is_refused() -> None:
-    graph = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 2]", "dynamics.a_d_hat=1"])
+    graph = load_experiment("arm2_joint", ["dynamics.a_d_hat_ball=[0, 2]", "dynamics.a_d_hat=1", UNBOXED])
     with pytest.raises(DmframeError, match=r"expected a start inside a_d_hat_ball, found 2\.345 radii away"):
         simulate(graph.diagram(), 0.1, clock=graph.file.clock)
 
@@ -286,7 +287,13 @@ def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
 
 def test_a_report_says_that_the_proof_has_a_residual(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmframe.report.content.linear_view", lambda *_: LinearView("Not looked at."))
-    overrides = ["dynamics.leak=0.1", "inverse.dead_zone=0.1", "inverse.error_leak=1", "dynamics.a_d_hat_ball=[0, 10]"]
+    overrides = [
+        "dynamics.leak=0.1",
+        "inverse.dead_zone=0.1",
+        "inverse.error_leak=1",
+        "dynamics.a_d_hat_ball=[0, 10]",
+        UNBOXED,
+    ]
     graph = load_experiment("arm2_joint", [*overrides, "duration=1"])
     diagram = graph.diagram()
     found = Verification(graph, diagram, graph.verify(diagram))

@@ -140,7 +140,9 @@ def test_the_graphs_own_cell_changes_nothing_but_the_step(
     cell = study.Cell(task, 1.0, 1.0, 1.0, 1.0, study.TASKS[task], form, gains)
     plan, index = places_of(study, plans)[cell]
     name = f"ur10_{task}" + {"kinematic": "_kinematic", "position": "_tied_position"}.get(form, "")
-    changed, own = plan.points[index].graph.experiment, load_experiment(name)
+    boxes = ("dynamics.a_d_hat", "inverse.w", "inverse.w_P", "inverse.w_I") if gains and task == "fast" else ()
+    changed = plan.points[index].graph.experiment
+    own = load_experiment(name, [f"{estimate}_box=null" for estimate in boxes])  # they are no part of the paper's law
     assert changed.blocks == own.blocks
     assert (changed.file.clock, changed.file.duration) == (own.file.clock, own.file.duration)
 

@@ -29,7 +29,7 @@ struct Loop {
     double v_0, T, radius, rate, gamma;
     Vec3 center;
     Vec K_c, Lambda, Lambda_P, Lambda_I, K_D, K_P, K_I, B, D, lower[3], upper[3];
-    Par Gamma;
+    Par Gamma, a_lower, a_upper;
 
     explicit Loop(Reader in) {
         pin::JointIndex parent = 0;
@@ -57,6 +57,7 @@ struct Loop {
         center = in.take<Vec3>();
         radius = in.one(), rate = in.one(), gamma = in.one();
         for (Vec *v : {&K_c, &Lambda, &Lambda_P, &Lambda_I, &K_D, &K_P, &K_I, &B, &D}) *v = in.take<Vec>();
+        a_lower = in.take<Par>(), a_upper = in.take<Par>();
         for (int k = 0; k < 3; ++k) lower[k] = in.take<Vec>(), upper[k] = in.take<Vec>();
         Gamma = in.take<Par>();
     }
@@ -112,6 +113,7 @@ struct Controller {
         w_I += loop.T * loop.Lambda_I.cwiseProduct(z).cwiseProduct(sigma);
         z += loop.T * e_c;
         q_r += loop.T * dq_r;
+        a = a.cwiseMax(loop.a_lower).cwiseMin(loop.a_upper);
         w = w.cwiseMax(loop.lower[0]).cwiseMin(loop.upper[0]);
         w_P = w_P.cwiseMax(loop.lower[1]).cwiseMin(loop.upper[1]);
         w_I = w_I.cwiseMax(loop.lower[2]).cwiseMin(loop.upper[2]);

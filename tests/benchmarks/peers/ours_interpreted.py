@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import ClassVar, Literal
 
-from tests.benchmarks.loop import Array
+from tests.benchmarks.loop import TIMED, Array
 from tests.benchmarks.peer import Peer
 
 
@@ -20,7 +20,7 @@ class Loop(Peer):
     def build(self) -> None:
         from dmframe.config.experiment import load_experiment
 
-        self.graph = load_experiment(self.loop.graph)
+        self.graph = load_experiment(self.loop.graph, TIMED.get(self.loop.graph, ()))
         self.diagram = self.graph.diagram()
         self.wall: float | None = None
 
