@@ -93,7 +93,8 @@ class Gate:
         self.cuts = Counter[str]()
         """How many commands each rule has cut."""
         self._last, self._row = np.zeros(len(limits.joints)), 0
-        self._near = (np.full(len(limits.joints), -math.inf), np.full(len(limits.joints), math.inf))
+        self._near = (np.full(len(limits.joints), math.inf), np.full(len(limits.joints), -math.inf))  # far from limits
+        self._by = ""
 
     def admit(self, sample: Sample) -> Stop | None:
         """Rules 1 to 5; None for a sample to which the controller may answer."""

@@ -50,7 +50,7 @@ class Script:
 
     name, period = "script", 0.008
 
-    def __init__(self, samples: Sequence[Sample | Exception]) -> None:
+    def __init__(self, samples: Sequence[Sample | BaseException]) -> None:
         self.samples, self.told = list(samples), list[Any]()
 
     def connect(self) -> None:
@@ -58,7 +58,7 @@ class Script:
 
     def read(self) -> Sample:
         sample = self.samples.pop(0)
-        if isinstance(sample, Exception):
+        if isinstance(sample, BaseException):
             raise sample
         return sample
 
