@@ -53,6 +53,8 @@ class SimulatedRobot:
         How much earlier or later than on a perfect clock a sample may be [s].
     scaling
         By how much it slows down what it is commanded, as a speed slider.
+    slowed_from
+        When that begins, by its clock [s].
     payload
         A point mass at its tool of which nobody has told the controller [kg].
     """
@@ -71,6 +73,7 @@ class SimulatedRobot:
         delay: int = 0,
         lost: float = 0.0,
         scaling: float = 1.0,
+        slowed_from: float = 0.0,
         payload: float = 0.0,
     ) -> None:
         fields, _ = measured_as(diagram), velocity_command(diagram)
@@ -100,13 +103,19 @@ class SimulatedRobot:
             self._parts[name] = slice(first, first + expression.numel())
             first += expression.numel()
         self.name = f"sim:{delay}" if delay else "sim"
-        self.period, self.scaling = clock, scaling
+        self.period, self._slowed = clock, (slowed_from, scaling)
         self.engine = self._engine.name
         self._state, self._p, self._step, self._size = state[size:].copy(), loop.p_values, step, commands.numel()
         self._queue = deque([np.zeros(self._size) for _ in range(delay)])
         self._held, self._rows = np.zeros(self._size), np.zeros((1, columns.size))
         self._delay, self._lost, self._random = delay, lost, np.random.default_rng(seed)
         self._tick, self._told, self._fault = 0, False, ""
+
+    @property
+    def scaling(self) -> float:
+        """Of now, as a sample tells it."""
+        begin, scaling = self._slowed
+        return scaling if self._tick * self.period >= begin else 1.0
 
     def connect(self) -> None:
         """It is there."""

@@ -145,7 +145,7 @@ def test_what_the_controller_needs_and_the_robot_does_not_tell_is_refused_before
         assert not any(isinstance(each, np.ndarray) for each in robot.told)
     slow = Script(standing(3))
     slow.period = 0.002
-    with pytest.raises(DriveError, match="expected a robot with the graph's clock of 0.008 s, found one with 0.002 s"):
+    with pytest.raises(DriveError, match=r"expected a robot with the graph's clock of 0.008 s, found one with 0.002 s"):
         driven(graph(), slow, 3)
 
 
