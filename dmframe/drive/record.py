@@ -87,12 +87,11 @@ def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale:
 
 
 def _plain(diagram: Diagram, names: set[str]) -> dict[str, str]:
-    """The robot's own signals of these names, where no stand-in is measured for them."""
-    taken = {way.origin.port for way in diagram.ways}
+    """The robot's own signals of these names: what it tells is taken for them, also where an encoder stands between."""
     return {
         signal.label: signal.name
         for signal in diagram.loop.outputs
-        if signal.name in names - taken and diagram.blocks[signal.block].side is Side.PLANT
+        if signal.name in names and diagram.blocks[signal.block].side is Side.PLANT
     }
 
 

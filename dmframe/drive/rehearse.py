@@ -28,7 +28,7 @@ LONGEST: Final = 40.0
 """What is rehearsed of a longer graph, where nobody says otherwise [s]."""
 WORSE: Final = 3.0
 """A condition is borne where its error is at most so many times that without it, or below `SMALL`."""
-SMALL: Final = {"m": 1e-3, "rad": 1e-3}
+SMALL: Final = {"m": 2e-3, "rad": 2e-3}
 GROWS: Final = 2.0
 """And where its error has grown at most so many times as much as that one, from the second quarter to the last."""
 NEEDED: Final = 2
@@ -157,7 +157,6 @@ def conditions(clock: float, duration: float, payload: float) -> list[Condition]
         Condition(f"a jitter of {most}", {"jitter": clock / 4}),
         Condition("1 % of samples lost", {"lost": 0.01}),
         Condition("10 % of samples lost", {"lost": 0.1}, needed=False),
-        # estimates stand still while it is slow: it has learned before
         Condition("half of its speed, from the middle on", {"scaling": 0.5, "slowed_from": duration / 2}),
         Condition("a tenth of its speed, from the middle on", {"scaling": 0.1, "slowed_from": duration / 2}),
         Condition("a sample of delay, a jitter, 1 % lost", {"delay": 1, "jitter": clock / 4, "lost": 0.01}),

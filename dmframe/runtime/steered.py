@@ -6,7 +6,6 @@ from typing import final
 
 import numpy as np
 
-from dmframe.block.adapting import AdaptingBlock
 from dmframe.diagram import Diagram
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.robot import Sample
@@ -18,23 +17,14 @@ class Steered:
     """A controller in its own time, which runs `scale` times as fast as the robot's.
 
     A period of length T is then scale T long for it, and a velocity dq is dq / scale. So it sees the robot that it
-    knows, on a path that is passed more slowly. Friction and inertia do not scale alike: what it estimates stands still
-    meanwhile.
+    knows, on a path that is passed more slowly. Friction and inertia do not scale alike, so it goes on learning; a law
+    whose estimates are held is another one, which need not be stable.
     """
 
     def __init__(self, diagram: Diagram, controller: Controller) -> None:
         self.controller, self.fields = controller, measured_as(diagram)
         self.label = velocity_command(diagram)
         self.command = controller.commanded[self.label]
-        self.estimates = tuple(
-            label
-            for name, block in diagram.blocks.items()
-            if isinstance(block, AdaptingBlock)
-            for item in block.estimates
-            for label in (f"{name}.{item.name}", f"{name}.{item.memory}")
-            if label in controller.states
-        )
-        self._kept = {label: controller.states[label].copy() for label in self.estimates}
 
     @property
     def lacking(self) -> tuple[str, ...]:
@@ -49,15 +39,7 @@ class Steered:
     def step(self, sample: Sample, t: float, scale: float) -> bool:
         """Its command at its own time t [s] is then in `command`. False for a sample that it has refused."""
         self._feed(sample, scale)
-        period = self.controller.clock * (1 + sample.missed)
-        if scale == 1:
-            return self.controller.step(t, period)
-        for label, kept in self._kept.items():
-            kept[:] = self.controller.states[label]
-        taken = self.controller.step(t, scale * period)
-        for label, kept in self._kept.items():
-            self.controller.states[label][:] = kept
-        return taken
+        return self.controller.step(t, scale * (self.controller.clock * (1 + sample.missed)))
 
     def _feed(self, sample: Sample, scale: float) -> None:
         for label, name in self.fields.items():
