@@ -1,4 +1,4 @@
-"""The robots that can be driven, by what is typed: ``sim``, ``sim:2``."""
+"""The robots that can be driven, by what is typed: ``sim``, ``sim:2``, ``ur:192.168.0.2``."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, final
 
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import SYMBOLIC
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DriveError, UnknownNameError, ValueFault
+from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot
+from dmframe.runtime.ur import JOINTS, UniversalRobot
 from dmframe.simulate.engine import Choice
 
 MOST_DELAY: Final = 100
@@ -59,7 +65,36 @@ def _simulated(text: str, experiment: Experiment, diagram: Diagram, duration: fl
     return simulated_robot(experiment, diagram, duration, engine, delay=int(text or 0))
 
 
-KINDS: Final[dict[str, Kind]] = {"sim": Kind(real=False, make=_simulated)}
+def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+    del duration, engine
+    if not text:
+        raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
+    robot = diagram.robot
+    strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
+    if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
+        raise DriveError(
+            f"--robot ur: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
+        )
+    section = experiment.file.robot
+    return UniversalRobot(
+        text, clock_of(experiment), robot.joint_names, _tool(robot), dict(section.hold) if section is not None else {}
+    )
+
+
+def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Q -> where the graph has the tool."""
+    with SYMBOLIC:
+        symbolic, q = SymbolicRobot(robot), ca.SX.sym("q", robot.n)
+        symbols = ca.veccat(*(constant.symbol for constant in symbolic.constants))
+        (x,) = ca.substitute([symbolic.position(q)], [symbols], [ca.veccat(*map(ca.DM, symbolic.values().values()))])
+        found = ca.Function("tool", [q], [x])
+    return lambda q: np.asarray(found(q)).ravel()
+
+
+KINDS: Final[dict[str, Kind]] = {
+    "sim": Kind(real=False, make=_simulated),
+    "ur": Kind(real=True, make=_universal),
+}
 """By what stands before the colon."""
 
 

@@ -144,6 +144,11 @@ def _run(
             return stop
         if (apart := float(np.max(np.abs(sample.q - plan.start)))) > gate.limits.deviation:
             return Stop("start", f"the robot ended its way to the start {apart:.3g} rad from it")
+    if not plan.shadow:
+        robot.begin()
+        sample = robot.read()
+        if stop := gate.admit(sample):
+            return stop
     steered.begin(sample)
     return _loop(steered, robot, gate, plan, asked, journal, sample)
 

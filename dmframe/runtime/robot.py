@@ -64,6 +64,9 @@ class Robot(Protocol):
     def read(self) -> Sample:
         """Wait for the robot's next sample."""
 
+    def begin(self) -> None:
+        """Take commands from now on; called once, where the robot stands at its start."""
+
     def command(self, dq: np.ndarray) -> None:
         """Move with these velocities [rad/s] for one period."""
 

@@ -131,6 +131,10 @@ class SimulatedRobot:
         self._told = True
         return self._sample(missed)
 
+    def begin(self) -> None:
+        """It takes no time: the next sample is that of the same instant."""
+        self._told = False
+
     def command(self, dq: np.ndarray) -> None:
         """See `Robot`."""
         self._held = np.array(dq, dtype=float)

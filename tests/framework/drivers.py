@@ -60,7 +60,11 @@ class Script:
         sample = self.samples.pop(0)
         if isinstance(sample, BaseException):
             raise sample
+        self.last = sample
         return sample
+
+    def begin(self) -> None:
+        self.samples.insert(0, self.last)
 
     def command(self, dq: np.ndarray) -> None:
         self.told.append(dq.copy())
