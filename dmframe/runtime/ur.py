@@ -132,7 +132,7 @@ class UniversalRobot:
         )
         self._rtde: Rtde | None = None
         self._beat, self._following, self._last = 0, False, float("nan")
-        self._sent = dict[int, float]()
+        self._sent, self._scripted = dict[int, float](), False
 
     def connect(self) -> None:
         """See `Robot`."""
@@ -194,11 +194,11 @@ class UniversalRobot:
 
     def stop(self, deceleration: float) -> None:
         """Its script ends and stops the arm; where it does not, a script that does nothing else is sent."""
-        if self._rtde is None:
+        if self._rtde is None or not self._scripted:  # nothing of ours runs there
             return
-        self._following = False
+        following, self._following = self._following, False
         with suppress(LostError):  # the other port may still be heard
-            for _ in range(round(1 / self.period)):
+            for _ in range(round(1 / self.period) if following else 0):
                 self._write(np.zeros(6), 0)
                 told = self._newest(PATIENCE * self.period)
                 if told["runtime_state"] != PLAYING:
@@ -225,6 +225,7 @@ class UniversalRobot:
         self._beat += 1
 
     def _upload(self, script: str) -> None:
+        self._scripted = True
         link = self._linked(self._host, SCRIPTS)
         try:
             link.send(script.encode())

@@ -213,6 +213,21 @@ def test_it_is_moved_with_the_held_joints_where_the_graph_has_them() -> None:
     assert not any(any(row[2:]) for row in arm.written)
 
 
+def test_an_arm_that_is_not_admitted_gets_no_script_and_one_on_its_way_is_stopped_at_once() -> None:
+    arm, graph = Arm(), dm.load("ur10_fast")
+    arm.values["safety_mode"] = 3
+    assert str(driven(graph, driver(arm), 3).stop) == "robot: protective stop"
+    assert arm.scripts == []
+    arm = Arm()
+    arm.values["runtime_state"] = 2
+    robot = driver(arm)
+    robot.connect()
+    robot._upload("def dmframe_move():\n  movej([0, 0, 0, 0, 0, 0])\nend\n")
+    robot.stop(3.0)
+    assert arm.scripts[-1] == "def dmframe_stop():\n  stopj(3.0)\nend\n"
+    assert arm.written == []
+
+
 def test_samples_that_wait_are_skipped_for_the_newest_and_counted() -> None:
     arm = Arm()
     robot = driver(arm)
