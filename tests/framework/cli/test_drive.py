@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from dmframe.runtime import driving
 from dmframe.runtime.simulated import SimulatedRobot
 
 
@@ -98,6 +97,4 @@ def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: p
     assert said.status == 0
     assert "1 sample of delay, 8 ms" in said.out
     assert said.out.endswith("not kept for drive: that takes runs of 40 s\n")
-    told = json.loads(dmframe("rehearse", "ur10_fast", "--seconds", "0.4 s", "--json").out)
-    assert (told["passed"], told["kept"]) == (True, False)
-    assert driving.STILL < 0.1
+    assert not list(Path("state").rglob("*.json"))

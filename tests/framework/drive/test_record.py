@@ -105,9 +105,9 @@ def test_what_is_no_record_or_lacks_a_signal_is_told(tmp_path: Path) -> None:
         graph().replay(tmp_path / "other.nc")
     graph().drive(until="0.02 s", engine="interpreted").save(tmp_path / "arm", plots=False)
     with pytest.raises(
-        MissingError, match=r"expected a record with encoder.q_m, which this controller needs, found none"
+        MissingError, match=r"expected a record with encoder.dq_m, which this controller needs, found none"
     ):
-        dm.load("ur10_slow_sampled_delay").replay(tmp_path / "arm", engine="interpreted")
+        graph().reality({"encoder": {"step": 5e-5}}).replay(tmp_path / "arm", engine="interpreted")
 
 
 def test_a_robot_that_is_not_ready_gives_no_record() -> None:

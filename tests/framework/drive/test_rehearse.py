@@ -28,7 +28,7 @@ def tried(graph: dm.Graph, seconds: float, *more: Condition) -> Any:
 
 def test_a_sample_of_delay_is_borne_by_one_graph_and_not_by_another() -> None:
     late = Condition("1 sample of delay, 8 ms", {"delay": 1})
-    borne = tried(dm.load("ur10_fast"), 4.0, late)
+    borne = tried(dm.load("ur10_fast"), 1.0, late)
     assert borne.passed
     assert borne.sentence.startswith("ur10_fast may meet a robot, as far as a simulation can tell: it was tried on no")
     found = tried(dm.load("ur10_full"), 8.0, late)

@@ -207,7 +207,7 @@ def test_it_is_moved_with_the_held_joints_where_the_graph_has_them() -> None:
     arm = Arm()
     arm.values["actual_q"][4] = 0.0
     with pytest.raises(
-        DriveError, match="expected wrist_2_joint at -1.571 rad, where the graph holds it, found it at 0 rad"
+        DriveError, match=r"expected wrist_2_joint at -1.571 rad, where the graph holds it, found it at 0 rad"
     ):
         driven(graph, driver(arm), 3)
     assert not any(any(row[2:]) for row in arm.written)
