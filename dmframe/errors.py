@@ -166,3 +166,13 @@ class EngineError(DmframeError):
 @final
 class OutputError(DmframeError):
     """Results that cannot be written."""
+
+
+@final
+class DriveError(DmframeError):
+    """A robot that is not to be driven, or not by this graph."""
+
+
+@final
+class LostError(DmframeError):
+    """A robot that no longer answers."""

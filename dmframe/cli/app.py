@@ -15,6 +15,7 @@ from dmframe.cli.arguments import (
     Centre,
     Graphs,
     Least,
+    LimitsFile,
     Listed,
     OneGraph,
     Overrides,
@@ -283,6 +284,92 @@ def delay(
 
     duration = quantity("--until", until or RECORD, "s")
     return delay_of(one_graph(graph, overrides, trust=trust), duration=duration, as_json=as_json)
+
+
+@app.command()
+def rehearse(
+    graph: OneGraph,
+    seconds: Annotated[
+        str | None, typer.Option(metavar="S", help="Of each run; the graph's duration, 40 s at most, without it.")
+    ] = None,
+    payload: Annotated[
+        str | None, typer.Option(metavar="M", help="At the tool, not told; a twentieth of what moves without it.")
+    ] = None,
+    limits: LimitsFile = None,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Try in simulation what a robot does to a controller: delay, jitter, lost samples, a load, a speed slider."""
+    from dmframe.cli.drive import rehearse_graph
+    from dmframe.cli.graphs import one_graph
+
+    found = one_graph(graph, overrides, trust=trust)
+    return rehearse_graph(found, seconds=seconds, payload=payload, limits=limits, as_json=as_json)
+
+
+@app.command()
+def drive(
+    graph: OneGraph,
+    robot: Annotated[
+        str, typer.Option(metavar="ROBOT", help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST.")
+    ],
+    seconds: Annotated[
+        str | None, typer.Option(metavar="S", help="Time of the reference; the graph's duration without it.")
+    ] = None,
+    limits: LimitsFile = None,
+    ramp: Annotated[
+        str | None,
+        typer.Option(metavar="S", help="How long the first motion gathers speed; 0 for sim, else 1 s."),
+    ] = None,
+    shadow: Annotated[bool, typer.Option("--shadow", help="Compute, and send nothing.")] = False,
+    unrehearsed: Annotated[
+        bool, typer.Option("--without-a-passed-rehearsal", help="Drive a real robot all the same.")
+    ] = False,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
+    ] = None,
+    no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Drive a robot with a graph's controller, through the gate, and write what `run` writes.
+
+    Ctrl-C and SIGTERM bring the robot to rest. The gate is no safety function, and none of this was tried on hardware.
+    """
+    from dmframe.cli.drive import drive_graph
+    from dmframe.cli.graphs import one_graph
+
+    return drive_graph(
+        one_graph(graph, overrides, trust=trust),
+        robot=robot,
+        seconds=seconds,
+        limits=limits,
+        ramp=ramp,
+        shadow=shadow,
+        rehearsed=not unrehearsed,
+        out=out,
+        plots=not no_plots,
+        force=force,
+        as_json=as_json,
+    )
+
+
+@app.command()
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The folder of a drive or a run.", callback=home)],
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    as_json: AsJson = False,
+    trust: Trust = False,
+) -> int:
+    """Compute commands again from what was measured, and tell where they differ; 1 where they do."""
+    from dmframe.cli.drive import replay_log
+    from dmframe.cli.graphs import one_graph
+
+    return replay_log(log, one_graph(graph, overrides, trust=trust), as_json=as_json)
 
 
 @app.command()

@@ -70,6 +70,10 @@ Trust = Annotated[
     bool,
     typer.Option("--trust", help="Run the code of blocks in the graph's folder, though others may have written it."),
 ]
+LimitsFile = Annotated[
+    Path | None,
+    typer.Option("--limits", metavar="FILE", callback=home, help="Limits that are narrower than the robot's own."),
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
 

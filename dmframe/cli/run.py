@@ -52,7 +52,7 @@ def run_graphs(
         _ = graph.diagram
         if pages:
             _check_page(graph)
-    with _place(out, graphs, force=force) as place:
+    with placed_folder(out, graphs, force=force) as place:
         found, interrupted = _run_all(graphs, engine, as_json)
         if not found:
             return STOPPED
@@ -91,7 +91,7 @@ def _write_pages(place: Place, names: Sequence[str], graphs: Sequence[Graph]) ->
 
 
 @contextmanager
-def _place(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
+def placed_folder(out: Path | None, graphs: Sequence[Graph], *, force: bool) -> Iterator[Place]:
     """The folder that was named, or one named by the time, of which two runs may not have the same."""
     if out is not None:
         labels = labels_of([(graph.name, graph.experiment) for graph in graphs])

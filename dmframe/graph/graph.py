@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ from dmframe.units import plain, shorten, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
+    from dmframe.drive import Rehearsal, Replay
     from dmframe.page import Page
     from dmframe.report import Analysis, Explanation, Verification
     from dmframe.runtime import Controller
@@ -265,6 +266,103 @@ class Graph:
                 f"{self.name}: expected a clock such as 8 ms, found continuous; set one: set(clock='8 ms')"
             )
         return Controller(self.diagram, self.clock, start=self.experiment.start, engine=engine)
+
+    def drive(
+        self,
+        robot: str = "sim",
+        *,
+        until: float | str | None = None,
+        limits: str | Path | None = None,
+        ramp: float | str | None = None,
+        shadow: bool = False,
+        rehearsed: bool = True,
+        engine: Choice = "auto",
+        asked: Callable[[], str] = lambda: "",
+    ) -> Run:
+        """Drive a robot with its controller.
+
+        Parameters
+        ----------
+        robot
+            ``sim``, the graph's own, or ``sim:2``, that one two samples late.
+        until
+            Time of the reference; the graph's duration without it.
+        limits
+            A file; without it, the limits of the robot's model.
+        ramp
+            For how long the first motion gathers speed; none for a simulated robot.
+        shadow
+            Compute, and send nothing.
+        rehearsed
+            Ask for a passed rehearsal of this very graph before a real robot is driven.
+        asked
+            Called at each sample: what asks for a stop; empty for nothing.
+
+        Raises
+        ------
+        DmframeError
+            The graph drives no robot, the file has faults, or a real robot is not to be driven by it.
+        """
+        from dmframe.drive import driven, load_limits
+
+        recording = driven(
+            self.experiment,
+            self.diagram,
+            robot,
+            until=None if until is None else seconds("until", until),
+            limits=None if limits is None else load_limits(limits, self.robot),
+            ramp=None if ramp is None else to_unit(ramp, "s"),
+            shadow=shadow,
+            rehearsed=rehearsed,
+            engine=engine,
+            asked=asked,
+        )
+        return Run(self.experiment, recording)
+
+    def rehearse(
+        self,
+        until: float | str | None = None,
+        *,
+        payload: float | str | None = None,
+        limits: str | Path | None = None,
+        engine: Choice = "auto",
+    ) -> Rehearsal:
+        """Try in simulation what a real robot may do to it: delay, jitter, lost samples, a load, a speed slider.
+
+        Parameters
+        ----------
+        until
+            Time of each run.
+        payload
+            A mass at the tool of which it is not told [kg]; a twentieth of what moves without it.
+        limits
+            As of `drive`.
+        """
+        from dmframe.drive import load_limits, rehearsed
+
+        with telling(self.name) as tell:
+            return rehearsed(
+                self.experiment,
+                self.diagram,
+                seconds=None if until is None else seconds("until", until),
+                payload=None if payload is None else to_unit(payload, "kg"),
+                limits=None if limits is None else load_limits(limits, self.robot),
+                engine=engine,
+                tell=tell,
+            )
+
+    def replay(self, log: str | Path, *, engine: Choice = "auto") -> Replay:
+        """Its commands to what a drive or a run has measured, beside those of then.
+
+        Parameters
+        ----------
+        log
+            The folder of the results.
+        """
+        from dmframe.drive import replayed
+        from dmframe.files import expanded
+
+        return replayed(self.experiment, self.diagram, expanded(log), engine=engine)
 
     def explain(self) -> Explanation:
         """What each block does in it, which signals go where, and what its certificate says; the graph is proved."""

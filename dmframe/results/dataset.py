@@ -68,6 +68,9 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
         if not unit and dimensions == ("parameter",):
             said["units"] = "see parameter_unit"
         variables[label] = Labelled(("time", *dimensions), values, said)
+    for label, item in run.beside.items():
+        dimensions, values = _labelled(run.diagram, label, item.shape, item.values, entries)
+        variables[label] = Labelled(("time", *dimensions), values, {"units": item.unit or "1", "long_name": item.about})
     coordinates = {"time": Labelled(("time",), run.time, {"units": "s", "long_name": "time"})}
     for name, counted in entries.items():
         names = [element.name for element in counted]

@@ -1,4 +1,4 @@
-"""A controller outside of a simulation: one sample at a time, in real time."""
+"""A controller outside of a simulation: one sample at a time, in real time, and on a robot through a gate."""
 
 from dmframe.runtime.controller import Controller
 

@@ -73,7 +73,7 @@ class Controller:
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
         self._held = (inside, outside)  # what the call reads and writes by address
-        self._diagram, self._given = diagram, start or {}
+        self._diagram, self._given, self.clock = diagram, start or {}, clock
         call = None if engine == "interpreted" else self._machine_code(function)
         if call is None and engine == "compiled":
             raise EngineError("engine: expected a C compiler for the compiled engine, found none that works")
@@ -81,9 +81,13 @@ class Controller:
         self._call = call or self._virtual_machine(function)
         self.reset()
 
-    def step(self, t: float) -> bool:
-        """Commands at time t [s], and the states one period later. False for a sample that was refused."""
+    def step(self, t: float, period: float | None = None) -> bool:
+        """Commands at time t [s], and the states one period later. False for a sample that was refused.
+
+        `period` [s] is the time to the next sample where that is not the clock's, since one was lost, say.
+        """
         self._t[0] = t
+        self._period[0] = self.clock if period is None else period
         if self._call():
             return True
         self.refused += 1
@@ -105,7 +109,7 @@ class Controller:
             if not (np.isfinite(given).all() and math.isfinite(t)):
                 lacking = [name for name, array in self.measured.items() if not np.isfinite(array).all()] or ["t"]
                 raise ValueFault(f"controller: expected finite numbers to start from, not those of {listed(lacking)}")
-            self._z[:] = self._start_function(given, t, self._period, self._p).full().ravel()
+            self._z[:] = self._start_function(given, t, self.clock, self._p).full().ravel()
         else:
             self._z[:] = self._start
         self.refused = 0

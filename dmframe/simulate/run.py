@@ -36,6 +36,25 @@ MOST_TICKS = 10_000_000_000
 
 
 @final
+@dataclass(frozen=True)
+class Beside:
+    """What was recorded beside the diagram's signals: a row an instant, or a number.
+
+    Parameters
+    ----------
+    shape
+        In letters, as of a port.
+    about
+        What it is, in a few words.
+    """
+
+    values: np.ndarray
+    shape: str
+    unit: str
+    about: str
+
+
+@final
 @dataclass(frozen=True, repr=False)
 class Recording:
     """What a simulation recorded, up to its end or to where it diverged or was stopped.
@@ -48,6 +67,8 @@ class Recording:
         By label ``block.name``: (N, rows) arrays.
     ranks
         How close each matrix that must keep its rank came to losing it.
+    beside
+        What a robot told that was driven, ``robot.sent``.
     """
 
     diagram: Diagram
@@ -63,6 +84,7 @@ class Recording:
     engine: str
     notices: tuple[str, ...] = field(default=())
     ranks: tuple[Rank, ...] = field(default=())
+    beside: Mapping[str, Beside] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:
@@ -70,6 +92,8 @@ class Recording:
         return float(self.time[-1]) / self.wall_time if self.wall_time > 0 else float("inf")
 
     def __getitem__(self, label: str) -> np.ndarray:
+        if label in self.beside:
+            return self.beside[label].values
         return self.outputs[label] if label in self.outputs else self.states[label]
 
     def __repr__(self) -> str:
@@ -292,7 +316,7 @@ def prepare(
 ) -> Prepared:
     """Check what is asked, and build the functions of a tick."""
     check_clock(diagram, clock, jitter)
-    ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), _recorded(diagram)
+    ticks, matrices, outputs = ticks_of(duration, clock, solver), watched(diagram), moving_outputs(diagram)
     recorded = stack(signal.expression for signal in (*outputs, *matrices))
     step = build_step(diagram.loop, clock, solver, recorded, bounds_of(diagram), seed=seed, jitter=jitter)
     kept = keeping(diagram, log, outputs, matrices, step.period, ticks)
@@ -357,7 +381,7 @@ def check_run(
         ticks, period = ticks_of(duration, clock, solver), clock if clock is not None else solver.output
         check_clock(diagram, clock, jitter)
         Instants.of(diagram.loop, period, seed, jitter)
-        keeping(diagram, log, _recorded(diagram), watched(diagram), period, ticks)
+        keeping(diagram, log, moving_outputs(diagram), watched(diagram), period, ticks)
 
     faults = list[DmframeError]()
     for ask in (times_and_log, lambda: check_start(diagram, start)):
@@ -368,7 +392,7 @@ def check_run(
     raise_all(faults)
 
 
-def _recorded(diagram: Diagram) -> list[Signal]:
+def moving_outputs(diagram: Diagram) -> list[Signal]:
     """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}

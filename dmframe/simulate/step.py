@@ -210,6 +210,33 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     )
 
 
+def plant_step(
+    loop: ClosedLoop, clock: float, solver: Solver, shown: SX, bounds: np.ndarray, instants: Instants
+) -> Step:
+    """The tick of the plant alone: its state is the whole, and what it is commanded stands after what is drawn.
+
+    `shown`, in the plant's leaves, is recorded; commands count as numbers of `instants` that are drawn.
+    """
+    first = loop.state.numel() - stack(variable.symbol for variable in loop.plant).numel()
+    state, integrated = loop.state[first:], stack(variable.symbol for variable in loop.flowing)
+    commands, _ = columns(loop.commanded)
+    held, _ = loop.held_over_a_sample
+    stepped, rate, shown = _pruned(
+        loop,
+        loop.projected([loop.advanced, stack(variable.rate for variable in loop.flowing), shown], joined=False),
+    )
+    _, meanings = columns(loop.trajectories)
+    seen = [state, loop.w, ca.vertcat(loop.drawn, commands), loop.period, loop.p]
+    parts = Parts(
+        trajectory=ca.Function("trajectory", [loop.time, loop.p], [ca.vertcat(meanings, loop.time)]),
+        sample=ca.Function("sample", seen, ca.cse([loop.put_back(stepped)[first:], held])),
+        rate=ca.Function("plant", [integrated, held, loop.w, loop.p], [ca.cse(rate)]),
+        outputs=ca.Function("outputs", seen, [ca.cse(shown)]),
+        clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
+    )
+    return Step(parts, None, solver, instants, substeps_of(clock, solver), bounds)
+
+
 def substeps_of(clock: float | None, solver: Solver) -> int:
     """Integrator steps in a tick. Raises `EngineError` where they are too many to write out."""
     if solver.method not in FIXED:

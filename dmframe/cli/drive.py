@@ -1,0 +1,109 @@
+"""``dmframe drive``, ``rehearse`` and ``replay``: a controller on a robot, and what goes before and after."""
+
+from __future__ import annotations
+
+import json
+import signal
+from contextlib import ExitStack
+from pathlib import Path
+
+from dmframe.cli import STOPPED
+from dmframe.cli.run import placed_folder
+from dmframe.cli.signals import held_off
+from dmframe.cli.streams import tell
+from dmframe.errors import DmframeError, ValueFault
+from dmframe.graph import Graph
+from dmframe.graph.graph import seconds as time_of
+from dmframe.results.folder import drawing, write_data
+from dmframe.results.run import table_of
+from dmframe.units import shorten, to_unit
+
+NOT_BORNE = 1
+FAILED = 1
+
+
+def drive_graph(
+    graph: Graph,
+    *,
+    robot: str,
+    seconds: str | None,
+    limits: Path | None,
+    ramp: str | None,
+    shadow: bool,
+    rehearsed: bool,
+    out: Path | None,
+    plots: bool,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Drive, write the results and tell; returns the exit status.
+
+    Signals are noted meanwhile and asked for at each sample, so that the robot comes to rest in order.
+    """
+    graph = graph if seconds is None else graph.until(time_of("--seconds", seconds))
+    _ = graph.diagram
+    gathers = None if ramp is None else _not_negative("--ramp", ramp, "s")
+    with ExitStack() as stack:
+        place = stack.enter_context(placed_folder(out, [graph], force=force))
+        with held_off() as came:
+            run = graph.drive(
+                robot,
+                limits=limits,
+                ramp=gathers,
+                shadow=shadow,
+                rehearsed=rehearsed,
+                asked=lambda: _named(came[0]) if came else "",
+            )
+            draw = stack.enter_context(drawing([run] if plots else ()))
+            summaries = write_data(place, [run])
+        tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
+        if plots and not came:
+            draw(place)
+    if came:
+        return STOPPED
+    return FAILED if run.recording.interrupted else 0
+
+
+def _named(number: int) -> str:
+    return "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+
+
+def _not_negative(option: str, text: str, unit: str) -> float:
+    try:
+        found = to_unit(text, unit)
+    except DmframeError as error:
+        raise ValueFault(f"{option} {shorten(text)}: {error.text}") from None
+    if found < 0:
+        raise ValueFault(f"{option} {shorten(text)}: expected a number in {unit} of 0 or above")
+    return found
+
+
+def rehearse_graph(
+    graph: Graph, *, seconds: str | None, payload: str | None, limits: Path | None, as_json: bool
+) -> int:
+    """Rehearse and tell; one that is passed is kept for `drive`, where no run was cut short."""
+    from dmframe.drive.kept import keep
+    from dmframe.drive.rehearse import LONGEST
+
+    _ = graph.diagram
+    until = None if seconds is None else time_of("--seconds", seconds)
+    found = graph.rehearse(
+        until, payload=None if payload is None else _not_negative("--payload", payload, "kg"), limits=limits
+    )
+    whole = found.seconds >= min(graph.duration, LONGEST)
+    if whole or not found.passed:
+        keep(graph.experiment, found.summary)
+    if as_json:
+        tell(json.dumps({**found.summary, "kept": whole and found.passed}, indent=2))
+    else:
+        tell(str(found))
+        if found.passed and not whole:
+            tell(f"not kept for drive: that takes runs of {min(graph.duration, LONGEST):g} s")
+    return 0 if found.passed else NOT_BORNE
+
+
+def replay_log(log: Path, graph: Graph, *, as_json: bool) -> int:
+    """Play a record again and tell; 1 where commands differ."""
+    found = graph.replay(log)
+    tell(json.dumps(found.summary, indent=2) if as_json else str(found))
+    return 0 if found.differs is None else 1

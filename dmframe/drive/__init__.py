@@ -1,0 +1,8 @@
+"""A graph's controller on a robot: limits, rehearsal, the drive itself, and its record played again."""
+
+from dmframe.drive.drive import driven
+from dmframe.drive.limits import load_limits, own_limits
+from dmframe.drive.rehearse import Rehearsal, rehearsed
+from dmframe.drive.replay import Replay, replayed
+
+__all__ = ["Rehearsal", "Replay", "driven", "load_limits", "own_limits", "rehearsed", "replayed"]

@@ -1,0 +1,113 @@
+"""One graph on one robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from dmframe.block.model import SYMBOLIC
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.drive.kept import passed
+from dmframe.drive.limits import own_limits
+from dmframe.drive.record import recording_of
+from dmframe.drive.robots import clock_of, kind_of
+from dmframe.errors import DriveError
+from dmframe.runtime.controller import Controller
+from dmframe.runtime.driving import Plan, drive
+from dmframe.runtime.gate import Gate, Limits
+from dmframe.runtime.steered import Steered
+from dmframe.simulate import Recording
+from dmframe.simulate.engine import Choice
+from dmframe.simulate.start import start_state
+
+RAMP: Final = 1.0
+"""For how long a real robot's first motion gathers speed, where nobody says otherwise [s]."""
+
+
+def steered_controller(experiment: Experiment, diagram: Diagram, engine: Choice = "auto") -> Steered:
+    """A graph's controller, ready for samples of a robot. Raises `DmframeError` for one that no robot can take."""
+    return Steered(diagram, Controller(diagram, clock_of(experiment), start=experiment.start, engine=engine))
+
+
+def driven(
+    experiment: Experiment,
+    diagram: Diagram,
+    robot: str,
+    *,
+    until: float | None = None,
+    limits: Limits | None = None,
+    ramp: float | None = None,
+    shadow: bool = False,
+    rehearsed: bool = True,
+    engine: Choice = "auto",
+    asked: Callable[[], str] = lambda: "",
+) -> Recording:
+    """Drive a robot with a graph's controller, and return what was recorded.
+
+    Parameters
+    ----------
+    robot
+        ``sim``, or ``sim:2``: the graph's own, two samples late.
+    until
+        Time of the reference [s]; the graph's duration without it.
+    limits
+        Without them, those of the robot's model.
+    ramp
+        For how long the first motion gathers speed [s]; none for a simulated robot, else a second.
+    rehearsed
+        Ask for a passed rehearsal of the same graph before a real robot is driven.
+    asked
+        Called at each sample: what asks for a stop; empty for nothing.
+
+    Raises
+    ------
+    DriveError
+        The graph cannot drive a robot, or a real one is not to be driven by it.
+    LostError
+        Nobody answers at the beginning, or not one sample came.
+    """
+    kind, rest = kind_of(robot)
+    duration = experiment.file.duration if until is None else until
+    held = limits or own_limits(diagram.robot)
+    if kind.real and not shadow:
+        _check_real(experiment, held, rehearsed)
+    steered = steered_controller(experiment, diagram, engine)  # all is compiled before the loop
+    with SYMBOLIC:
+        start = _start(experiment, diagram)
+    driver = kind.make(rest, experiment, diagram, duration, engine)
+    plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
+    found = drive(steered, driver, Gate(held, driver.period), plan, asked)
+    recording = recording_of(
+        diagram, steered, found, robot=robot, until=duration, solver=experiment.solver, shadow=shadow
+    )
+    if recording is None:
+        raise DriveError(f"{robot}: the robot was stopped before its first command: {found.stop}")
+    return recording
+
+
+def _check_real(experiment: Experiment, limits: Limits, rehearsed: bool) -> None:
+    if limits.acceleration is None or not np.isfinite(limits.acceleration).all():
+        raise DriveError(
+            "expected limits with an acceleration for a real robot, which its model does not state: --limits FILE with "
+            "acceleration: 4 rad/s^2"
+        )
+    if rehearsed and not passed(experiment):
+        raise DriveError(
+            f"{experiment.name}: expected a graph whose rehearsal was passed, found none of exactly this graph; run: "
+            f"dmframe rehearse {experiment.name}"
+        )
+
+
+def _start(experiment: Experiment, diagram: Diagram) -> np.ndarray | None:
+    """Where the graph's robot begins: the state q of the plant."""
+    column, first = start_state(diagram, experiment.start), 0
+    own = {variable.label for variable in diagram.loop.plant}
+    for variable in diagram.loop.variables:
+        size = variable.symbol.numel()
+        if variable.label in own and variable.name == "q":
+            return np.asarray(column[first : first + size])
+        first += size
+    return None

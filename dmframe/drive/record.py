@@ -1,0 +1,151 @@
+"""A drive as a recording: the same signals, files and figures as of a simulation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import SYMBOLIC
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import Signal, stack
+from dmframe.port import Side
+from dmframe.runtime.driving import Driven
+from dmframe.runtime.steered import Steered
+from dmframe.simulate import Recording, Solver
+from dmframe.simulate.run import Beside, moving_outputs
+from dmframe.units import plain
+
+
+def recording_of(
+    diagram: Diagram, steered: Steered, driven: Driven, *, robot: str, until: float, solver: Solver, shadow: bool
+) -> Recording | None:
+    """What was recorded; None where not one sample was.
+
+    Time is the controller's own; the robot's stands beside it. Hidden signals, such as its torques, a robot does not
+    tell, and they are not there. Signals of the controller that are not states are computed from what it was given.
+    """
+    journal = driven.journal
+    count = len(journal.commands)
+    if not count:
+        return None
+    states = {label: np.array([row[label] for row in journal.states[:count]]) for label in journal.states[0]}
+    samples = journal.samples[:count]
+    measured = {
+        label: np.array([getattr(sample, name) for sample in samples]) for label, name in steered.fields.items()
+    }
+    commands = {steered.label: np.array(journal.commands)}
+    time, scale = np.array(journal.reference[:count]), np.array(journal.scale[:count])
+    missed = np.array([sample.missed for sample in samples], dtype=float)
+    period = steered.controller.clock * (1 + missed) * scale
+    known = _plain(diagram, {"q", "dq", "q_c", "x"})
+    told = {
+        label: np.array([getattr(sample, name) for sample in samples])
+        for label, name in known.items()
+        if label not in measured and getattr(samples[0], name) is not None
+    }
+    seen = _velocities_scaled(measured, steered, scale)
+    outputs = {**_computed(diagram, states, seen, time, period), **told, **measured, **commands}
+    hidden = {variable.label for variable in diagram.loop.controller if not variable.recorded}
+    answer = np.full(count, np.nan)
+    answer[: len(journal.answer)] = journal.answer[:count]
+    beside = {
+        "robot.time": Beside(np.array(journal.time[:count])[:, None], "", "s", "time of the robot's clock"),
+        "robot.scale": Beside(scale[:, None], "", "", "how fast the controller's time ran by it"),
+        "robot.missed": Beside(missed[:, None], "", "", "samples lost before this one"),
+        "robot.sent": Beside(np.array(journal.sent[:count]), "n", "rad/s", "what the gate let through"),
+        "robot.answer": Beside(answer[:, None], "", "s", "from the sample to the command, on this computer"),
+    }
+    ages = [sample.age for sample in samples]
+    if all(age is not None for age in ages):
+        beside["robot.age"] = Beside(np.array(ages, dtype=float)[:, None], "", "s", "age of the command last taken")
+    return Recording(
+        diagram=diagram,
+        clock=steered.controller.clock,
+        duration=until,
+        solver=solver,
+        time=time,
+        states={label: values for label, values in states.items() if label not in hidden},
+        outputs=outputs,
+        divergence=None,
+        interrupted=driven.stop is not None,
+        wall_time=driven.wall_time,
+        engine=steered.controller.engine,
+        notices=_notices(driven, robot, shadow, answer, missed, beside),
+        beside=beside,
+    )
+
+
+def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
+    """What the controller was given."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {
+            label: rows if steered.fields[label] != "dq" else np.where(scale[:, None] == 1, rows, rows / scale[:, None])
+            for label, rows in measured.items()
+        }
+
+
+def _plain(diagram: Diagram, names: set[str]) -> dict[str, str]:
+    """The robot's own signals of these names: what it tells is taken for them, also where an encoder stands between."""
+    return {
+        signal.label: signal.name
+        for signal in diagram.loop.outputs
+        if signal.name in names and diagram.blocks[signal.block].side is Side.PLANT
+    }
+
+
+def _computed(
+    diagram: Diagram, states: dict[str, np.ndarray], measured: dict[str, np.ndarray], time: Any, period: Any
+) -> dict[str, np.ndarray]:
+    """Outputs of the controller and of trajectories, row by row."""
+    loop = diagram.loop
+    plant = stack(variable.symbol for variable in loop.plant)
+    with SYMBOLIC:
+        own = [signal for signal in moving_outputs(diagram) if diagram.blocks[signal.block].side is not Side.PLANT]
+        column = loop.projected([stack(signal.expression for signal in own)], joined=False)[0]
+        column = ca.cse(loop.on_path(column))
+        z, given = stack(v.symbol for v in loop.controller), stack(leaf.symbol for leaf in loop.measured)
+        if ca.depends_on(column, plant):
+            own, column = _without(own, loop, plant)
+        f = ca.Function("outputs", [z, given, loop.time, loop.period, loop.p], [column])
+        rows = [np.zeros((len(time), 0)), *(states[variable.label] for variable in loop.controller)]
+        inputs = [np.zeros((len(time), 0)), *(measured[leaf.name] for leaf in loop.measured)]
+        p = np.repeat(loop.p_values[:, None], len(time), axis=1)
+        found = f.map(len(time))(np.hstack(rows).T, np.hstack(inputs).T, time[None], period[None], p).full().T
+    parts, first = dict[str, np.ndarray](), 0
+    for signal in own:
+        size = signal.expression.numel()
+        parts[signal.label] = np.ascontiguousarray(found[:, first : first + size])
+        first += size
+    return parts
+
+
+def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], Any]:
+    kept, columns = list[Signal](), [ca.SX(0, 1)]
+    for signal in own:
+        column = loop.on_path(loop.projected([stack([signal.expression])], joined=False)[0])
+        if not ca.depends_on(column, plant):
+            kept.append(signal)
+            columns.append(column)
+    return kept, ca.cse(ca.vertcat(*columns))
+
+
+def _notices(
+    driven: Driven, robot: str, shadow: bool, answer: np.ndarray, missed: np.ndarray, beside: dict[str, Beside]
+) -> tuple[str, ...]:
+    found = [f"robot: {robot}, in shadow: nothing was sent" if shadow else f"robot: {robot}"]
+    taken = answer[np.isfinite(answer)]
+    if taken.size:
+        half, most, worst = (plain(float(value), "s") for value in np.percentile(taken, [50, 99, 100]))
+        found.append(f"a command took {half} to compute and send; of a hundred one took {most}, the longest {worst}")
+    if "robot.age" in beside:
+        ages = beside["robot.age"].values
+        half, worst = (plain(float(value), "s") for value in np.percentile(ages, [50, 100]))
+        found.append(f"measured latency: the robot acted on commands {half} old, {worst} at most")
+    if missed.any():
+        found.append(f"{int(missed.sum())} of {int(missed.sum()) + missed.size} samples were lost")
+    found += [f"the gate cut {count} commands by {rule}" for rule, count in driven.cuts.items()]
+    if driven.stop is not None:
+        found.append(f"the robot was stopped: {driven.stop}")
+    return tuple(found)

@@ -1,0 +1,106 @@
+"""The robots that can be driven, by what is typed: ``sim``, ``sim:2``, ``ur:192.168.0.2``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import SYMBOLIC
+from dmframe.config.experiment import Experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import DriveError, UnknownNameError, ValueFault
+from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.runtime.robot import Robot
+from dmframe.runtime.simulated import SimulatedRobot
+from dmframe.runtime.ur import JOINTS, UniversalRobot
+from dmframe.simulate.engine import Choice
+
+MOST_DELAY: Final = 100
+
+
+@final
+@dataclass(frozen=True)
+class Kind:
+    """A kind of driver.
+
+    Parameters
+    ----------
+    real
+        It moves something: limits and a rehearsal are asked for.
+    make
+        From what stands after the colon, the graph and the time to drive [s].
+    """
+
+    real: bool
+    make: Callable[[str, Experiment, Diagram, float, Choice], Robot]
+
+
+def simulated_robot(
+    experiment: Experiment, diagram: Diagram, duration: float, engine: Choice = "auto", **options: Any
+) -> SimulatedRobot:
+    """The graph's own robot; options as of `SimulatedRobot`."""
+    own = {key: experiment.settings[key] for key in ("start", "solver", "seed", "jitter")}
+    return SimulatedRobot(diagram, clock_of(experiment), duration=duration, engine=engine, **{**own, **options})
+
+
+def clock_of(experiment: Experiment) -> float:
+    """The sampling period [s]. Raises `DriveError` in continuous time."""
+    clock = experiment.file.clock
+    if clock is None:
+        raise DriveError(
+            f"{experiment.name}: expected a clock such as 8 ms, found continuous; set one: --set clock='8 ms'"
+        )
+    return clock
+
+
+def _simulated(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+    if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
+        raise ValueFault(
+            f"--robot sim:{text}: expected how many samples late commands act, sim:2, at most {MOST_DELAY}"
+        )
+    return simulated_robot(experiment, diagram, duration, engine, delay=int(text or 0))
+
+
+def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+    del duration, engine
+    if not text:
+        raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
+    robot = diagram.robot
+    strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
+    if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
+        raise DriveError(
+            f"--robot ur: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
+        )
+    section = experiment.file.robot
+    return UniversalRobot(
+        text, clock_of(experiment), robot.joint_names, _tool(robot), dict(section.hold) if section is not None else {}
+    )
+
+
+def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Q -> where the graph has the tool."""
+    with SYMBOLIC:
+        symbolic, q = SymbolicRobot(robot), ca.SX.sym("q", robot.n)
+        symbols = ca.veccat(*(constant.symbol for constant in symbolic.constants))
+        (x,) = ca.substitute([symbolic.position(q)], [symbols], [ca.veccat(*map(ca.DM, symbolic.values().values()))])
+        found = ca.Function("tool", [q], [x])
+    return lambda q: np.asarray(found(q)).ravel()
+
+
+KINDS: Final[dict[str, Kind]] = {
+    "sim": Kind(real=False, make=_simulated),
+    "ur": Kind(real=True, make=_universal),
+}
+"""By what stands before the colon."""
+
+
+def kind_of(name: str) -> tuple[Kind, str]:
+    """The kind of driver, and what stands after the colon. Raises `UnknownNameError`."""
+    word, _, rest = name.partition(":")
+    if word not in KINDS:
+        raise UnknownNameError(f"--robot {name}", "kind of robot", word, KINDS)
+    return KINDS[word], rest

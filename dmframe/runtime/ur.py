@@ -1,0 +1,255 @@
+"""A driver for arms of Universal Robots, by RTDE and a script that it sends.
+
+It was tried on no hardware. The script runs on the robot and reads registers from 24 on (those below belong to
+fieldbuses): it follows velocities as long as a heartbeat counts up, and brings the arm to rest when that stays away.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.errors import DriveError, LostError
+from dmframe.runtime.robot import Sample
+from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
+
+SCRIPTS: Final = 30002
+JOINTS: Final = tuple(
+    f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+)
+PATIENCE: Final = 5
+"""Periods without a heartbeat after which the arm comes to rest by itself, and without a sample after which we do."""
+AWAY: Final = 0.01
+"""How far a joint may be from where the graph holds it [rad]."""
+RUNNING, PLAYING = 7, 2
+SAFE: Final = (1, 2)
+MODES: Final = {
+    3: "protective stop",
+    4: "recovery",
+    5: "safeguard stop",
+    6: "emergency stop of the system",
+    7: "emergency stop of the robot",
+    8: "violation",
+    9: "fault",
+}
+OUTPUTS: Final = (
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "target_q",
+    "speed_scaling",
+    "target_speed_fraction",
+    "robot_mode",
+    "safety_mode",
+    "runtime_state",
+    "output_int_register_24",
+)
+INPUTS: Final = (
+    "input_int_register_24",
+    "input_int_register_25",
+    *(f"input_double_register_{24 + k}" for k in range(6)),
+)
+
+FOLLOW: Final = """def dmframe_follow():
+  global dm_wanted = [0, 0, 0, 0, 0, 0]
+  global dm_going = True
+  thread dm_move():
+    while dm_going:
+      speedj(dm_wanted, {acceleration}, get_steptime())
+    end
+  end
+  dm_beat = read_input_integer_register(24)
+  dm_silent = 0
+  dm_mover = run dm_move()
+  while dm_silent < {patience}:
+    dm_now = read_input_integer_register(24)
+    if dm_now == dm_beat:
+      dm_silent = dm_silent + get_steptime()
+    else:
+      dm_silent = 0
+      dm_beat = dm_now
+    end
+    if read_input_integer_register(25) == 0:
+      dm_silent = {patience}
+    end
+    dm_wanted[0] = read_input_float_register(24)
+    dm_wanted[1] = read_input_float_register(25)
+    dm_wanted[2] = read_input_float_register(26)
+    dm_wanted[3] = read_input_float_register(27)
+    dm_wanted[4] = read_input_float_register(28)
+    dm_wanted[5] = read_input_float_register(29)
+    write_output_integer_register(24, dm_beat)
+    sync()
+  end
+  dm_going = False
+  join dm_mover
+  stopj({deceleration})
+end
+"""
+"""`join` before `stopj`: two that move the joints at once are an error of the program."""
+
+
+@final
+class UniversalRobot:
+    """An arm by its address.
+
+    Parameters
+    ----------
+    joints
+        The graph's, in its order; the others of the six are held where the arm has them.
+    tool
+        q -> x, the graph's own kinematics: the maker's pose is in another frame.
+    held
+        Where the graph holds the others of the six [rad]; 0 without a word.
+    acceleration, deceleration
+        Of the script [rad/s^2].
+    linked
+        Opens a connection to a port; by TCP without it.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        period: float,
+        joints: Sequence[str],
+        tool: Callable[[np.ndarray], np.ndarray],
+        held: Mapping[str, float],
+        *,
+        acceleration: float = 40.0,
+        deceleration: float = 2.0,
+        linked: Callable[[str, int], Link] = Wire,
+    ) -> None:
+        self.name, self.period = f"ur:{host}", period
+        self._host, self._linked, self._tool = host, linked, tool
+        self._places = [JOINTS.index(name) for name in joints]
+        self._held = {JOINTS.index(name): held.get(name, 0.0) for name in JOINTS if name not in joints}
+        self._script = FOLLOW.format(
+            acceleration=acceleration, deceleration=deceleration, patience=round(PATIENCE * period, 6)
+        )
+        self._rtde: Rtde | None = None
+        self._beat, self._following, self._last = 0, False, float("nan")
+        self._sent, self._scripted = dict[int, float](), False
+
+    def connect(self) -> None:
+        """See `Robot`."""
+        self._rtde = Rtde(self._linked(self._host, PORT), 1 / self.period, OUTPUTS, INPUTS)
+
+    def read(self) -> Sample:
+        """See `Robot`; after five periods without a sample it is lost."""
+        return self._told(self._newest(PATIENCE * self.period))
+
+    def begin(self) -> None:
+        """Send the script, and wait until its heartbeat is heard.
+
+        Raises
+        ------
+        DriveError
+            A joint that the graph holds is elsewhere, so that its tool is, too.
+        """
+        q = self._newest(PATIENCE * self.period)["actual_q"]
+        for k, angle in self._held.items():
+            if abs(q[k] - angle) > AWAY:
+                raise DriveError(
+                    f"{self.name}: expected {JOINTS[k]} at {angle:.4g} rad, where the graph holds it, found it at "
+                    f"{q[k]:.4g} rad"
+                )
+        self._upload(self._script)
+        for _ in range(round(5 / self.period)):
+            self._write(np.zeros(6), 1)
+            told = self._newest(PATIENCE * self.period)
+            if told["output_int_register_24"] == self._beat - 1 and told["runtime_state"] == PLAYING:
+                self._following, self._last = True, float("nan")
+                return
+        raise LostError(f"{self.name}: its script does not answer; is the arm in remote control?")
+
+    def command(self, dq: np.ndarray) -> None:
+        """See `Robot`."""
+        wanted = np.zeros(6)
+        wanted[self._places] = dq
+        self._write(wanted, 1)
+
+    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
+        """By the maker's own `movej`."""
+        now = np.array(self._newest(2.0)["actual_q"])
+        goal = now.copy()
+        goal[self._places] = q
+        for k, angle in self._held.items():
+            goal[k] = angle
+        text = ", ".join(f"{angle:.9f}" for angle in goal)
+        self._upload(f"def dmframe_move():\n  movej([{text}], a={acceleration}, v={speed})\nend\n")
+        most = float(np.max(np.abs(goal - now))) / speed + 2 * speed / acceleration + 5
+        for _ in range(round(most / self.period)):
+            told = self._newest(2.0)
+            if told["safety_mode"] not in SAFE:
+                raise LostError(f"{self.name}: on its way to the start: {MODES.get(told['safety_mode'], 'a stop')}")
+            arrived = np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4
+            if arrived and told["runtime_state"] != PLAYING:
+                self._last = float("nan")
+                return
+        raise LostError(f"{self.name}: expected to be at the start within {most:.0f} s, and is not")
+
+    def stop(self, deceleration: float) -> None:
+        """Its script ends and stops the arm; where it does not, a script that does nothing else is sent."""
+        if self._rtde is None or not self._scripted:  # nothing of ours runs there
+            return
+        following, self._following = self._following, False
+        with suppress(LostError):  # the other port may still be heard
+            for _ in range(round(1 / self.period) if following else 0):
+                self._write(np.zeros(6), 0)
+                told = self._newest(PATIENCE * self.period)
+                if told["runtime_state"] != PLAYING:
+                    return
+        self._upload(f"def dmframe_stop():\n  stopj({deceleration})\nend\n")
+
+    def close(self) -> None:
+        """See `Robot`."""
+        if self._rtde is not None:
+            self._rtde.close()
+            self._rtde = None
+
+    def _newest(self, patience: float) -> Any:
+        if self._rtde is None:
+            raise LostError(f"{self.name}: there is no connection")
+        return self._rtde.read(patience)
+
+    def _write(self, dq: np.ndarray, follow: int) -> None:
+        if self._rtde is None:
+            raise LostError(f"{self.name}: there is no connection")
+        self._rtde.write(self._beat, follow, *dq.tolist())
+        self._sent[self._beat] = time.monotonic()
+        self._sent.pop(self._beat - 1000, None)
+        self._beat += 1
+
+    def _upload(self, script: str) -> None:
+        self._scripted = True
+        link = self._linked(self._host, SCRIPTS)
+        try:
+            link.send(script.encode())
+        finally:
+            link.close()
+
+    def _told(self, told: Any) -> Sample:
+        mode, stamp = told["safety_mode"], told["timestamp"]
+        fault = MODES.get(mode, f"safety mode {mode}") if mode not in SAFE else ""
+        if not fault and self._following and told["runtime_state"] != PLAYING:
+            fault = "its script has ended"
+        q = np.array(told["actual_q"])[self._places]
+        steps = (stamp - self._last) / self.period
+        self._last = stamp
+        sent = self._sent.get(told["output_int_register_24"])
+        return Sample(
+            time=stamp,
+            q=q,
+            dq=np.array(told["actual_qd"])[self._places],
+            q_c=np.array(told["target_q"])[self._places],
+            x=np.asarray(self._tool(q)).ravel(),
+            scaling=min(1.0, max(0.0, told["speed_scaling"] * told["target_speed_fraction"])),
+            ready=told["robot_mode"] == RUNNING,
+            fault=fault,
+            age=time.monotonic() - sent if sent is not None and self._following else None,
+            missed=max(0, round(steps) - 1) if np.isfinite(steps) else 0,
+        )

@@ -1,0 +1,100 @@
+"""``dmframe drive``, ``rehearse`` and ``replay``."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dmframe.runtime.simulated import SimulatedRobot
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> None:
+    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "0.16 s", "--out", "log", "--no-plots")
+    assert said.status == 0, said.err
+    assert "notice: robot: sim\n" in said.out
+    assert said.out.endswith("results: log\n")
+    assert sorted(path.name for path in Path("log").iterdir()) == [
+        "graph.yaml",
+        "provenance.json",
+        "signals.nc",
+        "summary.json",
+    ]
+    said = dmframe("replay", "log", "ur10_fast")
+    assert (said.status, said.out) == (0, "ur10_fast: inverse.dq_c of 21 samples of log: identical, bit by bit\n")
+    said = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=1", "--json")
+    assert said.status == 1
+    assert json.loads(said.out)["identical"] is False
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
+    dmframe: Any, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    stops, reads = list[float](), []
+    read, stop = SimulatedRobot.read, SimulatedRobot.stop
+
+    def signalled(self: SimulatedRobot) -> Any:
+        reads.append(1)
+        if len(reads) == 8:
+            os.kill(os.getpid(), number)
+        return read(self)
+
+    def noted(self: SimulatedRobot, deceleration: float) -> None:
+        stops.append(deceleration)
+        stop(self, deceleration)
+
+    monkeypatch.setattr(SimulatedRobot, "read", signalled)
+    monkeypatch.setattr(SimulatedRobot, "stop", noted)
+    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
+    assert said.status == 130
+    assert stops == [2.0]
+    name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
+    assert f"the robot was stopped: asked: {name}" in said.out
+    assert json.loads(Path("log/summary.json").read_text())["interrupted"] is True
+
+
+def test_a_stop_by_the_gate_has_another_status_and_its_reason(dmframe: Any) -> None:
+    Path("arm.yaml").write_text("dmframe-limits: 1\nbox: {y: [0.8 m, 1 m]}\n")
+    said = dmframe(
+        "drive", "ur10_fast", "--robot", "sim", "--seconds", "2 s", "--limits", "arm.yaml", "--out", "log", "--no-plots"
+    )
+    assert said.status == 1
+    assert "the robot was stopped: workspace: coordinate 2 of the tool is at 79" in said.out
+
+
+def test_wrong_words_are_told(dmframe: Any) -> None:
+    for words, told in (
+        (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
+        (["--robot", "sim:-1"], "--robot sim:-1: expected how many samples late commands act"),
+        (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
+        (["--robot", "sim", "--seconds", "0"], "--seconds 0: expected a time above zero"),
+        (["--robot", "sim", "--limits", "none.yaml"], "expected a limits file, found none"),
+    ):
+        said = dmframe("drive", "ur10_fast", *words)
+        assert said.status == 2
+        assert told in said.err
+        assert not Path("runs").exists() or not any(Path("runs").iterdir())
+    said = dmframe("drive", "pd_torque", "--robot", "sim", "--set", "clock=2 ms")
+    assert (said.status, "expected a graph that commands velocities" in said.err) == (2, True)
+
+
+def test_a_rehearsal_that_was_cut_short_is_not_kept(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dmframe.drive import rehearse
+
+    given = rehearse.conditions
+    monkeypatch.setattr(rehearse, "conditions", lambda *numbers: given(*numbers)[:2])
+    said = dmframe("rehearse", "ur10_fast", "--seconds", "0.4 s")
+    assert said.status == 0
+    assert "1 sample of delay, 8 ms" in said.out
+    assert said.out.endswith("not kept for drive: that takes runs of 40 s\n")
+    assert not list(Path("state").rglob("*.json"))

@@ -1,0 +1,117 @@
+"""What a drive leaves is what a run leaves, and what a record is played again with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import h5netcdf
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.errors import DriveError, MissingError
+from dmframe.results.run import Run
+
+
+@cache
+def graph() -> dm.Graph:
+    return dm.load("ur10_fast")
+
+
+@cache
+def drive() -> Run:
+    return graph().drive(until="0.4 s", engine="interpreted")
+
+
+def test_its_signals_are_those_of_the_run_bit_by_bit() -> None:
+    run, found = graph().run("0.4 s", engine="interpreted", progress=False).recording, drive().recording
+    assert found.duration == run.duration
+    assert found.time.tobytes() == run.time.tobytes()
+    assert set(found.states) == {label for label in run.states if not label.startswith(("arm", "servo"))}
+    own = set(run.outputs) & set(found.outputs)
+    assert {"path.x_d", "task.dq_r", "dynamics.tau_dc", "inverse.dq_c", "inverse.sigma", "arm.x"} <= own
+    for label in (*own, *found.states):
+        assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
+    for label in ("arm.q", "arm.dq", "servo.q_c"):
+        assert found[label].tobytes() == np.ascontiguousarray(run[label]).tobytes(), label
+    assert not any(label in found.outputs for label in ("servo.u", "arm.ddq", "arm.g"))  # no robot tells them
+    error, other = drive().error, Run(graph().experiment, run).error
+    assert error is not None
+    assert other is not None
+    assert error.rms_by_eighth == other.rms_by_eighth
+
+
+def test_the_signals_of_a_robot_that_is_slowed_down_are_those_that_its_controller_had() -> None:
+    found = graph().drive(until="0.2 s", ramp="0.1 s", engine="interpreted").recording
+    assert 0 < found["robot.scale"][0, 0] < 1
+    scaled = found["inverse.dq_c"] * found["robot.scale"]
+    np.testing.assert_allclose(found["robot.sent"], scaled, rtol=1e-12)
+    assert found["robot.time"][-1, 0] > found.time[-1]
+    around = found["path.x_d"][:, :2] - [-0.07, 0.67]
+    np.testing.assert_allclose(around @ around[0] / 0.15**2, np.cos(found.time), atol=1e-9)
+
+
+def test_its_files_hold_what_the_robot_was_told_with_units(tmp_path: Path) -> None:
+    drive().save(tmp_path / "out", plots=False)
+    with h5netcdf.File(tmp_path / "out" / "signals.nc", "r") as file:
+        for name, unit in (("sent", "rad/s"), ("answer", "s"), ("age", "s"), ("missed", "1"), ("scale", "1")):
+            assert file.variables[f"robot.{name}"].attrs["units"] == unit
+        assert file.variables["robot.sent"].dimensions == ("time", "joint")
+        assert file.variables["robot.scale"].dimensions == ("time",)
+    told = " ".join(drive().notices)
+    assert "robot: sim" in told
+    assert "measured latency" in told
+
+
+def test_every_figure_is_drawn_that_needs_no_hidden_signal() -> None:
+    assert {"error", "path", "commands", "estimates"} <= set(drive().plot())
+
+
+def test_a_record_played_again_is_identical_and_with_another_gain_it_is_not(tmp_path: Path) -> None:
+    late = graph().drive("sim:1", until="0.4 s", ramp="0.1 s", engine="interpreted")
+    late.save(tmp_path / "log", plots=False)
+    same = graph().replay(tmp_path / "log", engine="interpreted")
+    assert same.identical
+    assert (
+        str(same) == f"ur10_fast: inverse.dq_c of {len(late.time)} samples of {tmp_path / 'log'}: identical, bit by bit"
+    )
+    other = graph().set({"inverse.K_c": 0.9}).replay(tmp_path / "log" / "signals.nc", engine="interpreted")
+    assert other.differs is not None
+    assert "different\n  first at t = " in str(other)
+    apart = np.nanmax(np.abs(other.now - other.then))
+    assert other.summary["largest_difference"] == apart > 1e-6
+
+
+def test_one_wrong_number_of_a_measurement_is_found_where_it_is(tmp_path: Path) -> None:
+    run = drive()
+    measured = {label: values.copy() for label, values in run.recording.outputs.items()}
+    measured["arm.q"][30, 1] = measured["arm.q"][30, 1] + 1e-12
+    Run(run.experiment, replace(run.recording, outputs=measured)).save(tmp_path / "log", plots=False)
+    assert graph().replay(tmp_path / "log", engine="interpreted").differs == 30
+
+
+def test_a_run_is_played_again_too(tmp_path: Path) -> None:
+    graph().run("0.4 s", engine="interpreted", progress=False).save(tmp_path / "log", plots=False)
+    assert graph().replay(tmp_path / "log", engine="interpreted").identical
+
+
+def test_what_is_no_record_or_lacks_a_signal_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MissingError, match=r"expected a folder of results, or its signals.nc, found none"):
+        graph().replay(tmp_path / "none")
+    (tmp_path / "other.nc").write_text("nothing")
+    with pytest.raises(MissingError, match="expected a record as dmframe writes it, found another file"):
+        graph().replay(tmp_path / "other.nc")
+    graph().drive(until="0.02 s", engine="interpreted").save(tmp_path / "arm", plots=False)
+    with pytest.raises(
+        MissingError, match=r"expected a record with encoder.dq_m, which this controller needs, found none"
+    ):
+        graph().reality({"encoder": {"step": 5e-5}}).replay(tmp_path / "arm", engine="interpreted")
+
+
+def test_a_robot_that_is_not_ready_gives_no_record() -> None:
+    with pytest.raises(DriveError, match="the robot was stopped before its first command: deviation: "):
+        graph().set({"start": {"arm.q": [1.4, -1.0, 1.0], "servo.q_c": [1.4, -0.7, 1.0]}}).drive(
+            until="0.1 s", engine="interpreted"
+        )

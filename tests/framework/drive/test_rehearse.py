@@ -1,0 +1,128 @@
+"""A rehearsal says whether a controller may meet a robot, and a real one is driven after it alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.drive import kept, rehearse, robots
+from dmframe.drive.rehearse import Condition, conditions, rehearsed
+from dmframe.drive.robots import Kind
+from dmframe.errors import DriveError
+
+IDEAL = Condition("nothing, the ideal robot", {})
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def tried(graph: dm.Graph, seconds: float, *more: Condition) -> Any:
+    return rehearsed(graph.experiment, graph.diagram, seconds=seconds, engine="interpreted", tried=[IDEAL, *more])
+
+
+def test_a_sample_of_delay_is_borne_by_one_graph_and_not_by_another() -> None:
+    late = Condition("1 sample of delay, 8 ms", {"delay": 1})
+    borne = tried(dm.load("ur10_fast"), 1.0, late)
+    assert borne.passed
+    assert borne.sentence.startswith("ur10_fast may meet a robot, as far as a simulation can tell: it was tried on no")
+    found = tried(dm.load("ur10_full"), 8.0, late)
+    assert not found.passed
+    assert found.sentence.startswith(
+        "ur10_full may not meet a robot: it does not bear 1 sample of delay, 8 ms (stopped "
+    )
+    assert found.outcomes[0].why == ""
+    assert "command too fast" in found.outcomes[1].why
+
+
+def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
+    graph = dm.load("ur10_full")
+    found = tried(graph, 2.0, Condition("3 samples", {"delay": 3}, needed=False))
+    assert found.passed
+    assert found.outcomes[1].why.startswith("stopped after 1.")
+    assert "no, not asked for" in str(found)
+    assert [item["borne"] for item in found.summary["conditions"]] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("second", "last", "told"),
+    [
+        (0.006, 0.006, ""),
+        (0.006, 0.0061, "the error is above 6 mm"),
+        (0.002, 0.0039, ""),
+        (0.0019, 0.0039, "the error grows, from 1.9 mm in the second quarter"),
+        (0.002, np.nan, "the error is above 6 mm"),
+    ],
+)
+def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, told: str) -> None:
+    ideal = rehearse._Run("x - x_d", "m", 0.002, 0.002, "")
+    assert rehearse._why(rehearse._Run("x - x_d", "m", second, last, ""), ideal) == told
+
+
+def test_a_controller_that_is_late_by_far_shows_it() -> None:
+    found = tried(dm.load("ur10_fast"), 2.0, Condition("late", {"delay": 20}))
+    ideal, late = (item.error for item in found.outcomes)
+    assert ideal is not None
+    assert late is not None
+    assert late > 2 * ideal
+
+
+def test_delay_jitter_lost_samples_payload_and_slider_are_all_tried() -> None:
+    found = [condition.options for condition in conditions(0.008, 40.0, 1.0)]
+    assert {key for options in found for key in options} == {
+        "delay",
+        "jitter",
+        "lost",
+        "payload",
+        "scaling",
+        "slowed_from",
+    }
+    assert [options["delay"] for options in found if set(options) == {"delay"}] == [1, 2, 3]
+
+
+def test_a_pass_is_kept_for_exactly_this_graph_whatever_its_time() -> None:
+    experiment = dm.load("ur10_fast").experiment
+    assert not kept.passed(experiment)
+    kept.keep(experiment, {"passed": True})
+    assert kept.passed(experiment)
+    assert kept.passed(experiment.with_duration(3.0))
+    assert not kept.passed(experiment.changed({"task.gamma": 0.9}))
+    kept.keep(experiment, {"passed": False})
+    assert not kept.passed(experiment)
+
+
+def test_one_of_another_version_or_a_damaged_one_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    experiment = dm.load("ur10_fast").experiment
+    kept.keep(experiment, {"passed": True})
+    with monkeypatch.context() as patch:
+        patch.setattr(kept, "version", lambda: "0.0.0")
+        assert not kept.passed(experiment)
+    place = kept._place(experiment)
+    place.write_text("{")
+    assert not kept.passed(experiment)
+
+
+def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleration_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = robots.KINDS["sim"].make
+    monkeypatch.setitem(robots.KINDS, "real", Kind(real=True, make=lambda rest, *others: make("", *others)))
+    graph, file = dm.load("ur10_fast"), tmp_path / "arm.yaml"
+    file.write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\n")
+
+    def go(**options: Any) -> Any:
+        return graph.drive("real:host", until="0.08 s", engine="interpreted", ramp="0.02 s", **options)
+
+    with pytest.raises(DriveError, match="expected limits with an acceleration for a real robot"):
+        go(rehearsed=False)
+    with pytest.raises(DriveError, match="found none of exactly this graph; run: dmframe rehearse ur10_fast"):
+        go(limits=file)
+    assert go(limits=file, rehearsed=False).recording.time.size > 1
+    kept.keep(graph.experiment, {"passed": True})
+    assert go(limits=file).recording.time.size > 1
+    assert go(shadow=True).notices[0] == "robot: real:host, in shadow: nothing was sent"

@@ -1,0 +1,218 @@
+"""The loop: how a drive begins, how it ends, and what the robot is told then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from drivers import Script, driven, limits, simulated
+
+import dmframe as dm
+from dmframe.errors import DriveError, LostError
+from dmframe.runtime.driving import Driven
+from dmframe.runtime.robot import Sample
+
+Q = np.array([1.455411, -1.016031, 0.978316])
+X = np.array([0.08, 0.67, 0.55])
+
+
+@cache
+def graph() -> dm.Graph:
+    return dm.load("ur10_fast")
+
+
+def standing(ticks: int, **changed: Any) -> list[Any]:
+    """What a robot tells that does not move."""
+    return [replace(Sample(0.008 * k, Q, np.zeros(3), Q, X), **changed) for k in range(ticks)]
+
+
+def ended(samples: list[Any], ticks: int = 20, **plan: Any) -> tuple[Driven, Script]:
+    robot = Script(samples)
+    return driven(graph(), robot, ticks, **plan), robot
+
+
+def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
+    found, robot = ended(standing(21))
+    assert found.stop is None
+    assert robot.told[0] == "connect"
+    assert robot.told[-2:] == [("stop", 2.0), "close"]
+    assert len(robot.told) == 20 + 3  # a command a period
+    np.testing.assert_array_equal(robot.told[1:-2], found.journal.sent[:-1])
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        (LostError("no sample for 40 ms"), "lost link: no sample for 40 ms"),
+        (KeyboardInterrupt(), "asked: Ctrl-C"),
+        (standing(1, time=0.04, dq=np.full(3, np.nan))[0], "not finite: the robot tells dq = [nan, nan, nan]"),
+        (standing(1, time=0.04, fault="protective stop")[0], "robot: protective stop"),
+        (standing(1, time=0.04, ready=False)[0], "robot: it is not ready to move"),
+        (standing(1, time=0.04, missed=9)[0], "lost samples: 9 in a row, at most 5 may be"),
+        (standing(1, time=0.04, dq=np.full(3, 1e200))[0], "controller: from a sample followed what is not finite"),
+    ],
+)
+def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, told: str) -> None:
+    found, robot = ended([*standing(5), fault, *standing(20)])
+    assert str(found.stop) == told
+    assert robot.told[-2:] == [("stop", 2.0), "close"]
+    assert len(found.journal.sent) == 5
+    assert all(np.isfinite(command).all() for command in robot.told[1:-2])
+
+
+def test_a_robot_that_can_not_be_told_to_stop_is_told_of_with_the_first_reason() -> None:
+    class Gone(Script):
+        def stop(self, deceleration: float) -> None:
+            raise LostError("the connection is closed")
+
+    robot = Gone([*standing(5), LostError("no sample for 40 ms")])
+    found = driven(graph(), robot, 20)
+    assert str(found.stop) == (
+        "lost link: lost link: no sample for 40 ms; it could not be told to stop: the connection is closed"
+    )
+    assert robot.told[-1] == "close"
+
+
+def test_a_defect_stops_the_robot_too() -> None:
+    robot = Script(standing(5))
+    with pytest.raises(IndexError):  # of the list of samples
+        driven(graph(), robot, 20)
+    assert robot.told[-2:] == [("stop", 2.0), "close"]
+
+
+def test_asked_to_stop_it_does_at_the_next_sample() -> None:
+    calls = []
+
+    def asked() -> str:
+        calls.append(1)
+        return "SIGTERM" if len(calls) > 7 else ""
+
+    found, robot = ended(standing(21), asked=asked)
+    assert str(found.stop) == "asked: SIGTERM"
+    assert len(robot.told) == 7 + 3
+
+
+def test_a_clock_that_stands_is_read_again_and_then_lost() -> None:
+    samples = standing(21)
+    found, robot = ended([*samples[:4], *[samples[3]] * 3, *samples[4:]])
+    assert found.stop is None
+    assert len(robot.told) == 20 + 3  # no sample was used twice
+    found, _ = ended([*samples[:4], *[samples[3]] * 9])
+    assert str(found.stop) == "lost samples: its clock stands at 0.024 s"
+
+
+def test_in_shadow_nothing_is_sent_and_the_commands_are_the_same() -> None:
+    plain, _ = ended(standing(21))
+    found, robot = ended(standing(21), shadow=True)
+    assert robot.told == ["connect", "close"]
+    np.testing.assert_array_equal(found.journal.commands, plain.journal.commands)
+
+
+def test_it_is_moved_to_the_start_first_and_the_controller_begins_there() -> None:
+    away = Q + np.array([0.1, 0, 0])
+    found, robot = ended([Sample(0.0, away, np.zeros(3), away, X), *standing(21)], start=Q)
+    assert robot.told[1] == ("move", Q.tolist())
+    assert found.stop is None
+    np.testing.assert_array_equal(found.journal.states[0]["inverse.q_r"], Q)
+    found, robot = ended([Sample(0.0, away, np.zeros(3), away, X)], start=Q, shadow=True)
+    assert (found.stop is not None and found.stop.rule) == "start"
+    assert robot.told == ["connect", "close"]
+
+
+def test_a_robot_that_starts_elsewhere_goes_to_the_start_and_then_runs_as_ever() -> None:
+    q = (Q + 0.05).tolist()
+    robot = simulated(graph(), start={"arm.q": q, "servo.q_c": q})
+    found = driven(graph(), robot, 60, start=Q)
+    assert found.stop is None
+    assert found.journal.time[0] == found.journal.reference[0] == 0
+    np.testing.assert_allclose(found.journal.samples[0].q, Q, atol=5e-3)  # friction holds its servo a little off
+    run = graph().run("0.48 s", engine="interpreted", progress=False).recording
+    np.testing.assert_allclose(found.journal.commands, run["inverse.dq_c"], atol=0.01)
+
+
+def test_what_the_controller_needs_and_the_robot_does_not_tell_is_refused_before_it_moves() -> None:
+    for changed, told in (
+        ({"x": None}, "script: the controller needs x, which this robot does not tell"),
+        ({"q": np.zeros(6)}, "script: expected a robot with 3 joints, as the graph's, found 6"),
+    ):
+        robot = Script(standing(3, **changed))
+        with pytest.raises(DriveError) as raised:
+            driven(graph(), robot, 3)
+        assert str(raised.value) == told
+        assert not any(isinstance(each, np.ndarray) for each in robot.told)
+    slow = Script(standing(3))
+    slow.period = 0.002
+    with pytest.raises(DriveError, match=r"expected a robot with the graph's clock of 0.008 s, found one with 0.002 s"):
+        driven(graph(), slow, 3)
+
+
+def test_a_ramp_keeps_the_start_below_an_acceleration_that_it_would_else_pass() -> None:
+    held = limits(graph(), acceleration=np.full(3, 15.0))
+    steep = driven(graph(), simulated(graph()), 40, held=held)
+    assert steep.cuts["acceleration"] > 0
+    soft = driven(graph(), simulated(graph()), 40, held=held, ramp=0.16)
+    assert soft.cuts == {}
+    assert soft.journal.scale[0] == pytest.approx(0.05)
+    assert soft.journal.scale[-1] == 1
+    assert soft.journal.reference[-1] == pytest.approx(40 * 0.008, abs=0.009)
+    assert soft.journal.time[-1] == pytest.approx(40 * 0.008 + 0.08, abs=0.01)  # half of the ramp is spent
+
+
+class Hidden:
+    """A robot that does not tell how much it is slowed down."""
+
+    def __init__(self, robot: Any) -> None:
+        self._robot = robot
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+    def read(self) -> Sample:
+        return replace(self._robot.read(), scaling=1.0)
+
+
+def missed(found: Driven) -> float:
+    """How far the tool is from its path, the circle of the graph, in the second half [m]."""
+    x = np.array([sample.x for sample in found.journal.samples])
+    beside = np.hypot(x[:, 0] + 0.07, x[:, 1] - 0.67) - 0.15
+    return float(np.sqrt(np.mean(beside[len(x) // 2 :] ** 2)))
+
+
+def test_a_slowed_robot_goes_the_same_path_as_much_more_slowly() -> None:
+    full = driven(graph(), simulated(graph()), 250)
+    half = driven(graph(), simulated(graph(), scaling=0.5), 250)
+    assert half.stop is None
+    assert half.journal.time[-1] == pytest.approx(4.0, abs=0.01)
+    assert half.journal.reference[-1] == pytest.approx(2.0, abs=0.01)
+    np.testing.assert_allclose(half.journal.samples[-1].x, full.journal.samples[-1].x, atol=0.01)
+    ignorant = driven(graph(), Hidden(simulated(graph(), scaling=0.5)), 500)
+    assert missed(ignorant) > 2 * missed(half)
+
+
+def test_its_controller_sees_velocities_and_periods_of_its_own_time() -> None:
+    moving = [replace(sample, dq=np.full(3, 0.05), scaling=0.5) for sample in standing(3)]
+    found, _ = ended(moving, ticks=1)
+    controller = graph().controller(engine="interpreted")
+    for label, values in (("q", Q), ("dq", np.full(3, 0.1)), ("x", X)):
+        controller.measured[f"arm.{label}"][:] = values
+    controller.measured["servo.q_c"][:] = Q
+    controller.measured["arm.dq"][:] = 0.05
+    controller.reset(measured=True)
+    controller.measured["arm.dq"][:] = 0.1
+    controller.step(0.0, 0.004)
+    np.testing.assert_array_equal(found.journal.commands[0], controller.commanded["inverse.dq_c"])
+    for label, values in controller.states.items():
+        np.testing.assert_array_equal(found.journal.states[1][label], values)
+
+
+def test_a_robot_that_stands_still_is_waited_for() -> None:
+    samples = [replace(sample, scaling=0.0 if 5 <= k < 15 else 1.0) for k, sample in enumerate(standing(40))]
+    found, robot = ended(samples)
+    assert found.stop is None
+    reference = np.array(found.journal.reference)
+    assert reference[15] == pytest.approx(reference[5])
+    assert not np.any(robot.told[6:16])
+    assert found.journal.scale[5:15] == [0.0] * 10
