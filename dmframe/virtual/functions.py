@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 Waits = Generator[None, None, Any]
 STEADY: Final = 1e-3
 """Of speeds [rad/s] at which the robot counts as standing."""
-PAST: Final = 1000
-"""Samples of the joints' positions that are kept for scripts."""
 
 
 @final
@@ -155,6 +153,10 @@ class Functions:
         return _list(self._robot.q)
 
     get_joint_positions = get_actual_joint_positions
+
+    def get_actual_joint_positions_history(self, steps: Any = 0) -> list[float]:
+        past = self._robot.past
+        return _list(past[-1 - min(max(0, int(steps)), len(past) - 1)])
 
     def get_actual_joint_speeds(self) -> list[float]:
         return _list(self._robot.dq)

@@ -36,6 +36,9 @@ TOLERANCE: Final = 1e-3
 OVER: Final = 1.05
 """A measured speed over the limit by this factor stops the robot, for a servo overshoots what it is commanded."""
 
+PAST: Final = 1000
+"""Samples of the joints' angles that are kept for scripts."""
+
 
 class Listener(Protocol):
     """Somebody who is told of each cycle."""
@@ -129,6 +132,7 @@ class VirtualRobot:
         self.digital_outputs, self.analog_outputs, self.payload = 0, [0.0, 0.0], [0.0, 0.0, 0.0, 0.0]
         self.messages: deque[str] = deque(maxlen=1000)
         self.told = 0
+        self.past: deque[np.ndarray] = deque(maxlen=PAST)
         self.program: Program | None = None
         self.motion: Motion | None = None
         self.listeners: list[Listener] = []
@@ -263,6 +267,7 @@ class VirtualRobot:
     def _measure(self) -> None:
         self.q = self.arm.six(self.plant.q, self.arm.held)
         self.dq = self.arm.six(self.plant.dq)
+        self.past.append(self.q)
         if self.safety.ready:
             over = np.flatnonzero(np.abs(self.dq) > OVER * self.arm.velocity)
             if over.size:

@@ -153,10 +153,7 @@ class _Reader:
     def _end_of_line(self) -> None:
         if self._next.kind == "newline":
             self._at += 1
-        elif self._next.kind not in (
-            "over",
-            "word",
-        ):  # a keyword begins another one
+        elif self._next.kind not in ("over", "word"):  # a keyword begins another
             raise self._fault("the end of the line")
 
     # statements
