@@ -143,6 +143,7 @@ class Functions:
 
     def protective_stop(self) -> None:
         self._robot.protective_stop("asked for by the script")
+        raise Halted  # the robot has ended the program that runs here
 
     # what is measured
 

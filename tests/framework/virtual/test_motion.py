@@ -71,7 +71,7 @@ def test_movej_in_a_given_time() -> None:
 def test_movel_goes_along_a_straight_line() -> None:
     held = robot()
     start = held.arm.pose(held.q)
-    goal = start + [0.0, 0.0, 0.05, 0, 0, 0]
+    goal = start + np.array([0.0, 0.0, 0.05, 0, 0, 0])
     held.load_script(f"def p():\n movel(p{goal.tolist()}, a=1, v=0.2)\nend\n")
     while held.running:
         held.advance()

@@ -91,7 +91,7 @@ def test_the_flange_is_where_the_graph_has_it_turned_by_pi() -> None:
 
 def test_inverse_kinematics_come_back_to_the_pose() -> None:
     held = robot()
-    pose = held.arm.pose(held.q) + [0.02, -0.03, 0.01, 0.05, 0.02, -0.04]
+    pose = held.arm.pose(held.q) + np.array([0.02, -0.03, 0.01, 0.05, 0.02, -0.04])
     q = held.arm.inverse(pose, held.q)
     assert np.allclose(held.arm.pose(q), pose, atol=1e-8)
     step = 1e-6

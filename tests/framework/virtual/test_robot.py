@@ -127,12 +127,13 @@ STOPPING = {
 def test_a_limit_stops_the_robot_and_the_reason_is_named(text: str) -> None:
     held = robot("ur10_fast")
     held.registers.values["input_double_register_24"] = float("nan")
-    held.load_script(f"def p():\n {STOPPING[text]}\n sleep(5)\nend\n")
+    held.load_script(f"def p():\n {STOPPING[text]}\n textmsg(\"sleeps\")\n sleep(5)\nend\n")
     while held.running:
         held.advance()
     assert held.safety.reason.startswith(f"protective stop: {text}")
     assert held.safety.mode == 3
     assert np.isfinite(held.q).all()
+    assert not any("sleeps" in told for told in held.messages)
     at_rest_after(held)
     assert held.unlock()
     assert runs(held, "def p():\n speedj([0.1, 0, 0, 0, 0, 0], 4, 0.1)\nend\n").safety.ready
@@ -192,7 +193,11 @@ def test_a_watchdog_ends_the_program() -> None:
     held = robot("ur10_fast")
     client = Client(held)
     client.begin(["timestamp"], ["input_int_register_24"])
-    script = 'def p():\n rtde_set_watchdog("input_int_register_24", 50, "stop")\n speedj([0.1,0,0,0,0,0], 1, 9)\nend\n'
+    script = """def p():
+  rtde_set_watchdog("input_int_register_24", 50, "stop")
+  speedj([0.1, 0, 0, 0, 0, 0], 1, 9)
+end
+"""
     held.load_script(script)
     for beat in range(50):
         client.write("i", beat)
@@ -211,3 +216,14 @@ def test_a_watchdog_ends_the_program() -> None:
 def test_numbers_out_of_range_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueFault, match=f"{next(iter(wrong))}: expected"):
         robot("ur10_fast", **wrong)
+
+
+def test_in_real_time_it_runs_beside_the_program_that_holds_it() -> None:
+    with robot("ur10_fast", series="cb3") as held:
+        with held.in_background():
+            while held.cycles < 3:
+                pass
+        assert held.cycles >= 3
+        ended = held.cycles
+        held.advance()
+        assert held.cycles == ended + 1

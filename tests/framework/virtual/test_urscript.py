@@ -199,7 +199,7 @@ def test_a_fault_while_it_runs_ends_it_and_tells_the_line(body: str, line: int, 
     ],
 )
 def test_what_is_no_script_is_refused(script: str, text: str) -> None:
-    with pytest.raises(ScriptError, match=".*") as told:
+    with pytest.raises(ScriptError) as told:
         held().load_script(script)
     assert text in str(told.value)
 
