@@ -71,6 +71,7 @@ class Program:
     def __init__(self, text: str, robot: VirtualRobot) -> None:
         found = transpiled(text, names_of(Functions), waiting_of(Functions))
         self.name, self._lines = found.name or "a line of script", found.lines
+        self.secondary = found.secondary
         self._robot, self._functions = robot, Functions(robot, self)
         self._globals = dict[str, Any]()
         self._turns = 0
@@ -134,6 +135,8 @@ class Program:
 
     def claim(self) -> Thread | None:
         """The thread that runs now is the one that moves the robot. Raises `ScriptError` where another does."""
+        if self.secondary:
+            raise ScriptError("a secondary program moves nothing; begin it with def")
         mover = self.mover
         if mover is not None and mover is not self.current and mover.alive:
             raise ScriptError(f"thread {mover.name} already moves the robot; kill or join it before another motion")

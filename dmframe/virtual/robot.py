@@ -134,6 +134,7 @@ class VirtualRobot:
         self.told = 0
         self.past: deque[np.ndarray] = deque(maxlen=PAST)
         self.program: Program | None = None
+        self.beside: list[Program] = []
         self.motion: Motion | None = None
         self.listeners: list[Listener] = []
         self.watchdogs: dict[str, tuple[int, str]] = {}
@@ -224,6 +225,11 @@ class VirtualRobot:
             fault = self.program.cycle()
             if fault is not None:
                 self.end_program(fault)
+        for beside in list(self.beside):
+            if (fault := beside.cycle()) is not None:
+                self.beside.remove(beside)
+                beside.close()
+                self.tell(f"{beside.name} ends: {fault}")
         self._move()
         self.cycles += 1
         self._measure()
@@ -309,7 +315,10 @@ class VirtualRobot:
         self.messages.append(f"{self.time:.3f} s: {text}")
 
     def run_program(self, program: Program) -> None:
-        """Start a script; one that runs ends."""
+        """Start a script; one that runs ends, unless the new one is secondary."""
+        if program.secondary:
+            self.beside.append(program)
+            return
         if self.program is not None:
             self.end_program("another program begins")
         if not self.safety.ready:
@@ -384,6 +393,8 @@ class VirtualRobot:
     def close(self) -> None:
         """End the script, and close all ports."""
         self.end_program("the robot is shut down")
+        while self.beside:
+            self.beside.pop().close()
         if self._servers is not None:
             self._servers.close()
             self._servers = None

@@ -88,6 +88,8 @@ class Transpiled:
     ----------
     name
         Of the program; empty for a line by itself.
+    secondary
+        It runs beside another program, and moves nothing.
     source
         Python, with a function ``main``.
     lines
@@ -95,6 +97,7 @@ class Transpiled:
     """
 
     name: str
+    secondary: bool
     source: str
     lines: tuple[int, ...]
 
@@ -167,7 +170,7 @@ class _Reader:
         while self._next.kind == "newline":
             self._at += 1
         name = ""
-        whole = self._sees("def", "sec")
+        whole, secondary = self._sees("def", "sec"), self._sees("sec")
         if whole:
             self._at += 1
             name = self._name()
@@ -184,7 +187,7 @@ class _Reader:
             self._at += 1
         if self._next.kind != "over":
             raise self._fault("nothing after the program's end")
-        return Transpiled(name, "\n".join(self._out) + "\n", tuple(self._lines))
+        return Transpiled(name, secondary, "\n".join(self._out) + "\n", tuple(self._lines))
 
     def _assigned(self, start: int) -> tuple[set[str], set[str], set[str]]:
         """Of the block from here on: assigned plainly, declared local; declared global, also within functions."""

@@ -141,3 +141,15 @@ end
     held = runs(robot(), script)
     assert held.target.still
     assert 0.04 < held.q[0] - 1.455411 < 0.06
+
+
+def test_a_secondary_program_runs_beside_another_and_moves_nothing() -> None:
+    held = robot()
+    held.load_script("def p():\n speedj([0.1, 0, 0, 0, 0, 0], 1, 1)\nend\n")
+    held.advance(10)
+    held.load_script("sec beside():\n set_digital_out(1, True)\n stopj(1)\nend\n")
+    held.advance()
+    assert held.digital_outputs == 2
+    assert held.messages[-1].endswith("beside ends: line 3: a secondary program moves nothing; begin it with def")
+    assert held.running
+    assert held.target.qd[0] > 0

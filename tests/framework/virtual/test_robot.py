@@ -127,7 +127,7 @@ STOPPING = {
 def test_a_limit_stops_the_robot_and_the_reason_is_named(text: str) -> None:
     held = robot("ur10_fast")
     held.registers.values["input_double_register_24"] = float("nan")
-    held.load_script(f"def p():\n {STOPPING[text]}\n textmsg(\"sleeps\")\n sleep(5)\nend\n")
+    held.load_script(f'def p():\n {STOPPING[text]}\n textmsg("sleeps")\n sleep(5)\nend\n')
     while held.running:
         held.advance()
     assert held.safety.reason.startswith(f"protective stop: {text}")
