@@ -20,7 +20,7 @@ def graph(name: str) -> dm.Graph:
     return found
 
 
-def robot(name: str = "ur10_full", **behaviour: Any) -> VirtualRobot:
+def robot(name: str = "ur10_fast", **behaviour: Any) -> VirtualRobot:
     """A robot at its start."""
     return graph(name).virtual_robot(**behaviour)
 

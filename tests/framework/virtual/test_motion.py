@@ -69,7 +69,7 @@ def test_movej_in_a_given_time() -> None:
 
 
 def test_movel_goes_along_a_straight_line() -> None:
-    held = robot()
+    held = robot("ur10_full")
     start = held.arm.pose(held.q)
     goal = start + np.array([0.0, 0.0, 0.05, 0, 0, 0])
     held.load_script(f"def p():\n movel(p{goal.tolist()}, a=1, v=0.2)\nend\n")
@@ -90,7 +90,7 @@ def test_servoj_closes_what_is_left_as_an_exponential() -> None:
 
 
 def test_speedl_moves_the_flange_as_told() -> None:
-    held = robot()
+    held = robot("ur10_full")
     held.load_script("def p():\n speedl([0, 0, 0.05, 0, 0, 0], 1.0, 0.5)\nend\n")
     held.advance(200)
     speed = held.arm.jacobian(held.target.q) @ held.target.qd

@@ -90,7 +90,7 @@ def test_the_flange_is_where_the_graph_has_it_turned_by_pi() -> None:
 
 
 def test_inverse_kinematics_come_back_to_the_pose() -> None:
-    held = robot()
+    held = robot("ur10_full")
     pose = held.arm.pose(held.q) + np.array([0.02, -0.03, 0.01, 0.05, 0.02, -0.04])
     q = held.arm.inverse(pose, held.q)
     assert np.allclose(held.arm.pose(q), pose, atol=1e-8)

@@ -47,20 +47,20 @@ def driven(held: VirtualRobot, ticks: int) -> tuple[np.ndarray, list[int]]:
 
 def test_a_controller_over_rtde_does_what_it_does_in_a_simulation() -> None:
     run = graph("ur10_fast").run(2.0, progress=False).recording
-    found, ages = driven(robot("ur10_fast", series="cb3"), 250)
+    found, ages = driven(robot(series="cb3"), 250)
     # the acceleration of speedj, 40 rad/s^2, and the arm's sag in the first cycle are all that differs
     assert np.max(np.abs(found - run["arm.q"][: len(found)])) < 2e-5
     assert set(ages[1:]) == {1}  # what answers one sample has been echoed in the next
 
 
 def test_delays_add_up_in_what_the_client_sees() -> None:
-    _, ages = driven(robot("ur10_fast", series="cb3", command_delay=1, measurement_delay=2), 60)
+    _, ages = driven(robot(series="cb3", command_delay=1, measurement_delay=2), 60)
     assert set(ages[10:]) == {4}
 
 
 def test_one_sample_of_delay_would_be_noticed() -> None:
     run = graph("ur10_fast").run(2.0, progress=False).recording
-    found, _ = driven(robot("ur10_fast", series="cb3", command_delay=1), 250)
+    found, _ = driven(robot(series="cb3", command_delay=1), 250)
     assert np.max(np.abs(found - run["arm.q"][: len(found)])) > 1e-3
 
 
@@ -86,7 +86,7 @@ def at_rest_after(held: VirtualRobot) -> float:
 
 
 def test_a_silent_client_stops_the_arm() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     moving(held)
     assert at_rest_after(held) < 0.1
     assert any("the client is silent" in text for text in held.messages)
@@ -94,7 +94,7 @@ def test_a_silent_client_stops_the_arm() -> None:
 
 
 def test_the_emergency_stop_and_the_way_back() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     moving(held)
     held.emergency_stop()
     assert at_rest_after(held) < 0.1
@@ -125,7 +125,7 @@ STOPPING = {
 
 @pytest.mark.parametrize("text", STOPPING)
 def test_a_limit_stops_the_robot_and_the_reason_is_named(text: str) -> None:
-    held = robot("ur10_fast")
+    held = robot()
     held.registers.values["input_double_register_24"] = float("nan")
     held.load_script(f'def p():\n {STOPPING[text]}\n textmsg("sleeps")\n sleep(5)\nend\n')
     while held.running:
@@ -140,7 +140,7 @@ def test_a_limit_stops_the_robot_and_the_reason_is_named(text: str) -> None:
 
 
 def test_a_joint_limit_stops_the_robot_before_it_is_far_beyond() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     held.load_script("def p():\n speedj([0, 0, 2.0, 0, 0, 0], 10, 5)\nend\n")
     while held.running:
         held.advance()
@@ -154,7 +154,7 @@ def test_a_joint_limit_stops_the_robot_before_it_is_far_beyond() -> None:
 
 
 def test_a_slider_at_zero_holds_the_robot() -> None:
-    held = robot("ur10_fast", slider=0)
+    held = robot(slider=0)
     client = Client(held)
     client.begin(["speed_scaling", "target_speed_fraction"], ["speed_slider_mask", "speed_slider_fraction"])
     held.load_script("def p():\n speedj([0.2, 0, 0, 0, 0, 0], 4, 1)\nend\n")
@@ -168,7 +168,7 @@ def test_a_slider_at_zero_holds_the_robot() -> None:
 
 def test_lost_samples_are_not_sent_and_follow_from_the_seed() -> None:
     def times(seed: int, lost: float) -> list[float]:
-        held = robot("ur10_fast", lost=lost, seed=seed)
+        held = robot(lost=lost, seed=seed)
         client = Client(held)
         client.begin(["timestamp"])
         held.advance(200)
@@ -180,7 +180,7 @@ def test_lost_samples_are_not_sent_and_follow_from_the_seed() -> None:
 
 
 def test_the_next_samples_can_be_lost_on_purpose() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     client = Client(held)
     client.begin(["timestamp"])
     held.advance(2)
@@ -190,7 +190,7 @@ def test_the_next_samples_can_be_lost_on_purpose() -> None:
 
 
 def test_a_watchdog_ends_the_program() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     client = Client(held)
     client.begin(["timestamp"], ["input_int_register_24"])
     script = """def p():
@@ -215,11 +215,11 @@ end
 )
 def test_numbers_out_of_range_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueFault, match=f"{next(iter(wrong))}: expected"):
-        robot("ur10_fast", **wrong)
+        robot(**wrong)
 
 
 def test_in_real_time_it_runs_beside_the_program_that_holds_it() -> None:
-    with robot("ur10_fast", series="cb3") as held:
+    with robot(series="cb3") as held:
         with held.in_background():
             while held.cycles < 3:
                 pass

@@ -15,7 +15,7 @@ from dmframe.virtual.rtde import Rtde
 
 @pytest.fixture(scope="module")
 def held() -> VirtualRobot:
-    return robot("ur10_fast")
+    return robot()
 
 
 def test_versions(held: VirtualRobot) -> None:
@@ -23,7 +23,7 @@ def test_versions(held: VirtualRobot) -> None:
     assert client.ask("V", b"\0\2") == ("V", b"\1")
     assert client.ask("V", b"\0\7") == ("V", b"\0")
     assert client.ask("v") == ("v", struct.pack(">4I", 5, 11, 0, 108249))
-    assert Client(robot("ur10_fast", series="cb3")).ask("v")[1][:4] == struct.pack(">I", 3)
+    assert Client(robot(series="cb3")).ask("v")[1][:4] == struct.pack(">I", 3)
 
 
 def test_recipes_tell_types_and_what_is_not_found(held: VirtualRobot) -> None:
@@ -61,7 +61,7 @@ def test_every_value_has_the_size_of_its_type(held: VirtualRobot) -> None:
 
 
 def test_samples_come_at_the_frequency_that_was_asked_for() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     client = Client(held)
     client.begin(["timestamp", "actual_q", "runtime_state"], frequency=125.0)
     held.advance(16)
@@ -75,7 +75,7 @@ def test_samples_come_at_the_frequency_that_was_asked_for() -> None:
 
 
 def test_a_late_sample_is_the_one_of_its_time() -> None:
-    held = robot("ur10_fast", measurement_delay=3)
+    held = robot(measurement_delay=3)
     client = Client(held)
     client.begin(["timestamp"])
     held.advance(5)
@@ -83,7 +83,7 @@ def test_a_late_sample_is_the_one_of_its_time() -> None:
 
 
 def test_version_1_has_no_frequency_and_no_recipes_in_samples() -> None:
-    held = robot("ur10_fast")
+    held = robot()
     client = Client(held)
     assert client.ask("O", b"robot_mode") == ("O", b"INT32")
     assert client.ask("S") == ("S", b"\1")
@@ -92,7 +92,7 @@ def test_version_1_has_no_frequency_and_no_recipes_in_samples() -> None:
 
 
 def test_inputs_reach_registers_outputs_and_the_slider() -> None:
-    held = robot("ur10_fast", command_delay=2)
+    held = robot(command_delay=2)
     client = Client(held)
     names = [
         "input_int_register_24",

@@ -55,7 +55,7 @@ class Connected:
 
 @pytest.fixture
 def held() -> Iterator[VirtualRobot]:
-    with robot("ur10_fast") as found:
+    with robot() as found:
         yield found
     while OPEN:
         OPEN.pop().close()

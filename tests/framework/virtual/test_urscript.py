@@ -17,7 +17,7 @@ SHARED: list[VirtualRobot] = []
 def held() -> VirtualRobot:
     """One robot, as these scripts move nothing."""
     if not SHARED:
-        SHARED.append(robot("ur10_fast"))
+        SHARED.append(robot())
     return SHARED[0]
 
 
