@@ -21,6 +21,9 @@ Waits = Generator[None, None, Any]
 STEADY: Final = 1e-3
 """Of speeds [rad/s] at which the robot counts as standing."""
 
+LONGEST: Final = 1 << 16
+"""Of texts [characters]."""
+
 
 @final
 class Halted(Exception):
@@ -391,7 +394,10 @@ class Functions:
     # texts
 
     def str_cat(self, op1: Any, op2: Any) -> str:
-        return f"{_text(op1)}{_text(op2)}"
+        found = f"{_text(op1)}{_text(op2)}"
+        if len(found) > LONGEST:
+            raise ScriptError(f"str_cat: expected no more than {LONGEST} characters, found {len(found)}")
+        return found
 
     def str_len(self, str: Any) -> int:
         return len(str)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 MOST_TURNS: Final = 100_000
-"""Of loops within a cycle: a script that waits for nothing would stop the robot's clock."""
+"""Of loops and calls within a cycle: a script that waits for nothing would stop the robot's clock."""
 FILE: Final = "<script>"
 
 _SIGNS: Final[dict[str, Callable[[Any, Any], Any]]] = {
@@ -116,6 +116,8 @@ class Program:
                 return "halt"
             except DmframeError as fault:
                 return self._told(fault.text, fault)
+            except RecursionError:  # where it came is chance
+                return "functions call functions, deeper than can be followed"
             except Exception as fault:  # what a script does wrong, Python tells in many ways
                 return self._told(f"{type(fault).__name__}: {fault}", fault)
             finally:
@@ -162,7 +164,7 @@ class Program:
     def _turn(self) -> None:
         self._turns += 1
         if self._turns > MOST_TURNS:
-            raise ScriptError(f"a loop without sync() or another wait: {MOST_TURNS} turns in one cycle")
+            raise ScriptError(f"a loop without sync() or another wait: {MOST_TURNS} turns and calls in one cycle")
 
     def _run(self, name: str, steps: Generator[None, None, Any]) -> Thread:
         thread = Thread(name, steps)

@@ -266,7 +266,7 @@ class VirtualRobot:
                     return f"{joint} is told to move, and the graph holds it"
             elif abs(speed[k]) > self.arm.velocity[k] * (1 + 1e-9):
                 return f"{joint} is told {speed[k]:.4g} rad/s, its limit is {self.arm.velocity[k]:.4g} rad/s"
-            elif not self.arm.lower[k] <= ahead[k] <= self.arm.upper[k] and speed[k] * ahead[k] > 0:
+            elif (ahead[k] > self.arm.upper[k] and speed[k] > 0) or (ahead[k] < self.arm.lower[k] and speed[k] < 0):
                 return f"{joint} is told to go to {ahead[k]:.4g} rad, outside of its limits"
         return ""
 

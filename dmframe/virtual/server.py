@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 MOST_WAITING: Final = 1 << 20
 """Bytes that a client may leave unread; samples that do not fit are left out."""
-MOST_TEXT: Final = 1 << 22
+MOST_TEXT: Final = 1 << 20
 """Of a script that is not yet complete."""
 STATES: Final = 10.0
 """State messages in a second, on the primary and secondary ports."""

@@ -321,6 +321,7 @@ class _Reader:
         plain, local, _ = self._assigned(self._at)
         self._scopes.append(arguments | local | plain - self._globals)
         self._put(depth, f"def f_{name}({', '.join(given)}):", line)
+        self._put(depth + 1, "_turn()", line)
         self._body(depth + 1, ("end",))
         self._put(depth + 1, "if False: yield", self._next.line)
         self._scopes.pop()

@@ -169,10 +169,11 @@ def test_a_thread_can_be_waited_for() -> None:
         ("  x = [1, 2]\n  y = x[2]", 3, "expected an element from 0 to 1, found 2"),
         ("  if 1:\n  end", 2, "expected True or False"),
         ("  while True:\n  end", 2, "a loop without sync"),
+        ("  def f(n):\n    if n > 0:\n      f(n - 1)\n      f(n - 1)\n    end\n  end\n  f(60)", 2, "turns and calls"),
+        ('  x = "a"\n  while True:\n    x = str_cat(x, x)\n  end', 4, "no more than 65536 characters"),
         ("  force_mode(1)", 2, "force_mode: the virtual robot does not emulate this function"),
         ("  x = [1] + [1, 2]", 2, "expected lists of one length"),
         ('  x = "a" + 1', 2, "expected numbers"),
-        ("  def f():\n    return f()\n  end\n  f()", 3, "RecursionError"),
         ("  speedj([1, 2], 1)", 2, "expected six numbers"),
         ("  movej([0,0,0,0,0,0], v=-1)", 2, "movej: v: expected a positive number"),
         ("  write_output_integer_register(48, 1)", 2, "expected a number from 0 to 47, found 48"),
@@ -240,6 +241,11 @@ def test_a_line_by_itself_is_a_program() -> None:
     ended: Any = runs(held(), "set_digital_out(3, True)\n")
     assert ended.digital_outputs == 8
     runs(held(), "set_digital_out(3, False)\n")
+
+
+def test_calls_without_end_end_it() -> None:
+    told = fault("def test():\n  def f():\n    return f()\n  end\n  f()\nend\n")
+    assert told.endswith("functions call functions, deeper than can be followed")
 
 
 def test_halt_ends_it() -> None:
