@@ -82,7 +82,7 @@ class VirtualRobot:
     messages
         The last texts of scripts, stops and faults, with their times; `told` is how many there were.
     late
-        Cycles that `serve` began more than a cycle too late.
+        How often `serve` was late by more than a cycle.
 
     Raises
     ------
@@ -406,7 +406,11 @@ class VirtualRobot:
         self.close()
 
     def serve(self, wanted: Callable[[], bool] = lambda: True) -> None:
-        """Run in real time as long as it is wanted; cycles that come late are made up for, and counted as `late`."""
+        """Run in real time as long as it is wanted.
+
+        Where this machine is late by more than a cycle, the robot's clock waits, and `late` counts it: cycles that
+        were made up for would come so close together that no client could answer them.
+        """
         from time import monotonic
 
         due = monotonic()
@@ -416,7 +420,7 @@ class VirtualRobot:
                 self._wait(left)
             if left < -self.dt:
                 self.late += 1
-                due = max(due, monotonic() - 1.0)  # a machine that slept does not hurry for longer than a second
+                due -= left
             self.advance()
 
     def _wait(self, time: float) -> None:

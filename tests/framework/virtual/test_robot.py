@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 from virtual_robots import FOLLOW, Client, graph, robot, runs
@@ -216,6 +218,29 @@ end
 def test_numbers_out_of_range_are_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueFault, match=f"{next(iter(wrong))}: expected"):
         robot(**wrong)
+
+
+def test_where_the_machine_is_late_the_robot_waits_and_hurries_never(monkeypatch: pytest.MonkeyPatch) -> None:
+    held, now, begun = robot(), [0.0], list[float]()
+
+    def sleep(seconds: float) -> None:
+        now[0] += seconds
+
+    def wanted() -> bool:
+        begun.append(now[0])
+        if len(begun) == 5:
+            now[0] += 0.1  # this machine sleeps
+        return len(begun) <= 10
+
+    with monkeypatch.context() as patch:
+        patch.setattr(time, "monotonic", lambda: now[0])
+        patch.setattr(time, "sleep", sleep)
+        held.serve(wanted)
+    assert held.late == 1
+    assert held.cycles == 10
+    steps = np.diff(begun)
+    assert np.delete(steps, 4) == pytest.approx(held.dt)
+    assert steps[4] == pytest.approx(0.1)
 
 
 def test_in_real_time_it_runs_beside_the_program_that_holds_it() -> None:
