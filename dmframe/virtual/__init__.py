@@ -2,6 +2,6 @@
 
 from dmframe.virtual.robot import Series, VirtualRobot
 from dmframe.virtual.server import Ports
-from dmframe.virtual.urscript import ScriptError
+from dmframe.virtual.words import ScriptError
 
 __all__ = ["Ports", "ScriptError", "Series", "VirtualRobot"]

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar, final
 import numpy as np
 
 from dmframe.errors import EngineError
+from dmframe.virtual.arithmetic import FUNCTIONS, Pose, six, text
 from dmframe.virtual.motion import Along, Motion, Servo, Speed, Stop, cycles, straight
 from dmframe.virtual.sockets import Sockets
-from dmframe.virtual.urscript import ScriptError
+from dmframe.virtual.words import ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.program import Program
@@ -21,28 +22,24 @@ Waits = Generator[None, None, Any]
 STEADY: Final = 1e-3
 """Of speeds [rad/s] at which the robot counts as standing."""
 
-LONGEST: Final = 1 << 16
-"""Of texts [characters]."""
-
 
 @final
 class Halted(Exception):
     """A script ends itself."""
 
 
-@final
-class Pose(list[float]):
-    """A place and a rotation vector; a list with six numbers."""
-
-
 def names_of(kind: type) -> frozenset[str]:
     """The functions that a script may call."""
-    return frozenset(name for name in vars(kind) if not name.startswith("_") and name not in _OWN)
+    return _own(kind) | FUNCTIONS.keys()
 
 
 def waiting_of(kind: type) -> frozenset[str]:
     """Those that take time."""
-    return frozenset(name for name in names_of(kind) if getattr(vars(kind)[name], "waits", False))
+    return frozenset(name for name in _own(kind) if getattr(vars(kind)[name], "waits", False))
+
+
+def _own(kind: type) -> frozenset[str]:
+    return frozenset(name for name in vars(kind) if not name.startswith("_") and name not in _OWN)
 
 
 _OWN: Final = frozenset(("close", "table", "cycle"))
@@ -66,7 +63,7 @@ class Functions:
     def __init__(self, robot: VirtualRobot, program: Program) -> None:
         self._robot, self._program = robot, program
         self._sockets = Sockets(robot)
-        self.table: Mapping[str, Any] = {name: getattr(self, name) for name in names_of(Functions)}
+        self.table: Mapping[str, Any] = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
 
     def close(self) -> None:
         """The script is over."""
@@ -85,7 +82,7 @@ class Functions:
     @waits
     def speedj(self, qd: Any, a: Any = 0.5, t: Any = None, *_: Any) -> Waits:
         time = None if t is None or t <= 0 else float(t)
-        return self._moved(Speed(_six(qd), _positive("speedj: a", a), time))
+        return self._moved(Speed(six(qd), _positive("speedj: a", a), time))
 
     @waits
     def speedl(self, xd: Any, a: Any = 0.5, t: Any = None, *_: Any, **__: Any) -> Waits:
@@ -95,7 +92,7 @@ class Functions:
             found: np.ndarray = np.linalg.lstsq(arm.jacobian(q), velocity, rcond=1e-6)[0]
             return found
 
-        return self._moved(Speed(_six(xd), _positive("speedl: a", a), time, to_joints))
+        return self._moved(Speed(six(xd), _positive("speedl: a", a), time, to_joints))
 
     @waits
     def stopj(self, a: Any = 2.0) -> Waits:
@@ -122,7 +119,7 @@ class Functions:
     @waits
     def movel(self, pose: Any, a: Any = 1.2, v: Any = 0.25, t: Any = 0, r: Any = 0) -> Waits:
         robot = self._robot
-        goal = _six(pose) if isinstance(pose, Pose) else robot.arm.pose(_six(pose))
+        goal = six(pose) if isinstance(pose, Pose) else robot.arm.pose(six(pose))
         start, q = robot.arm.pose(robot.target.q), robot.target.q
         length = max(float(np.linalg.norm(goal[:3] - start[:3])), float(np.linalg.norm(_turn(start, goal))))
         if t > 0 and length > 0:
@@ -195,7 +192,7 @@ class Functions:
         return Pose([0.0] * 6)
 
     def set_tcp(self, pose: Any, *_: Any) -> None:
-        if any(_six(pose)):
+        if any(six(pose)):
             raise ScriptError("set_tcp: the virtual robot has no tool but its flange; expected zeros")
 
     def is_steady(self) -> bool:
@@ -211,13 +208,13 @@ class Functions:
         self._robot.payload = [float(m), *map(float, cog)]
 
     def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Pose:
-        if tcp is not None and any(_six(tcp)):
+        if tcp is not None and any(six(tcp)):
             raise ScriptError("get_forward_kin: the virtual robot has no tool but its flange; expected zeros as tcp")
-        return Pose(_list(self._robot.arm.pose(self._robot.q if q is None else _six(q))))
+        return Pose(_list(self._robot.arm.pose(self._robot.q if q is None else six(q))))
 
     def get_inverse_kin(self, x: Any, qnear: Any = None, *_: Any) -> list[float]:
-        near = self._robot.target.q if qnear is None else _six(qnear)
-        return _list(self._robot.arm.inverse(_six(x), near))
+        near = self._robot.target.q if qnear is None else six(qnear)
+        return _list(self._robot.arm.inverse(six(x), near))
 
     def get_inverse_kin_has_solution(self, x: Any, qnear: Any = None, *_: Any) -> bool:
         try:
@@ -304,10 +301,10 @@ class Functions:
     # told, and without effect
 
     def textmsg(self, s1: Any = "", s2: Any = "") -> None:
-        self._robot.tell(f"{_text(s1)}{_text(s2)}")
+        self._robot.tell(f"{text(s1)}{text(s2)}")
 
     def popup(self, s: Any, *_: Any, **__: Any) -> None:
-        self._robot.tell(f"popup: {_text(s)}")
+        self._robot.tell(f"popup: {text(s)}")
 
     def force_mode_set_damping(self, *_: Any) -> None:
         """Of a mode that is not emulated; scripts set it before they use it."""
@@ -316,97 +313,6 @@ class Functions:
 
     def set_gravity(self, d: Any, *_: Any) -> None:
         """The plant has the graph's."""
-
-    # arithmetic
-
-    def norm(self, a: Any) -> float:
-        return float(np.linalg.norm(a)) if isinstance(a, list) else abs(a)
-
-    def sqrt(self, f: Any) -> float:
-        return math.sqrt(f)
-
-    def pow(self, base: Any, exponent: Any) -> float:
-        return float(math.pow(base, exponent))
-
-    def log(self, b: Any, f: Any) -> float:
-        return math.log(f, b)
-
-    def sin(self, f: Any) -> float:
-        return math.sin(f)
-
-    def cos(self, f: Any) -> float:
-        return math.cos(f)
-
-    def tan(self, f: Any) -> float:
-        return math.tan(f)
-
-    def asin(self, f: Any) -> float:
-        return math.asin(f)
-
-    def acos(self, f: Any) -> float:
-        return math.acos(f)
-
-    def atan(self, f: Any) -> float:
-        return math.atan(f)
-
-    def atan2(self, x: Any, y: Any) -> float:
-        return math.atan2(x, y)
-
-    def floor(self, f: Any) -> int:
-        return math.floor(float(f))
-
-    def ceil(self, f: Any) -> int:
-        return math.ceil(float(f))
-
-    def d2r(self, d: Any) -> float:
-        return math.radians(d)
-
-    def r2d(self, r: Any) -> float:
-        return math.degrees(r)
-
-    def length(self, v: Any) -> int:
-        return len(v)
-
-    get_list_length = length
-
-    def pose_add(self, p_1: Any, p_2: Any) -> Pose:
-        first, second = _placed(p_1), _placed(p_2)
-        return _pose(first.rotation @ second.rotation, first.translation + second.translation)
-
-    def pose_sub(self, p_to: Any, p_from: Any) -> Pose:
-        to, start = _placed(p_to), _placed(p_from)
-        return _pose(to.rotation @ start.rotation.T, to.translation - start.translation)
-
-    def pose_trans(self, p_from: Any, p_from_to: Any) -> Pose:
-        found = _placed(p_from) * _placed(p_from_to)
-        return _pose(found.rotation, found.translation)
-
-    def pose_inv(self, p_from: Any) -> Pose:
-        found = _placed(p_from).inverse()
-        return _pose(found.rotation, found.translation)
-
-    def pose_dist(self, p_from: Any, p_to: Any) -> float:
-        return float(np.linalg.norm(_six(p_to)[:3] - _six(p_from)[:3]))
-
-    def point_dist(self, p_from: Any, p_to: Any) -> float:
-        return self.pose_dist(p_from, p_to)
-
-    # texts
-
-    def str_cat(self, op1: Any, op2: Any) -> str:
-        found = f"{_text(op1)}{_text(op2)}"
-        if len(found) > LONGEST:
-            raise ScriptError(f"str_cat: expected no more than {LONGEST} characters, found {len(found)}")
-        return found
-
-    def str_len(self, str: Any) -> int:
-        return len(str)
-
-    def to_str(self, val: Any) -> str:
-        return _text(val)
-
-    def to_num(self, str: Any) -> float:
-        return float(str)
 
     # sockets to the client
 
@@ -418,10 +324,10 @@ class Functions:
         self._sockets.shut(str(socket_name))
 
     def socket_send_string(self, str: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, _text(str).encode())
+        return self._sockets.send(socket_name, text(str).encode())
 
     def socket_send_line(self, str: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, f"{_text(str)}\n".encode())
+        return self._sockets.send(socket_name, f"{text(str)}\n".encode())
 
     def socket_send_int(self, value: Any, socket_name: Any = "socket_0") -> bool:
         return self._sockets.send(socket_name, int(value).to_bytes(4, "big", signed=True))
@@ -463,13 +369,7 @@ class Functions:
 
     def _joints(self, place: Any) -> np.ndarray:
         """Angles, or those of a pose."""
-        return self._robot.arm.inverse(_six(place), self._robot.target.q) if isinstance(place, Pose) else _six(place)
-
-
-def _six(values: Any) -> np.ndarray:
-    if not isinstance(values, list) or len(values) != 6:
-        raise ScriptError(f"expected six numbers, found {values}")
-    return np.array(values, dtype=float)
+        return self._robot.arm.inverse(six(place), self._robot.target.q) if isinstance(place, Pose) else six(place)
 
 
 def _positive(what: str, value: Any) -> float:
@@ -481,26 +381,6 @@ def _positive(what: str, value: Any) -> float:
 def _list(values: np.ndarray) -> list[float]:
     found: list[float] = values.tolist()
     return found
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, list):
-        inner = ", ".join(map(_text, value))
-        return f"{'p' if isinstance(value, Pose) else ''}[{inner}]"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _placed(pose: Any) -> Any:
-    import pinocchio as pin
-
-    numbers = _six(pose)
-    return pin.SE3(pin.exp3(numbers[3:]), numbers[:3])
-
-
-def _pose(rotation: np.ndarray, translation: np.ndarray) -> Pose:
-    import pinocchio as pin
-
-    return Pose([*translation.tolist(), *pin.log3(rotation).tolist()])
 
 
 def _turn(start: np.ndarray, goal: np.ndarray) -> np.ndarray:

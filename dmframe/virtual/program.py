@@ -10,8 +10,10 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.errors import DmframeError
-from dmframe.virtual.functions import Functions, Halted, Pose, names_of, waiting_of
-from dmframe.virtual.urscript import ScriptError, transpiled
+from dmframe.virtual.arithmetic import Pose
+from dmframe.virtual.functions import Functions, Halted, names_of, waiting_of
+from dmframe.virtual.urscript import transpiled
+from dmframe.virtual.words import ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, final
 
 import numpy as np
@@ -406,53 +406,25 @@ class VirtualRobot:
         self.close()
 
     def serve(self, wanted: Callable[[], bool] = lambda: True) -> None:
-        """Run in real time as long as it is wanted.
+        """Run in real time as long as it is wanted; see `dmframe.virtual.pace`."""
+        from dmframe.virtual.pace import serve
 
-        Where this machine is late by more than a cycle, the robot's clock waits, and `late` counts it: cycles that
-        were made up for would come so close together that no client could answer them.
-        """
-        from time import monotonic
+        serve(self, wanted)
 
-        due = monotonic()
-        while wanted():
-            due += self.dt
-            while (left := due - monotonic()) > 0:
-                self._wait(left)
-            if left < -self.dt:
-                self.late += 1
-                due -= left
-            self.advance()
+    def in_background(self) -> AbstractContextManager[VirtualRobot]:
+        """Run in real time in a thread of its own, until the block ends."""
+        from dmframe.virtual.pace import in_background
 
-    def _wait(self, time: float) -> None:
+        return in_background(self)
+
+    def wait(self, time: float) -> None:
+        """Serve the ports for a while [s], no cycle passing."""
         from time import sleep
 
         if self._servers is None:
             sleep(time)
         else:
             self._servers.poll(time)
-
-    @contextmanager
-    def in_background(self) -> Iterator[VirtualRobot]:
-        """Run in real time in a thread of its own, until the block ends."""
-        from threading import Event, Thread
-
-        ended, faults = Event(), list[BaseException]()
-
-        def run() -> None:
-            try:
-                self.serve(lambda: not ended.is_set())
-            except BaseException as fault:
-                faults.append(fault)
-
-        thread = Thread(target=run, name="virtual robot", daemon=True)
-        thread.start()
-        try:
-            yield self
-        finally:
-            ended.set()
-            thread.join()
-        if faults:
-            raise faults[0]
 
 
 def _share(name: str, value: float) -> float:

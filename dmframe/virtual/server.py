@@ -13,7 +13,7 @@ from dmframe.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
 from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
-from dmframe.virtual.urscript import ScriptError, complete
+from dmframe.virtual.words import ScriptError, complete
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot

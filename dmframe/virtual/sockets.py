@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, final
 
-from dmframe.virtual.urscript import ScriptError
+from dmframe.virtual.words import ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot

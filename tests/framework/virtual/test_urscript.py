@@ -9,7 +9,7 @@ import pytest
 from virtual_robots import robot, runs
 
 from dmframe.virtual import ScriptError, VirtualRobot
-from dmframe.virtual.urscript import complete
+from dmframe.virtual.words import complete
 
 SHARED: list[VirtualRobot] = []
 
