@@ -394,6 +394,46 @@ def export(
 
 
 @app.command()
+def robot(
+    graph: OneGraph,
+    overrides: Overrides = [],  # noqa: B006 - as above
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Of this machine, on which to listen.")] = "127.0.0.1",
+    port: Annotated[
+        list[str],
+        typer.Option(metavar="NAME=NUMBER", help="Another port, rtde=40004; 0 for any free one. May be repeated."),
+    ] = [],  # noqa: B006 - as above
+    series: Annotated[str, typer.Option(metavar="SERIES", help="cb3, 125 cycles a second, or e, 500.")] = "e",
+    slider: Annotated[str, typer.Option(metavar="SHARE", help="Where the speed slider stands, 0 to 1.")] = "1",
+    command_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until what a client writes is taken.")] = "0",
+    measurement_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until a sample is sent.")] = "0",
+    lost: Annotated[str, typer.Option(metavar="SHARE", help="Share of samples that are not sent.")] = "0",
+    seed: Annotated[str, typer.Option(metavar="N", help="Of the samples that are lost.")] = "0",
+    until: Annotated[str | None, typer.Option(metavar="S", help="End after this time; at Ctrl-C without it.")] = None,
+    trust: Trust = False,
+) -> None:
+    """Be a closed UR robot without hardware: a graph's arm and hidden servo behind the maker's protocols.
+
+    RTDE, dashboard and script ports on this machine, in real time.
+    """
+    from dmframe.cli.graphs import one_graph
+    from dmframe.cli.options import quantity, whole
+    from dmframe.cli.robot import ports_of, serve
+
+    serve(
+        one_graph(graph, overrides, trust=trust),
+        host,
+        ports_of(port),
+        None if until is None else quantity("--until", until, "s"),
+        series=series,
+        slider=quantity("--slider", slider, ""),
+        command_delay=whole("--command-delay", command_delay),
+        measurement_delay=whole("--measurement-delay", measurement_delay),
+        lost=quantity("--lost", lost, ""),
+        seed=whole("--seed", seed),
+    )
+
+
+@app.command()
 def draw(
     graph: OneGraph,
     out: Annotated[

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from dmframe.runtime import Controller
     from dmframe.simulate import Recording
     from dmframe.simulate.engine import Choice
+    from dmframe.virtual import VirtualRobot
 
 LONG = 10.0
 """Runs of so many seconds are worth a look at how they might go on, which takes a fraction of one."""
@@ -413,6 +414,24 @@ class Graph:
         if kind not in ("fmi2", "fmi3"):
             raise ValueFault(f"kind: expected c, fmi2 or fmi3, found {kind!r}")
         return export_fmus(self.experiment, self.diagram, folder, 2 if kind == "fmi2" else 3)
+
+    def virtual_robot(self, **behaviour: Any) -> VirtualRobot:
+        """Its arm and hidden servo behind a maker's controller, on whose ports clients of a UR may drive it.
+
+        Parameters
+        ----------
+        behaviour
+            ``series``, ``slider``, ``command_delay``, ``measurement_delay``, ``lost``, ``seed``, ``engine``; see
+            `dmframe.virtual.VirtualRobot`.
+
+        Raises
+        ------
+        DmframeError
+            The robot is no UR, is not commanded joint velocities, or cannot stand alone.
+        """
+        from dmframe.virtual import VirtualRobot
+
+        return VirtualRobot(self.experiment, self.diagram, **behaviour)
 
     def save(self, path: str | Path) -> Path:
         """Write `text` to a new file. Raises `OutputError` where it is there already, or cannot be written."""

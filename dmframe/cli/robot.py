@@ -1,0 +1,57 @@
+"""``dmframe robot``: a virtual closed robot on this machine's ports, until it is stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from dmframe.cli.options import whole
+from dmframe.cli.streams import tell
+from dmframe.errors import ValueFault
+
+if TYPE_CHECKING:
+    from dmframe.graph import Graph
+    from dmframe.virtual import VirtualRobot
+
+
+def ports_of(pairs: Sequence[str]) -> dict[str, int]:
+    """Ports by name, each ``rtde=30004``. Raises `ValueFault`, which names the option."""
+    from dmframe.virtual.server import NAMES
+
+    found = dict[str, int]()
+    for pair in pairs:
+        name, equals, number = (word.strip() for word in pair.partition("="))
+        if not equals or name not in NAMES:
+            raise ValueFault(f"--port {pair}: expected NAME=NUMBER, NAME one of {', '.join(NAMES)}")
+        found[name] = whole("--port", number)
+    return found
+
+
+def serve(graph: Graph, host: str, ports: dict[str, int], until: float | None, **behaviour: Any) -> None:
+    """Open the ports and run in real time, telling what happens."""
+    from dmframe.virtual import Ports
+
+    with graph.virtual_robot(**behaviour) as robot:
+        opened = robot.listen(host, Ports(**ports))
+        listed = ", ".join(f"{name} {number}" for name, number in vars(opened).items())
+        tell(f"{graph.name}: a virtual {robot.arm.name} at {host}, {1 / robot.dt:g} cycles a second; {listed}")
+        tell("no hardware: what it does not emulate stands in its documentation; Ctrl-C ends it")
+        told = _Told(robot)
+        robot.serve(lambda: told.wanted(until))
+
+
+class _Told:
+    """Prints the robot's messages as they come."""
+
+    def __init__(self, robot: VirtualRobot) -> None:
+        self._robot, self._seen = robot, 0
+
+    def wanted(self, until: float | None) -> bool:
+        """Whether to go on."""
+        robot = self._robot
+        fresh = robot.told - self._seen
+        if fresh:
+            for text in list(robot.messages)[-fresh:]:
+                tell(text)
+            self._seen = robot.told
+        return until is None or robot.time < until - 0.5 * robot.dt

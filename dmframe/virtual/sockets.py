@@ -1,0 +1,115 @@
+"""Sockets that a script opens to its client: nothing of them blocks the robot's clock."""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+from collections.abc import Callable, Generator
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, Final, final
+
+from dmframe.virtual.words import ScriptError
+
+if TYPE_CHECKING:
+    from dmframe.virtual.robot import VirtualRobot
+
+Read = Generator[None, None, bytes]
+OPENING: Final = 2.0
+"""How long a script waits for a connection [s]."""
+MOST: Final = 16
+"""Sockets of a script."""
+
+
+@final
+class Sockets:
+    """The sockets of one script, by their names; times are those of the robot's clock."""
+
+    def __init__(self, robot: VirtualRobot) -> None:
+        self._robot = robot
+        self._open = dict[str, socket.socket]()
+        self._rest = dict[str, bytes]()
+
+    def close(self) -> None:
+        """All of them."""
+        for name in list(self._open):
+            self.shut(name)
+
+    def shut(self, name: str) -> None:
+        """One of them; nothing where it is not open."""
+        held = self._open.pop(name, None)
+        self._rest.pop(name, None)
+        if held is not None:
+            held.close()
+
+    def open(self, host: str, port: int, name: str) -> Generator[None, None, bool]:
+        """Connect; True where that was done in time."""
+        self.shut(name)
+        if len(self._open) >= MOST:
+            raise ScriptError(f"socket_open {name}: expected no more than {MOST} sockets")
+        made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        made.setblocking(False)
+        try:
+            state = made.connect_ex((host, port))
+        except OSError:
+            made.close()
+            return False
+        until = self._robot.time + OPENING
+        while state in (errno.EINPROGRESS, errno.EALREADY):
+            if select.select([], [made], [], 0)[1]:
+                state = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            elif self._robot.time >= until:
+                break
+            else:
+                yield
+        if state != 0:
+            made.close()
+            return False
+        made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._open[name], self._rest[name] = made, b""
+        return True
+
+    def send(self, name: Any, data: bytes) -> bool:
+        """All of it, or False."""
+        held = self._open.get(str(name))
+        if held is None:
+            return False
+        try:
+            return held.send(data) == len(data)
+        except OSError:
+            return False
+
+    def read(self, name: Any, count: int, timeout: Any) -> Read:
+        """So many bytes; none of them where they do not come in time."""
+        return self._read(str(name), timeout, lambda rest: count if len(rest) >= count else 0)
+
+    def read_until(self, name: Any, end: bytes, timeout: Any) -> Read:
+        """What comes up to an end, with it."""
+        return self._read(str(name), timeout, lambda rest: rest.find(end) + len(end) if end in rest else 0)
+
+    def read_some(self, name: Any, timeout: Any) -> Read:
+        """What is there."""
+        return self._read(str(name), timeout, len)
+
+    def _read(self, name: str, timeout: Any, enough: Callable[[bytes], int]) -> Read:
+        until = self._robot.time + float(timeout) if timeout > 0 else None
+        while name in self._open:
+            gone = self._receive(name)
+            if (count := enough(self._rest[name])) > 0:
+                found, self._rest[name] = self._rest[name][:count], self._rest[name][count:]
+                return found
+            if gone or (until is not None and self._robot.time >= until):
+                break
+            yield
+        return b""
+
+    def _receive(self, name: str) -> bool:
+        """True where the client has closed it."""
+        with suppress(BlockingIOError):
+            try:
+                data = self._open[name].recv(65536)
+            except ConnectionError:
+                return True
+            self._rest[name] += data
+            return not data
+        return False

@@ -1,0 +1,201 @@
+"""The ports of the robot, by sockets, on a clock that the test moves."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Iterator
+
+import pytest
+from virtual_robots import message, robot
+
+from dmframe.errors import OutputError
+from dmframe.virtual import Ports, VirtualRobot
+
+HOST = "127.0.0.1"
+OPEN: list[socket.socket] = []
+
+
+class Connected:
+    """A client's socket, read while the robot looks at its own."""
+
+    def __init__(self, held: VirtualRobot, port: int) -> None:
+        self.held, self.socket = held, socket.create_connection((HOST, port))
+        self.socket.setblocking(False)
+        OPEN.append(self.socket)
+        held.advance()
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
+
+    def read(self, count: int) -> bytes:
+        """So many bytes, the robot's cycles passing until they are there."""
+        data = b""
+        for _ in range(5000):
+            try:
+                data += self.socket.recv(count - len(data))
+            except BlockingIOError:
+                self.held.advance()
+            if len(data) == count:
+                return data
+        raise AssertionError(f"expected {count} bytes, found {data!r}")
+
+    def line(self) -> str:
+        """Up to the end of a line."""
+        data = b""
+        while not data.endswith(b"\n"):
+            data += self.read(1)
+        return data.decode().strip()
+
+    def ask(self, text: str) -> str:
+        """A line of the dashboard."""
+        self.send(f"{text}\n".encode())
+        return self.line()
+
+
+@pytest.fixture
+def held() -> Iterator[VirtualRobot]:
+    with robot() as found:
+        yield found
+    while OPEN:
+        OPEN.pop().close()
+
+
+def until(held: VirtualRobot, text: str) -> None:
+    for _ in range(5000):
+        if any(text in told for told in held.messages):
+            return
+        held.advance()
+    raise AssertionError(f"expected {text!r} in {list(held.messages)}")
+
+
+def test_rtde_by_a_socket(held: VirtualRobot) -> None:
+    client = Connected(held, held.listen(HOST, Ports.free()).rtde)
+    client.send(message("V", b"\0\2") + message("O", struct.pack(">d", 500.0) + b"timestamp") + message("S"))
+    assert client.read(4 + 10 + 4) == message("V", b"\1") + message("O", b"\1DOUBLE") + message("S", b"\1")
+    first, second = (struct.unpack(">d", client.read(12)[4:])[0] for _ in range(2))
+    assert second - first == pytest.approx(held.dt)
+    client.socket.close()
+    held.advance(3)
+    assert held.listeners == []
+
+
+def test_the_dashboard(held: VirtualRobot) -> None:
+    client = Connected(held, held.listen(HOST, Ports.free()).dashboard)
+    assert client.line() == "Connected: Universal Robots Dashboard Server"
+    assert client.ask("robotmode") == "Robotmode: RUNNING"
+    assert client.ask("PolyscopeVersion").startswith("URSoftware 5.11.0.108249")
+    assert client.ask("get robot model") == "UR10"
+    assert client.ask("get serial number").isdigit()
+    assert client.ask("programState") == "STOPPED virtual.urp"
+    held.load_script("def p():\n while True:\n  sync()\n end\nend\n")
+    assert client.ask("running") == "Program running: true"
+    assert client.ask("stop") == "Stopped"
+    assert not held.running
+    held.protective_stop()
+    assert client.ask("safetystatus") == "Safetystatus: PROTECTIVE_STOP"
+    assert client.ask("unlock protective stop") == "Protective stop releasing"
+    assert client.ask("unlock protective stop") == "Cannot unlock protective stop"
+    held.emergency_stop()
+    assert client.ask("safetymode") == "Safetymode: ROBOT_EMERGENCY_STOP"
+    held.release_emergency_stop()
+    assert client.ask("robotmode") == "Robotmode: POWER_OFF"
+    client.ask("power on")
+    assert client.ask("robotmode") == "Robotmode: IDLE"
+    client.ask("brake release")
+    assert client.ask("robotmode") == "Robotmode: RUNNING"
+    assert client.ask("make coffee") == "could not understand: 'make coffee'"
+    assert client.ask("quit") == "Disconnected"
+
+
+@pytest.mark.parametrize("name", ["primary", "secondary", "realtime"])
+def test_a_script_by_each_port_that_takes_one(held: VirtualRobot, name: str) -> None:
+    client = Connected(held, getattr(held.listen(HOST, Ports.free()), name))
+    text = b'def p():\n textmsg("steptime ", get_steptime())\nend\n'
+    client.send(text[:20])
+    held.advance(2)
+    assert not held.messages
+    client.send(text[20:])
+    until(held, "steptime 0.002")
+    client.send(b"def p(:\nend\n")
+    until(held, "script: line 1: expected ')', found :")
+
+
+def test_the_primary_port_tells_version_mode_and_limits(held: VirtualRobot) -> None:
+    client = Connected(held, held.listen(HOST, Ports.free()).primary)
+    size, kind, _, source, about = struct.unpack(">IBQbB", client.read(15))
+    text = client.read(size - 15)
+    assert (kind, source, about) == (20, -2, 3)
+    assert text[:10] == b"\x09URControl"
+    assert struct.unpack(">BBii", text[10:20]) == (5, 11, 0, 108249)
+    size, kind = struct.unpack(">IB", client.read(5))
+    assert kind == 16
+    body, found = client.read(size - 5), dict[int, bytes]()
+    while body:
+        length, part = struct.unpack(">IB", body[:5])
+        found[part], body = body[5:length], body[length:]
+    assert {0, 6} <= set(found)
+    assert len(found[0]) + 5 == 47  # as long as the maker's
+    assert found[0][15] == 7
+    assert len(found[6]) + 5 == 445
+    assert struct.unpack(">4d", found[6][96:128])[::2] == (2.16, 2.16)
+
+
+def test_the_real_time_port_tells_the_joints(held: VirtualRobot) -> None:
+    client = Connected(held, held.listen(HOST, Ports.free()).realtime)
+    (size,) = struct.unpack(">I", client.read(4))
+    numbers = struct.unpack(f">{(size - 4) // 8}d", client.read(size - 4))
+    assert size == 1108
+    assert numbers[31:34] == pytest.approx((1.455411, -1.016031, 0.978316), abs=1e-5)
+
+
+def test_a_script_opens_sockets_to_its_client(held: VirtualRobot) -> None:
+    door = socket.create_server((HOST, 0))
+    port = door.getsockname()[1]
+    held.load_script(
+        f"""def p():
+  if socket_open("{HOST}", {port}, "back"):
+    socket_send_line("hello", "back")
+    socket_send_int(-7, "back")
+    numbers = socket_read_binary_integer(2, "back", 1)
+    floats = socket_read_ascii_float(2, "back", 1)
+    text = socket_read_line("back", 1)
+    none = socket_read_binary_integer(1, "back", 0.1)
+    textmsg(numbers, floats)
+    textmsg(text, none)
+    socket_close("back")
+  end
+  textmsg("other ", socket_open("{HOST}", 1, "nobody"))
+end
+"""
+    )
+    held.advance(2)
+    back, _ = door.accept()
+    held.advance(2)
+    assert back.recv(100) == b"hello\n" + struct.pack(">i", -7)
+    back.sendall(struct.pack(">ii", 3, -4) + b"(1.5,2.5)" + b"some words\n")
+    until(held, "some words[0, -1]")
+    assert any("[2, 3, -4][2, 1.5, 2.5]" in told for told in held.messages)
+    until(held, "other False")
+    back.close()
+    door.close()
+
+
+def test_a_taken_port_is_told_and_nothing_stays_open(held: VirtualRobot) -> None:
+    with socket.create_server((HOST, 0)) as other:
+        taken = other.getsockname()[1]
+        with pytest.raises(OutputError, match=rf"realtime: cannot listen at {HOST}:{taken}: address already in use"):
+            held.listen(HOST, Ports(0, 0, 0, 0, taken))
+    ports = held.listen(HOST, Ports.free())
+    held.close()
+    for port in vars(ports).values():
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection((HOST, port))
+
+
+def test_a_client_that_talks_nonsense_is_dropped(held: VirtualRobot) -> None:
+    client = Connected(held, held.listen(HOST, Ports.free()).rtde)
+    client.send(b"\0\0\0\0")
+    held.advance(2)
+    assert held.listeners == []
+    assert client.socket.recv(10) == b""
