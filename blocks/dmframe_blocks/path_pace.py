@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import named
+from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import PERIOD, Port, State
 
@@ -80,7 +80,7 @@ class PathPace(AbstractBlock):
         for k in range(3):
             times.append(times[-1] + u.T * rates[min(k, self.delay)])
         newest = rates[-1]
-        near = named("near", ca.mmax(ca.fabs(u.dq_c) / (p.share * p.u_max)))
+        near = named("near", largest(ca.fabs(u.dq_c) / (p.share * p.u_max)))
         slower, faster = newest / ca.fmax(near, 1), newest + ca.fmin(1, u.T / p.recovery) * (1 - newest)
         return Equations(
             outputs={
@@ -95,3 +95,9 @@ class PathPace(AbstractBlock):
                 "rates": ca.vertcat(*rates[1:], ca.if_else(near > 1, slower, faster)),
             },
         )
+
+
+@operation
+def largest(values: Any) -> Any:
+    """The largest of some numbers."""
+    return ca.mmax(values)

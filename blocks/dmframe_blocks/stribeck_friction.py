@@ -19,7 +19,7 @@ class StribeckFriction(AbstractBlock):
 
     .. math::
 
-        \tau_{rub} &= \mathrm{sticking}\, e^{-(\dot q / \mathrm{velocity})^2} \phi(\dot q)
+        \tau_{rub} &= \mathrm{sticking} \exp(-(\dot q / \mathrm{velocity})^2) \phi(\dot q)
                       + \mathrm{uneven}\, \phi(\dot q)^2   \tag{1} \\
         u_{left}   &= u - K^{-1} \tau_{rub}   \tag{2}
 

@@ -326,28 +326,30 @@ class LeastSquaresLaw(SampledLaw):
     def begin(self, q: Array) -> None:
         super().begin(q)
         links = slice(self.constant + 1, -2)
-        self.lower[links], self.upper[links] = -self.heaviest * self.w_0, self.heaviest * self.w_0
-        self.W = np.array([np.diag(1 / self.Gamma)] * q.size)
+        w_0 = np.broadcast_to(self.w_0, q.size)[:, None]
+        self.lower[:, links], self.upper[:, links] = -self.heaviest * w_0, self.heaviest * w_0
+        self.W = np.array([np.diag(1 / sizes) for sizes in self.Gamma])
 
     def learn(self, h: Array, g: Array, free: Array) -> None:
         self.recent = [(h * free[:, None], g * free, free), *self.recent][: self.average]
         rows, excesses = (np.mean([item[k] for item in self.recent], axis=0) for k in (0, 1))
         for joint, (row, excess) in enumerate(zip(rows, excesses, strict=True)):
-            old = self.W[joint]
+            old, first = self.W[joint], np.diag(1 / self.Gamma[joint])
+            lower, upper = self.lower[joint], self.upper[joint]
             W = old + np.outer(row, row) / self.nu
             x = np.linalg.solve(W, old @ self.theta[joint] + row * excess / self.nu)
             for i in range(x.size):
-                end = np.clip(x[i], self.lower[i], self.upper[i])
+                end = np.clip(x[i], lower[i], upper[i])
                 if x[i] != end:
                     others = np.arange(x.size) != i
                     x[others] += np.linalg.solve(W[np.ix_(others, others)], W[others, i] * (x[i] - end))
                     x[i] = end
                     self.faces += 1
-            self.theta[joint] = np.clip(x, self.lower, self.upper)
+            self.theta[joint] = np.clip(x, lower, upper)
             if np.any(self.theta[joint] != x):
-                W = np.diag(1 / self.Gamma)
+                W = first
                 self.cuts += 1
-            self.W[joint] = self.retention * W + (1 - self.retention) * np.diag(1 / self.Gamma)
+            self.W[joint] = self.retention * W + (1 - self.retention) * first
 
 
 @dataclass

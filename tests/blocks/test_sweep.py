@@ -20,7 +20,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdWAN")
+LETTERS = set("nmpkhcdWANG")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
