@@ -122,7 +122,7 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
     "runtime_state": ("UINT32", lambda robot: robot.runtime_state),
     "robot_status_bits": ("UINT32", lambda robot: robot.status_bits),
     "safety_status_bits": ("UINT32", lambda robot: robot.safety.bits),
-    "speed_scaling": ("DOUBLE", lambda robot: robot.scaling),
+    "speed_scaling": ("DOUBLE", lambda robot: float(robot.safety.ready)),  # clients multiply it by the next
     "target_speed_fraction": ("DOUBLE", lambda robot: robot.slider),
     "actual_digital_input_bits": ("UINT64", lambda robot: 0),
     "actual_digital_output_bits": ("UINT64", lambda robot: robot.digital_outputs),

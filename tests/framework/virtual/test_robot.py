@@ -165,7 +165,7 @@ def test_a_slider_at_zero_holds_the_robot() -> None:
     client.write("Id", 1, 0.25)
     held.advance(100)
     assert held.target.qd[0] == 0.05
-    assert client.samples("dd")[-1] == (0.25, 0.25)
+    assert client.samples("dd")[-1] == (1.0, 0.25)
 
 
 def test_lost_samples_are_not_sent_and_follow_from_the_seed() -> None:
