@@ -34,7 +34,9 @@ PARTS = ("rms_by_eighth", "least", "most", "last", "crossed")
 needs_compiler = pytest.mark.skipif(find_compiler() is None, reason="no C compiler")
 
 
-def batch(name: str, until: float, engine: Any = "compiled", wanted: Wanted | None = None, **keys: Any) -> Batch:
+def batch(
+    name: str | dm.Graph, until: float, engine: Any = "compiled", wanted: Wanted | None = None, **keys: Any
+) -> Batch:
     graph = dm.load(name).set(**keys) if keys else dm.load(name)
     return Batch.of(graph.diagram, until, wanted=wanted, engine=engine, **graph.experiment.settings)
 
