@@ -277,7 +277,7 @@ def test_with_a_wrong_sensor_a_ball_and_a_box_stop_the_drift_at_their_rim(tmp_pa
 
 
 def test_in_continuous_time_a_ball_holds_its_estimate_on_the_rim() -> None:
-    overrides = ["clock=continuous", "dynamics.a_d_hat_ball=[0, 0.5]", "dynamics.Gamma=300"]
+    overrides = ["clock=continuous", "dynamics.a_d_hat_ball=[0, 0.5]", "dynamics.Gamma=300", UNBOXED]
     graph = load_experiment("arm2_joint", overrides)
     run = simulate(graph.diagram(), 10.0, clock=None, solver=graph.solver, start=graph.start)
     size = np.linalg.norm(run["dynamics.a_d_hat"], axis=1)

@@ -242,7 +242,7 @@ def test_a_graph_gives_the_very_bits_of_c_that_fuses_nothing(name: str, tmp_path
 
 def test_a_module_is_small() -> None:
     prepared, *_ = prepared_graph("ur10_fast", 0.2)
-    assert 5_000 < len(loop_module(prepared.step.parts)) < 20_000
+    assert 5_000 < len(loop_module(prepared.step.parts)) < 25_000  # the boxes on all estimates take some 6500 of it
 
 
 Ports = ClassVar[tuple[Port, ...]]

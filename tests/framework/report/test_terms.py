@@ -31,9 +31,10 @@ def test_the_formulas_hold_every_term_once_and_kappa_with_the_servo_level_alone(
     )
     assert terms.rate[0].right == (
         r"= - |q - q_{d}|^2_{D_{1}} - |\tfrac{1}{2} (q - q_{d}) - s/\bar{\alpha}|^2_{D_{2}}"
-        r" - \kappa\, |\sigma|^2_{D_{3}} - \kappa\, \ell_{1} + \kappa\,\pi_{1} + \kappa\,\pi_{2} + |s|^2/\bar{\alpha}"
+        r" - \kappa\, |\sigma|^2_{D_{3}} - \kappa\, \ell_{1} + \kappa\,\pi_{1} + \kappa\,\pi_{2} + \kappa\,\pi_{3}"
+        r" + |s|^2/\bar{\alpha}"
     )
-    assert [name for _, name in terms.projections] == ["inverse.w", "inverse.w_I"]
+    assert [name for _, name in terms.projections] == ["dynamics.a_d_hat", "inverse.w", "inverse.w_I"]
 
 
 def test_the_inertia_of_a_single_joint_is_called_m_too(continuous):
