@@ -387,9 +387,13 @@ def test_what_an_estimator_does_not_have_is_refused() -> None:
             inverse(**options)
 
 
-def test_least_squares_goes_with_a_delay_an_encoder_and_a_supervisor() -> None:
+def test_least_squares_goes_with_a_delay_and_an_encoder() -> None:
     squares = ("inverse.estimator=least_squares", "inverse.average=2")
     assert rms(error(run(SLOW, 20.0, *squares, delay=1, encoder=True))) < 0.4
+
+
+def test_least_squares_goes_with_a_supervisor() -> None:
+    squares = ("inverse.estimator=least_squares", "inverse.average=2")
     graph = load_experiment("ur10_slow_supervised", list(squares))
     found = simulate(graph.diagram(), 8.0, clock=T, start=graph.start, engine="interpreted")
     assert float(found["supervisor.predictor"][-1].item()) == 2.0

@@ -229,7 +229,7 @@ def test_units_are_told_in_those_of_si() -> None:
     ("graph", "text"),
     [
         (
-            lambda: dm.load("ur10_slow_sampled_delay"),
+            lambda: dm.load("ur10_fast").set({"reality": {"transport_delay": {"samples": 1}}}),
             "its robot has .*, which moves in samples",
         ),
         (lambda: dm.load("ur10_fast").set({"solver.method": "ros34pw2"}), "takes steps of rk4, found ros34pw2"),
