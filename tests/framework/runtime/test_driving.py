@@ -52,7 +52,7 @@ def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
         (standing(1, time=0.04, fault="protective stop")[0], "robot: protective stop"),
         (standing(1, time=0.04, ready=False)[0], "robot: it is not ready to move"),
         (standing(1, time=0.04, missed=9)[0], "lost samples: 9 in a row, at most 5 may be"),
-        (standing(1, time=0.04, dq=np.full(3, 1e200))[0], "controller: from a sample followed what is not finite"),
+        (standing(1, time=0.04, dq=np.full(3, 1e308))[0], "controller: from a sample followed what is not finite"),
     ],
 )
 def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, told: str) -> None:
