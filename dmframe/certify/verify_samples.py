@@ -232,6 +232,9 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
             yield Assumption(
                 f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
             )
+        if part.relations:
+            text = f"{part.block}: the command that a row holds is what acted in its sample, so that a delay is as told"
+            yield Assumption(text, "the means over a sample")
         if part.steps and not part.relations:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")
