@@ -83,22 +83,20 @@ def rehearse_graph(
 ) -> int:
     """Rehearse and tell; one that is passed is kept for `drive`, where no run was cut short."""
     from dmframe.drive.kept import keep
-    from dmframe.drive.rehearse import LONGEST
 
     _ = graph.diagram
     until = None if seconds is None else time_of("--seconds", seconds)
     found = graph.rehearse(
         until, payload=None if payload is None else _not_negative("--payload", payload, "kg"), limits=limits
     )
-    whole = found.seconds >= min(graph.duration, LONGEST)
-    if whole or not found.passed:
+    if found.whole or not found.passed:
         keep(graph.experiment, found.summary)
     if as_json:
-        tell(json.dumps({**found.summary, "kept": whole and found.passed}, indent=2))
+        tell(json.dumps({**found.summary, "kept": found.whole and found.passed}, indent=2))
     else:
         tell(str(found))
-        if found.passed and not whole:
-            tell(f"not kept for drive: that takes runs of {min(graph.duration, LONGEST):g} s")
+        if found.passed and not found.whole:
+            tell(f"not kept for drive: that takes runs of {found.asked:g} s")
     return 0 if found.passed else NOT_BORNE
 
 

@@ -82,13 +82,21 @@ class Rehearsal:
         Of the errors.
     seconds
         How long each run was [s].
+    asked
+        How long it must be to decide anything [s].
     """
 
     name: str
     signal: str
     unit: str
     seconds: float
+    asked: float
     outcomes: Sequence[Outcome]
+
+    @property
+    def whole(self) -> bool:
+        """True where no run was cut short."""
+        return self.seconds >= self.asked
 
     @property
     def passed(self) -> bool:
@@ -99,6 +107,9 @@ class Rehearsal:
     def sentence(self) -> str:
         """Whether this controller may meet a robot."""
         failed = [item for item in self.outcomes if item.why and item.condition.needed]
+        if not failed and not self.whole:
+            runs, short = plain(self.asked, "s"), plain(self.seconds, "s")
+            return f"{self.name} bears what it must for {short}; runs of {runs} decide whether it may meet a robot."
         if not failed:
             return (
                 f"{self.name} may meet a robot, as far as a simulation can tell: it was tried on no hardware, and the "
@@ -195,7 +206,8 @@ def rehearsed(
     DmframeError
         The graph drives no robot, or follows no path.
     """
-    duration = min(experiment.file.duration, LONGEST) if seconds is None else seconds
+    asked = min(experiment.file.duration, LONGEST)
+    duration = asked if seconds is None else seconds
     clock, held = clock_of(experiment), limits or own_limits(diagram.robot)
     given = tried if tried is not None else conditions(clock, duration, _usual(diagram) if payload is None else payload)
     run = functools.partial(_quarters, experiment, diagram, duration, held, engine)
@@ -207,7 +219,7 @@ def rehearsed(
         signal, unit = found.signal, found.unit
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
-    return Rehearsal(experiment.name, signal, unit, duration, outcomes)
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes)
 
 
 @final

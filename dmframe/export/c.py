@@ -348,7 +348,7 @@ def _readme(program: Program, *, exact: bool) -> str:
     """What is in the folder, and what it was not tried on."""
     names = ", ".join(program.untold)
     untold = f"\n{names}: nothing measured tells where these start; they begin as in the simulation.\n" if names else ""
-    held = "to the last bit" if exact else "to rounding: there was no compiler where it was written"
+    held = "to the last bit" if exact else "to rounding: no compiler worked where it was written"
     return _README.format(
         name=program.name, period=plain(program.period, "s"), untold=untold, held=held, version=version()
     )
