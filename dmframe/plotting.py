@@ -6,10 +6,11 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
+from dmframe.errors import UnknownNameError
 from dmframe.version import version
 
 COLUMN, PAGE = 3.5, 7.16
@@ -90,7 +91,7 @@ def settle(figure: Any) -> None:
 
     Matplotlib would do both again each time it draws, and takes most of its time for it.
     """
-    figure.draw_without_rendering()
+    figure.get_layout_engine().execute(figure)  # `draw_without_rendering` would also draw
     columns = dict[int, list[Any]]()
     for axes in figure.axes:
         spec = axes.get_subplotspec()
@@ -98,6 +99,9 @@ def settle(figure: Any) -> None:
             columns.setdefault(spec.colspan.start, []).append(axes)
     for panels in columns.values():
         labels = [axes.yaxis.label for axes in panels]
+        for axes in panels:
+            axes.apply_aspect()
+            axes.yaxis.get_tightbbox()  # puts the label beside the axes where they now are
         ends = [label.get_position()[0] for label in labels]  # pixels
         room = min(ends) - max(end - label.get_window_extent().x0 for end, label in zip(ends, labels, strict=True))
         for axes, end in zip(panels, ends, strict=True):
@@ -124,19 +128,46 @@ def figure_svg(figure: Any) -> str:
     return text.getvalue()
 
 
-def files_of(figure: Any, name: str, about: str) -> dict[str, bytes]:
-    """``name.png`` and ``name.svg``; the same figure gives the same bytes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
+FORMATS: Final = ("svg", "png", "pdf")
+"""In which a figure can be written."""
 
-    source = f"dmframe {version()}"
-    png, svg, canvas = io.BytesIO(), io.BytesIO(), figure.canvas
-    meta = {"Title": name, "Description": about}
-    with styled():  # `savefig` would draw each twice, to settle what is settled
-        FigureCanvasAgg(figure).print_png(png, metadata={"Software": source, **meta})
-        FigureCanvasSVG(figure).print_svg(svg, metadata={"Date": None, "Creator": source, **meta})
+
+def checked_formats(where: str, formats: Sequence[str]) -> tuple[str, ...]:
+    """The formats, each once. Raises `UnknownNameError` for one that there is not."""
+    formats = (formats,) if isinstance(formats, str) else formats
+    for each in formats:
+        if each not in FORMATS:
+            raise UnknownNameError(where, "format of figures", each, FORMATS)
+    return tuple(dict.fromkeys(formats))
+
+
+def files_of(figure: Any, name: str, about: str, formats: Sequence[str] = FORMATS[:1]) -> dict[str, bytes]:
+    """The figure as ``name.svg`` and in other `FORMATS`; the same figure gives the same bytes."""
+    canvas = figure.canvas
+    with styled():
+        files = {f"{name}.{ending}": _printed(figure, ending, name, about) for ending in formats}
     figure.set_canvas(canvas)
-    return {f"{name}.png": png.getvalue(), f"{name}.svg": svg.getvalue()}
+    return files
+
+
+def _printed(figure: Any, ending: str, name: str, about: str) -> bytes:
+    """By a canvas of its own: `savefig` would draw twice, to settle what is settled."""
+    file, source = io.BytesIO(), f"dmframe {version()}"
+    meta = {"Title": name, "Description": about}
+    if ending == "png":
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        FigureCanvasAgg(figure).print_png(file, metadata={"Software": source, **meta})
+    elif ending == "pdf":
+        from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+        told = {"Title": name, "Subject": about, "Creator": source, "CreationDate": None}
+        FigureCanvasPdf(figure).print_pdf(file, metadata=told)
+    else:
+        from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+        FigureCanvasSVG(figure).print_svg(file, metadata={"Date": None, "Creator": source, **meta})
+    return file.getvalue()
 
 
 def look(index: int) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from dmframe.cli.arguments import (
     AsJson,
     Boxes,
     Centre,
+    FigureFormats,
     Graphs,
     Least,
     LimitsFile,
@@ -172,6 +173,7 @@ def run(
         typer.Option(metavar="SET", help="Put what is real between controller and robot: ur; none,ur runs both."),
     ] = None,
     baseline: Annotated[bool, typer.Option("--baseline", help="Run each graph's baseline too, to compare.")] = False,
+    figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     page: Annotated[bool, typer.Option("--page", help="Write each graph's live page beside its results.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
@@ -183,6 +185,7 @@ def run(
     Several values, --set task.gamma=1,2,5, make a graph of each.
     """
     from dmframe.cli.graphs import graphs_of
+    from dmframe.cli.options import formats_of
     from dmframe.cli.run import run_graphs
 
     real = [] if reality is None else [f"reality={reality}"]
@@ -192,7 +195,7 @@ def run(
         out=out,
         engine=cast("Choice", engine),  # where it is used, it is checked
         baseline=baseline,
-        plots=not no_plots,
+        formats=() if no_plots else formats_of(figures),
         pages=page,
         force=force,
         as_json=as_json,
@@ -330,6 +333,7 @@ def drive(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
+    figures: FigureFormats = "svg",
     no_plots: Annotated[bool, typer.Option("--no-plots", help="Draw no figures.")] = False,
     force: Annotated[bool, typer.Option("--force", help="Write to --out though it holds files.")] = False,
     as_json: AsJson = False,
@@ -341,6 +345,7 @@ def drive(
     """
     from dmframe.cli.drive import drive_graph
     from dmframe.cli.graphs import one_graph
+    from dmframe.cli.options import formats_of
 
     return drive_graph(
         one_graph(graph, overrides, trust=trust),
@@ -351,7 +356,7 @@ def drive(
         shadow=shadow,
         rehearsed=not unrehearsed,
         out=out,
-        plots=not no_plots,
+        formats=() if no_plots else formats_of(figures),
         force=force,
         as_json=as_json,
     )

@@ -74,6 +74,9 @@ LimitsFile = Annotated[
     Path | None,
     typer.Option("--limits", metavar="FILE", callback=home, help="Limits that are narrower than the robot's own."),
 ]
+FigureFormats = Annotated[
+    str, typer.Option("--figures", metavar="FORMATS", help="Figures as svg, png, pdf; or several: svg,png.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object (a list for several graphs).")]
 Listed = Annotated[bool, typer.Option("--json", help="Print a JSON list.")]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def drive_graph(
     shadow: bool,
     rehearsed: bool,
     out: Path | None,
-    plots: bool,
+    formats: Sequence[str],
     force: bool,
     as_json: bool,
 ) -> int:
@@ -54,10 +55,10 @@ def drive_graph(
                 rehearsed=rehearsed,
                 asked=lambda: _named(came[0]) if came else "",
             )
-            draw = stack.enter_context(drawing([run] if plots else ()))
+            draw = stack.enter_context(drawing([run] if formats else (), formats))
             summaries = write_data(place, [run])
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
-        if plots and not came:
+        if formats and not came:
             draw(place)
     if came:
         return STOPPED

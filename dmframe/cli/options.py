@@ -35,6 +35,13 @@ def words(text: str | None) -> tuple[str, ...] | None:
     return tuple(word.strip() for word in text.split(",") if word.strip()) if text else None
 
 
+def formats_of(text: str) -> tuple[str, ...]:
+    """Formats of figures, as commas part them. Raises `UnknownNameError`, which names the option."""
+    from dmframe.plotting import checked_formats
+
+    return checked_formats("--figures", words(text) or ("",))
+
+
 def angles(option: str, pairs: Sequence[str]) -> dict[str, float]:
     """Angles by joint [rad], each ``joint=angle``. Raises `ValueFault`, which names the option."""
     found = dict[str, float]()

@@ -34,7 +34,7 @@ def run_graphs(
     out: Path | None,
     engine: Choice,
     baseline: bool,
-    plots: bool,
+    formats: Sequence[str],
     pages: bool,
     force: bool,
     as_json: bool,
@@ -56,8 +56,12 @@ def run_graphs(
         found, interrupted = _run_all(graphs, engine, as_json)
         if not found:
             return STOPPED
-        runs = labelled(found)
-        with drawing(runs if plots else ()) as draw:
+        with drawing(labelled(found) if formats else (), formats) as draw:
+            judged = [
+                Run(run.experiment, graph.warned(run.recording))  # while the figures are drawn elsewhere
+                for run, graph in zip(found, graphs, strict=False)  # after Ctrl-C there are fewer runs than graphs
+            ]
+            runs = labelled(judged)
             try:  # printing may fail, and everything is written all the same
                 if not as_json:
                     tell(str(runs))
@@ -68,7 +72,7 @@ def run_graphs(
                 try:
                     tell(told if as_json else f"results: {place.path}")
                 finally:
-                    if plots and not signals:
+                    if formats and not signals:
                         _say("drawing the figures", as_json)
                         draw(place)
         if pages and not signals:
@@ -118,7 +122,7 @@ def _run_all(graphs: Sequence[Graph], engine: Choice, as_json: bool) -> tuple[li
     try:
         with Bars(quiet=True if as_json else None) as bars:
             for graph in graphs:
-                runs.append(graph.run(engine=engine, progress=bars.of(graph.name, graph.duration)))
+                runs.append(graph.run(engine=engine, progress=bars.of(graph.name, graph.duration), judge=False))
                 if runs[-1].recording.interrupted:
                     return runs, True
     except KeyboardInterrupt:  # between two marches, where a run has nothing to keep yet

@@ -158,7 +158,12 @@ class Graph:
         return Graph(self.experiment.baseline())
 
     def run(
-        self, until: float | str | None = None, *, engine: Choice = "auto", progress: bool | Bar | None = None
+        self,
+        until: float | str | None = None,
+        *,
+        engine: Choice = "auto",
+        progress: bool | Bar | None = None,
+        judge: bool = True,
     ) -> Run:
         """Simulate it on its own clock, with its own solver, start and log.
 
@@ -170,6 +175,8 @@ class Graph:
             ``compiled``, ``interpreted``, or ``auto``: compiled where the run is long enough to be worth it.
         progress
             Show a bar, or advance one that is there; by default where a terminal or a notebook shows it.
+        judge
+            Look whether the loop is unstable near its set-point on its clock, and give a notice if it is.
 
         Raises
         ------
@@ -180,7 +187,7 @@ class Graph:
         graph = self if until is None else self.until(until)
         with shown(progress, graph.name, graph.duration) as bar:
             recording = graph.experiment.simulate(self.diagram, engine=engine, progress=bar)
-        return Run(graph.experiment, self.warned(recording))
+        return Run(graph.experiment, self.warned(recording) if judge else recording)
 
     def warned(self, recording: Recording) -> Recording:
         """A run of it, with a notice where the sampled loop is unstable near its set-point, before it may be seen."""

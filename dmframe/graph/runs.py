@@ -15,6 +15,7 @@ from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, Va
 from dmframe.files import told_apart
 from dmframe.graph.graph import Graph, load, seconds
 from dmframe.graph.progress import Bars
+from dmframe.plotting import FORMATS
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of
 from dmframe.simulate import Recording, simulate_many
 from dmframe.units import plain, shorten
@@ -63,9 +64,11 @@ class Runs(Sequence[Run]):
         """The figures of the command line, overlaid, or one of some signals. See `Run.plot`."""
         return drawn(self.runs, signals)
 
-    def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
+    def save(
+        self, folder: str | Path, *, plots: bool = True, formats: Sequence[str] = FORMATS[:1], force: bool = False
+    ) -> Path:
         """Write each to a folder of its own below `folder`, and the figures beside them. See `Run.save`."""
-        return saved(self.runs, folder, plots=plots, force=force)
+        return saved(self.runs, folder, plots=plots, formats=formats, force=force)
 
     @overload
     def __getitem__(self, key: int | str) -> Run: ...

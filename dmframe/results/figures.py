@@ -13,7 +13,7 @@ from dmframe import notebook
 from dmframe.copies import shared
 from dmframe.errors import OutputError
 from dmframe.files import expanded, write_bytes, writing
-from dmframe.plotting import files_of
+from dmframe.plotting import FORMATS, checked_formats, files_of
 from dmframe.results.command_figure import command_figure
 from dmframe.results.drawn_runs import Runs
 from dmframe.results.effort_figure import effort_figure
@@ -40,9 +40,10 @@ class Figures(Mapping[str, Any]):
     made: Mapping[str, Any]
     about: str
 
-    def save(self, folder: str | Path) -> list[Path]:
-        """Write each as PNG and SVG to a folder. Raises `OutputError` where that cannot be done."""
+    def save(self, folder: str | Path, formats: Sequence[str] = FORMATS[:1]) -> list[Path]:
+        """Write each to a folder, as ``svg``, ``png`` or ``pdf``. Raises `OutputError` where that cannot be done."""
         place, files = expanded(folder), list[Path]()
+        formats = checked_formats("save", formats)
         if place.suffix in (".png", ".svg", ".pdf"):
             raise OutputError(
                 f"{place}: expected a folder, found the name of a file; each figure has a savefig of its own"
@@ -50,7 +51,7 @@ class Figures(Mapping[str, Any]):
         with writing(place, "figures"):
             place.mkdir(parents=True, exist_ok=True)
         for name, figure in self.items():
-            for file, content in files_of(figure, name, self.about).items():
+            for file, content in files_of(figure, name, self.about, formats).items():
                 write_bytes(place / file, content)
                 files.append(place / file)
         return files
@@ -82,7 +83,7 @@ def figures_of(runs: Mapping[str, Ran]) -> Figures:
 
 
 @contextmanager
-def drawing(runs: Mapping[str, Ran]) -> Iterator[Callable[[], dict[str, bytes]]]:
+def drawing(runs: Mapping[str, Ran], formats: Sequence[str]) -> Iterator[Callable[[], dict[str, bytes]]]:
     """Begin to draw `figures_of`, on other cores where there are some; what is yielded returns their files.
 
     Matplotlib takes most of a short run's time: within, the data may be written meanwhile.
@@ -91,7 +92,7 @@ def drawing(runs: Mapping[str, Ran]) -> Iterator[Callable[[], dict[str, bytes]]]
     def job(name: str, make: Callable[[], Any]) -> Callable[[], dict[str, bytes]]:
         def draw() -> dict[str, bytes]:
             figure = make()
-            return {} if figure is None else files_of(figure, name, ", ".join(runs))
+            return {} if figure is None else files_of(figure, name, ", ".join(runs), formats)
 
         return draw
 

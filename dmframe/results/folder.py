@@ -18,6 +18,7 @@ from typing import Any, Final
 from dmframe.config.experiment import Experiment
 from dmframe.errors import OutputError
 from dmframe.files import encoded, told_apart, write_bytes, writing
+from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, reserved
@@ -47,6 +48,7 @@ def write_run(
     runs: Sequence[Ran],
     *,
     plots: bool = True,
+    formats: Sequence[str] = FORMATS[:1],
     force: bool = False,
     seed: int | None = None,
     command: Sequence[str] | None = None,
@@ -64,6 +66,8 @@ def write_run(
         A new or an empty folder, or one held by `reserved`.
     plots
         Draw the figures.
+    formats
+        In which: ``svg``, ``png``, ``pdf``.
     force
         The folder may hold files; those of the same names are replaced.
     seed
@@ -78,7 +82,7 @@ def write_run(
     """
     folders = folders_of([run.name for run in runs])
     held = nullcontext(path) if isinstance(path, Place) else reserved(path, force=force, folders=folders)
-    with held as place, drawing(runs if plots else ()) as draw:
+    with held as place, drawing(runs if plots else (), checked_formats("formats", formats)) as draw:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
         draw(place)
     return summaries
@@ -107,12 +111,12 @@ def write_data(
 
 
 @contextmanager
-def drawing(runs: Sequence[Ran]) -> Iterator[Callable[[Place], None]]:
+def drawing(runs: Sequence[Ran], formats: Sequence[str]) -> Iterator[Callable[[Place], None]]:
     """Begin to draw figures; what is yielded writes them beside their data.
 
     That raises `OutputError` where it cannot be done; where it is not called, there are none.
     """
-    with figures.drawing(dict(zip(_names([run.name for run in runs]), runs, strict=True))) as drawn:
+    with figures.drawing(dict(zip(_names([run.name for run in runs]), runs, strict=True)), formats) as drawn:
 
         def write(place: Place) -> None:
             try:

@@ -13,6 +13,7 @@ from typing import Final, final
 
 from dmframe.errors import OutputError
 from dmframe.files import hidden_name, is_hidden, writing
+from dmframe.plotting import FORMATS
 
 FILES: Final = ("graph.yaml", "provenance.json", "signals.nc", "summary.json")
 PAGE: Final = "page.html"
@@ -109,7 +110,7 @@ def _check_usable(folder: Path, path: Path, folders: Collection[str], *, ours: b
 def is_ours(name: str) -> bool:
     """True for the name of a file that a run writes."""
     stem, _, ending = name.rpartition(".")
-    return name in (*FILES, PAGE) or (ending in ("png", "svg") and (stem in FIGURES or stem.startswith(OF_EACH)))
+    return name in (*FILES, PAGE) or (ending in FORMATS and (stem in FIGURES or stem.startswith(OF_EACH)))
 
 
 def _check_replaceable(item: Path, path: Path, *, folder: bool) -> None:

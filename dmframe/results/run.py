@@ -15,6 +15,7 @@ from dmframe.columns import columns
 from dmframe.config import Experiment
 from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.files import expanded
+from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, tracking_error
 from dmframe.results.summary import summary
@@ -120,8 +121,12 @@ class Run:
         """
         return drawn([self], signals)
 
-    def save(self, folder: str | Path, *, plots: bool = True, force: bool = False) -> Path:
+    def save(
+        self, folder: str | Path, *, plots: bool = True, formats: Sequence[str] = FORMATS[:1], force: bool = False
+    ) -> Path:
         """Write signals, graph, summary and figures to a new or an empty folder, all of it or nothing.
+
+        Figures in the formats that are named: ``svg``, ``png``, ``pdf``.
 
         With `force` the folder may hold files; those of the same names are replaced.
 
@@ -130,7 +135,7 @@ class Run:
         OutputError
             The folder has files in it, or cannot be written.
         """
-        return saved([self], folder, plots=plots, force=force)
+        return saved([self], folder, plots=plots, formats=formats, force=force)
 
     def __reduce__(self) -> Any:
         """Pickled with its arrays; its diagram is made anew when it is read."""
@@ -178,12 +183,12 @@ def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figure
     return signals_figure(named, labels) if labels else figures_of(named)
 
 
-def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, force: bool) -> Path:
+def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, formats: Sequence[str], force: bool) -> Path:
     """See `Run.save`."""
     from dmframe.results.folder import write_run
 
     path = expanded(folder)
-    write_run(path, runs, plots=plots, force=force)
+    write_run(path, runs, plots=plots, formats=formats, force=force)
     return path
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import pytest
 import xarray
 
 from dmframe.config import load_experiment
+from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
 EXTRAS = {"divergence", "interrupted", "notices", "rank"}
+FILES_END = (".yaml", ".json", ".nc")
 FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
 SHORT = ("--until", "0.5 s", "--no-plots")
 UNBOXED = ("--set", "dynamics.a_d_hat_box=null", "--set", "inverse.w_box=null")
@@ -110,8 +113,17 @@ def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
 def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path) -> None:
     assert dmframe("run", "pendulum", "--until", "0.5", "--out", "mine").status == 0
     names = {path.name for path in tmp_path.joinpath("mine").iterdir()}
-    assert {"error.png", "error.svg", "commands.png"} <= names
-    assert tmp_path.joinpath("mine", "error.png").read_bytes().startswith(b"\x89PNG")
+    assert {"error.svg", "commands.svg"} <= names
+    assert dmframe("run", "pendulum", "--until", "0.5", "--figures", "png,pdf", "--out", "other").status == 0
+    names = {path.name for path in tmp_path.joinpath("other").iterdir() if path.suffix not in FILES_END}
+    assert names == {f"{name}.{ending}" for name in (*FIGURES, *OF_EACH) for ending in ("png", "pdf")}
+
+
+def test_a_format_that_there_is_not_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
+    said = dmframe("run", "pendulum", "--until", "0.5", "--figures", "svg,jpg", "--out", "mine")
+    assert said.status == 2
+    assert "--figures: unknown format of figures" in said.err
+    assert not tmp_path.joinpath("mine").exists()
 
 
 def test_a_folder_with_files_is_refused_before_the_run(dmframe: Any, tmp_path: Path) -> None:
@@ -270,8 +282,8 @@ def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_pat
 def test_graphs_of_any_name_lie_beside_their_figures(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def files_of(figure: object, name: str, about: str) -> dict[str, bytes]:
-        return {f"{name}.png": b"", f"{name}.svg": b""}  # names alone are looked at
+    def files_of(figure: object, name: str, about: str, formats: Sequence[str]) -> dict[str, bytes]:
+        return {f"{name}.{ending}": b"" for ending in formats}  # names alone are looked at
 
     monkeypatch.setattr("dmframe.results.figures.files_of", files_of)
     for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
@@ -279,7 +291,7 @@ def test_graphs_of_any_name_lie_beside_their_figures(
     names = ("error.png.yaml", "..yaml", "new\nline.yaml", "Error_PNG.yaml")
     for name in names:
         assert dmframe("new", "arm2_joint", name).status == 0
-    assert dmframe("run", *names, "--until", "0.1", "--out", "mine").status == 0
+    assert dmframe("run", *names, "--until", "0.1", "--figures", "png, svg", "--out", "mine").status == 0
     held = {path.name: path.is_dir() for path in tmp_path.joinpath("mine").iterdir()}
     assert {name for name, folder in held.items() if folder} == {"error_png", "graph", "new_line", "Error_PNG_2"}
     assert {"error.png", "estimates_new_line.svg"} <= set(held)

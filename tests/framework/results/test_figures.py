@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 from dmframe.certify.along import along
-from dmframe.plotting import files_of, look, styled, thin
+from dmframe.errors import UnknownNameError
+from dmframe.plotting import FORMATS, files_of, look, styled, thin
 from dmframe.results import write_run
 from dmframe.results.command_figure import command_figure
 from dmframe.results.effort_figure import effort_figure
@@ -19,6 +20,8 @@ from dmframe.results.estimate_figure import estimate_figure
 from dmframe.results.path_figure import last_lap, magnification, path_figure
 from dmframe.results.signal_figure import signal_figure
 from dmframe.results.storage_figure import storage_figure
+
+NAMES = ("error", "path", "commands", "effort", "storage_ur10_fast", "estimates_ur10_fast")
 
 
 def drawn(name, run):
@@ -30,26 +33,43 @@ def drawn(name, run):
                 figure.draw_without_rendering()
 
 
-def test_figures_lie_beside_the_data_as_png_of_200_dpi_and_as_small_well_formed_svg(tmp_path, ur10, kinematic):
+def test_figures_lie_beside_the_data_as_small_well_formed_svg(tmp_path, ur10, kinematic):
     write_run(tmp_path / "out", [kinematic, ur10])
     files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()}
-    names = {"error", "path", "commands", "effort", "storage_ur10_fast", "estimates_ur10_fast"}
-    assert files == {f"{name}.{ending}" for name in names for ending in ("png", "svg")}
-    for name in names:
-        with Image.open(tmp_path / "out" / f"{name}.png") as picture:
-            assert picture.info["dpi"][0] == pytest.approx(200, abs=0.1)
-            assert picture.info["Description"] == "ur10_fast_kinematic, ur10_fast"
-            assert picture.info["Software"].startswith("dmframe ")
+    assert files == {f"{name}.svg" for name in NAMES}
+    for name in NAMES:
         file = tmp_path / "out" / f"{name}.svg"
         assert file.stat().st_size < 2_000_000
         assert ET.parse(file).getroot().tag.endswith("svg")
 
 
+def test_figures_are_also_drawn_as_png_of_200_dpi_and_as_pdf(tmp_path, ur10, kinematic):
+    write_run(tmp_path / "out", [kinematic, ur10], formats=("png", "pdf", "png"))
+    files = {item.name for item in (tmp_path / "out").iterdir() if item.is_file()}
+    assert files == {f"{name}.{ending}" for name in NAMES for ending in ("png", "pdf")}
+    for name in NAMES:
+        with Image.open(tmp_path / "out" / f"{name}.png") as picture:
+            assert picture.info["dpi"][0] == pytest.approx(200, abs=0.1)
+            assert picture.info["Description"] == "ur10_fast_kinematic, ur10_fast"
+            assert picture.info["Software"].startswith("dmframe ")
+        pdf = (tmp_path / "out" / f"{name}.pdf").read_bytes()
+        assert pdf.startswith(b"%PDF-")
+        assert b"ur10_fast_kinematic, ur10_fast" in pdf
+        assert b"CreationDate" not in pdf
+
+
+@pytest.mark.parametrize("formats", ["pgn", ("svg", "jpg"), ("",)])
+def test_a_format_that_there_is_not_is_refused_before_anything_is_written(tmp_path, kinematic, formats):
+    with pytest.raises(UnknownNameError, match=r"formats: unknown format of figures"):
+        write_run(tmp_path / "out", [kinematic], formats=formats)
+    assert not (tmp_path / "out").exists()
+
+
 def test_the_same_run_gives_the_same_files_and_no_setting_of_the_user_matters(kinematic):
-    once = files_of(error_figure({"one": kinematic.recording}), "error", "one")
+    once = files_of(error_figure({"one": kinematic.recording}), "error", "one", FORMATS)
     with mpl.rc_context({"lines.linewidth": 7.0, "font.size": 20.0}):
-        again = files_of(error_figure({"one": kinematic.recording}), "error", "one")
-    assert set(once) == {"error.png", "error.svg"}
+        again = files_of(error_figure({"one": kinematic.recording}), "error", "one", FORMATS)
+    assert set(once) == {"error.png", "error.svg", "error.pdf"}
     assert once == again
 
 

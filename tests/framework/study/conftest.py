@@ -104,7 +104,7 @@ def undrawn_page() -> Callable[[Callable[[], Path]], Path]:
 
 def without_drawing(monkeypatch: pytest.MonkeyPatch) -> None:
     def files_of(figure: object, name: str, about: str) -> dict[str, bytes]:
-        return {f"{name}.png": b"", f"{name}.svg": b"<svg></svg>"}
+        return {f"{name}.svg": b"<svg></svg>"}
 
     monkeypatch.setattr(plotting, "settle", lambda figure: None)
     for module in (plotting, report):
