@@ -194,6 +194,15 @@ def test_a_matrix_that_is_far_from_normal_is_proved() -> None:
     assert not proved_schur(Matrix.exactly(A))
 
 
+@pytest.mark.parametrize("size", [3, 90])
+def test_numbers_too_large_for_floats_are_not_proved_and_no_fault(size: int) -> None:
+    for part in ("middle", "radius"):
+        F = Matrix.exactly(np.eye(size) / 2)
+        getattr(F, part)[0, 1] = 10**400 << 256
+        # a triangular matrix: stable, with no enclosure in floats; of few rows the integers alone may prove it
+        assert not proved_schur(F) or (size, part) == (3, "radius")
+
+
 def test_an_enclosure_with_an_unstable_matrix_in_it_is_not_proved() -> None:
     wide = Matrix.exactly(np.diag([0.5, 0.999]))
     assert proved_schur(wide)
