@@ -26,7 +26,7 @@ import numpy as np
 from dmframe.analysis.linear import Linear, at_speed
 from dmframe.analysis.moves import SplitMoves, kept_value, split_moves
 from dmframe.analysis.rounding import unrounded
-from dmframe.analysis.set_point import frozen
+from dmframe.analysis.set_point import counts, frozen
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
@@ -41,6 +41,9 @@ FEW: Final = 250
 """Of more signals than this, what is only stored is left out."""
 
 _STEPS: Final = 40
+_LONG: Final = 10**30
+"""What is decided of a count is so up to this many times what it is at the set-point."""
+
 _NEAR: Final = ONE >> 200
 """Where Newton's steps end."""
 
@@ -89,8 +92,12 @@ class EnclosedLoop:
         self._p = [Fixed.around(float(value)) for value in (at_speed(self.loop) if moving else self.loop.p_values)]
         known = estimates_of(diagram)
         self._estimates = [label.partition("[")[0] in known for label in linear.states]
-        self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         self._rests = _inside(self.loop)
+        counted = [counts(v) for v in self.loop.variables for _ in range(v.symbol.numel())]
+        self._counts = [place for place, grows in enumerate(counted) if grows]
+        exactly = [Fixed.around(float(value)) for value in linear.point]
+        self._check_room([exactly, self._p, [Fixed.around(clock)]])  # told before that a projection turns there
+        self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
         self._once: Enclosure | None = None
         self._last: tuple[float, Enclosure] | None = None
 
@@ -218,10 +225,17 @@ class EnclosedLoop:
         return found
 
     def _check(self, inputs: Sequence[Sequence[Fixed]]) -> None:
-        """No comparison turns out another way nearby, and the tick puts no state back into its set."""
-        (turns,) = self.split.guards.stored(fixed_values(self.split.guards, inputs))
+        """No comparison turns out another way nearby, nor later; and no state is put back into its set."""
+        later = [list(column) for column in inputs]
+        for place in self._counts:
+            later[0][place] = Fixed(inputs[0][place].lower, inputs[0][place].upper * _LONG)
+        (turns,) = self.split.guards.stored(fixed_values(self.split.guards, later))
         if any(value.lower <= 0 for value in turns):
             raise UndecidedError("it rests where a comparison turns")
+        self._check_room(inputs)
+
+    def _check_room(self, inputs: Sequence[Sequence[Fixed]]) -> None:
+        """The tick puts no state back into its set."""
         for name, program in self._rests:
             (room,) = program.stored(fixed_values(program, inputs))
             if any(value.lower <= 0 for value in room):

@@ -21,21 +21,37 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, final
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.analysis.least_cut import ITSELF, LEAST, SMALL, Cut, vanishing
 from dmframe.analysis.rounding import APPLY, unknown
-from dmframe.analysis.set_point import at_set_point, moves, undrawn
+from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
 from dmframe.exact.fixed import MAYBE, ONE, Fixed, UndecidedError, fixed_values
 from dmframe.exact.literal import literal
-from dmframe.program import COMPARISONS, CONST, INPUT, OPERATIONS, Node, Program, by_code, read, run
+from dmframe.program import (
+    COMPARISONS,
+    CONST,
+    EDGES,
+    INPUT,
+    JUMPS,
+    KINKS,
+    OPERATIONS,
+    Node,
+    Program,
+    by_code,
+    read,
+    run,
+    sign_of,
+)
+
+_SWITCHES: Final = ("lt", "le", "sign", "fmin", "fmax", "fabs", "not", "and", "or", "if_else_zero")
 
 
 @final
@@ -92,6 +108,7 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
 
     chosen, guards = _chosen(read_moves(expression), symbols, inputs)
     program = read_moves(chosen)
+    _refuse_turns(loop, chosen, guards, inputs)
     kept = [item for item in _conserved(loop, program) if abs(float(kept_value(item, *inputs[::2]))) <= LEAST]
     if kept:
         chosen, guards = _without(kept, loop, chosen), _without(kept, loop, guards)
@@ -179,11 +196,33 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
     return ca.vertcat(*(summed(state, place) for state, place in enumerate(places)))
 
 
+def _refuse_turns(loop: ClosedLoop, chosen: SX, guards: SX, inputs: Sequence[Sequence[Fixed]]) -> None:
+    """Raises `UndecidedError` where a switch is left that a state turns, or a root that a state may end: at rest its
+    slope is that of one side, as that of |z| is zero at z = 0, and nearby it is another. Raises it too where what moves
+    reads a count, which never rests. A guard may have kinks: where it is continuous, it stays above zero nearby.
+    """
+    counted = [v.symbol for v in loop.variables if counts(v)]
+    if counted and ca.depends_on(chosen, stack(counted)):
+        raise UndecidedError("it never rests: what moves depends on a number that grows with each sample")
+    for expression, turning in ((chosen, JUMPS | KINKS | EDGES), (guards, JUMPS)):
+        program = read(ca.Function("turns", [loop.state, loop.p, loop.period], [expression]))
+        if not program.codes & turning:
+            continue
+        numbers, moving = fixed_values(program, inputs), list[bool]()
+        for node in program.nodes:
+            state = node.code == INPUT and node.a == 0
+            moving.append(state or any(moving[place] for place in node.operands))
+            ends = node.code in EDGES and _apart(numbers[node.a], Fixed(0, 0))
+            if node.code in turning and moving[-1] and not ends:
+                verb = "ends" if node.code in EDGES else "turns"
+                raise UndecidedError(f"it rests where {sign_of(node.code)} {verb}")
+
+
 def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[Fixed]]) -> tuple[SX, SX]:
     """The outputs with every comparison that the numbers decide in its place; and what says that it stays so."""
     numbers = fixed_values(program, inputs)
     values, guards = list[SX](), list[SX]()
-    named = by_code({name: name for name in ("lt", "le", "fmin", "fmax", "fabs", "not", "and", "or", "if_else_zero")})
+    named = by_code({name: name for name in _SWITCHES})
     for node, number in zip(program.nodes, numbers, strict=True):
         code, a, b, constant, _ = node
         name = named.get(code, "")
@@ -204,6 +243,13 @@ def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[F
                 low, high = (a, b) if numbers[a].upper < numbers[b].lower else (b, a)
                 guards.append(values[high] - values[low])
                 value = values[low] if name == "fmin" else values[high]
+        elif code in COMPARISONS and _apart(numbers[a], numbers[b]):
+            above = values[a] - values[b]
+            guards.append(above if numbers[a].lower > numbers[b].upper else -above)
+            value = ca.SX(float(code == ca.OP_NE))
+        elif name == "sign" and _apart(numbers[a], Fixed(0, 0)):
+            value = ca.SX(1.0 if numbers[a].lower > 0 else -1.0)
+            guards.append(value * values[a])
         elif name == "fabs" and _apart(numbers[a], Fixed(0, 0)):
             sign = 1 if numbers[a].lower > 0 else -1
             guards.append(sign * values[a])

@@ -22,7 +22,7 @@ from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.linear import Linear
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
-from dmframe.analysis.set_point import LARGE
+from dmframe.analysis.set_point import LARGE, MOST
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, EngineError
 from dmframe.exact.fixed import Fixed
@@ -83,7 +83,7 @@ def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
         return True
     scaled = F if radius is None else F.times(1 / radius)
     numbers = scaled.floats()
-    if not np.all(np.isfinite(numbers)):
+    if not np.max(np.abs(numbers)) < MOST:  # infinite numbers too
         return False
     if len(numbers) > _DENSE:
         return _falls(scaled)
@@ -124,7 +124,7 @@ def _falls(F: Matrix) -> bool:
     powers = [int(power) for power in np.clip(np.rint(np.log2(sizes)), -_MOST_POWER, _MOST_POWER)]
     even = Rounded.of(F.scaled([-power for power in powers], powers))
     P = gram(even.middle)
-    if not np.all(np.isfinite(P)):
+    if not even.finite or not np.all(np.isfinite(P)):
         return False
     try:
         basis = np.linalg.inv(np.linalg.cholesky(P).T)
@@ -182,7 +182,9 @@ def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float 
 def _proved_radius(loop: EnclosedLoop, clock: float) -> float | None:
     """A modulus below one, a little above the largest eigenvalue's, that is proved."""
     F = loop.transition(clock)
-    seen = float(np.max(np.abs(np.linalg.eigvals(F.floats())), initial=0.0))
+    if not np.all(np.isfinite(numbers := F.floats())):
+        return None
+    seen = float(np.max(np.abs(np.linalg.eigvals(numbers)), initial=0.0))
     for share in (0.001, 0.1, 0.9):
         bound = float(np.format_float_positional(seen + share * (1 - seen), 8))
         if seen < bound < 1 and proved_schur(F, Fixed.around(bound)):

@@ -235,6 +235,9 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
         if part.relations:
             text = f"{part.block}: the command that a row holds is what acted in its sample, so that a delay is as told"
             yield Assumption(text, "the means over a sample")
+        if part.steps and part.relations:
+            text = "its rows are means over a sample of the relations that it states, and its true values theirs"
+            yield Assumption(f"{part.block}: {text}", "the means over a sample")
         if part.steps and not part.relations:
             text = f"{part.block}: the plant's motion obeys what its rows say; the block states no relation that does"
             yield Assumption(text, "the means over a sample")

@@ -5,6 +5,7 @@ All numbers are Python integers in units of 2^-256, so that stiff systems lose n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final, final
 
@@ -95,11 +96,8 @@ class Matrix:
         return Matrix(middle, radius)
 
     def floats(self) -> NDArray[np.float64]:
-        """The middles."""
-        found = np.zeros(self.middle.shape)
-        for place, value in np.ndenumerate(self.middle):
-            found[place] = value / ONE
-        return found
+        """The middles; infinite where they are too large."""
+        return in_floats(self.middle)
 
     @property
     def row_sum(self) -> int:
@@ -144,6 +142,17 @@ def held(A: Matrix, time: Fixed) -> tuple[Matrix, Matrix]:
         integral = integral + transition @ integral
         transition = transition @ transition
     return transition, integral
+
+
+def in_floats(numbers: Integers) -> NDArray[np.float64]:
+    """Numbers in units of 2^-256, each rounded to the nearest float; infinite where it is too large for one."""
+    found = np.zeros(numbers.shape)
+    for place, value in np.ndenumerate(numbers):
+        try:
+            found[place] = value / ONE
+        except OverflowError:
+            found[place] = math.inf if value > 0 else -math.inf
+    return found
 
 
 def _zeros(rows: int, columns: int) -> Integers:

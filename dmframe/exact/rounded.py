@@ -14,8 +14,7 @@ from typing import Final, final
 import numpy as np
 from numpy.typing import NDArray
 
-from dmframe.exact.fixed import ONE
-from dmframe.exact.matrix import Matrix
+from dmframe.exact.matrix import Matrix, in_floats
 
 Array = NDArray[np.float64]
 
@@ -35,10 +34,7 @@ class Rounded:
     @staticmethod
     def of(matrix: Matrix) -> Rounded:
         """An enclosure of many places, in floats."""
-        middle = matrix.floats()
-        radius = np.zeros(middle.shape)
-        for place, value in np.ndenumerate(matrix.radius):
-            radius[place] = value / ONE
+        middle, radius = matrix.floats(), in_floats(matrix.radius)
         return Rounded(middle, (radius + np.abs(middle) * 2 * _UNIT) * (1 + 8 * _UNIT) + _LEAST)
 
     @staticmethod

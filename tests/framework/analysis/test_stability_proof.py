@@ -194,6 +194,15 @@ def test_a_matrix_that_is_far_from_normal_is_proved() -> None:
     assert not proved_schur(Matrix.exactly(A))
 
 
+@pytest.mark.parametrize("size", [3, 90])
+def test_numbers_too_large_for_floats_are_not_proved_and_no_fault(size: int) -> None:
+    for part in ("middle", "radius"):
+        F = Matrix.exactly(np.eye(size) / 2)
+        getattr(F, part)[0, 1] = 10**400 << 256
+        # a triangular matrix: stable, with no enclosure in floats; of few rows the integers alone may prove it
+        assert not proved_schur(F) or (size, part) == (3, "radius")
+
+
 def test_an_enclosure_with_an_unstable_matrix_in_it_is_not_proved() -> None:
     wide = Matrix.exactly(np.diag([0.5, 0.999]))
     assert proved_schur(wide)
@@ -279,6 +288,85 @@ def test_a_drift_is_not_proved_to_come_to_rest(monkeypatch: pytest.MonkeyPatch) 
     found = proof(Diagram.build({"law": Remembering(), "late": Late(), "cart": Cart()}), T)
     assert found.radius is None
     assert found.reason == "in 1 of its directions it drifts steadily, which nothing brings back"
+
+
+class Switching(AbstractBlock):
+    """v = k y + z, with an estimate s that moves with y; k and z switch, at rest or later, to what is unstable."""
+
+    inputs: Ports = (Port("y"),)
+    outputs: Ports = (Port("v", access=Access.COMMANDED),)
+    states: States = tuple(State(name, sampled=True) for name in ("s", "r", "z", "n"))
+    lie: str = ""
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        s, n, k, z = x.s, x.n, ca.SX(-1), x.z / 2
+        match self.lie:
+            case "smooth":
+                k = 6 * s**2 - 1
+            case "far":
+                k = ca.if_else(s < 1, -1, 5) + ca.if_else(n > 5, 0, 5) + ca.if_else(s == 1, 5, 0) + ca.sign(s - 1) + 1
+            case "==":
+                k = ca.if_else(s == 0, -1, 5)
+            case "<=":
+                k = ca.if_else(s <= 0, -1, 5)
+            case "<":
+                k = ca.if_else(s < 0, 5, -1)
+            case "not":
+                k = 5 - 6 * ca.logic_not(s)
+            case "sign":
+                k = 6 * ca.sign(s) ** 2 - 1
+            case "of two":
+                k = ca.if_else(s == x.r, -1, 5)
+            case "in a guard":
+                k = ca.if_else(10 * (s > 0) < 5, -1, 5)
+            case "of a signal":
+                z = x.z / 2 + 2 * x.z * (u.y > 0)
+            case "fabs":
+                z = x.z / 2 + 5 * ca.fabs(x.z)
+            case "with the count":
+                k = 3 - 6 * ca.cos(n * 3.141592653589793e-6) ** 2
+            case "later":
+                k = ca.if_else(n < 2e6, -1, 5)
+        steps = n * (n - 1) * (n - 7) if self.lie == "no count" else -2 if self.lie == "downwards" else 0
+        r = x.r + u.y / 10 if self.lie == "of two" else x.r
+        return Equations(outputs={"v": k * u.y + z}, next={"s": s + u.y, "r": r, "z": z, "n": n + 1 + steps})
+
+
+def switching(lie: str) -> Matrix:
+    diagram = Diagram.build({"law": Switching(lie=lie), "late": Late(noise=0), "cart": Cart()})
+    return EnclosedLoop(diagram, linearise(diagram, clock=T), T).transition(T)
+
+
+@pytest.mark.parametrize("lie", ["", "smooth", "far"])
+def test_what_is_smooth_where_it_rests_and_what_switches_far_from_there_are_proved(lie: str) -> None:
+    assert proved_schur(switching(lie))
+
+
+@pytest.mark.parametrize(
+    ("lie", "reason"),
+    [
+        ("==", "it rests where == turns"),
+        ("<=", "it rests where <= turns"),
+        ("<", "it rests where < turns"),
+        ("not", "it rests where not turns"),
+        ("sign", "it rests where sign turns"),
+        ("of two", "it rests where == turns"),
+        ("in a guard", "it rests where < turns"),
+        ("of a signal", "it rests where < turns"),
+        ("fabs", "it rests where fabs turns"),
+        ("with the count", "it never rests: what moves depends on a number that grows with each sample"),
+        ("later", "it rests where a comparison turns"),
+    ],
+)
+def test_where_a_slope_says_nothing_of_what_is_near_or_comes_later_nothing_is_proved(lie: str, reason: str) -> None:
+    with pytest.raises(UndecidedError, match=reason):
+        switching(lie)
+
+
+def test_a_number_that_grows_otherwise_or_falls_is_no_count() -> None:
+    assert not proved_schur(switching("no count"))
+    with pytest.raises(EngineError, match=r"found none; law\.n still moves at -1"):
+        switching("downwards")
 
 
 def test_an_equilibrium_that_is_none_is_not_proved() -> None:

@@ -297,6 +297,8 @@ class Learner(AbstractBlock):
                 steps = replace(steps, rows=((steps.rows[0][0] + x.G[0], steps.rows[0][1]),))
             case "two_factors":
                 steps = replace(steps, retention=p.retention * ca.DM.ones(2))
+            case "another_relation":
+                return SampledCertificate(steps=(steps,), relations=(Relation(ca.SX(u.y), -u.v),))
         return SampledCertificate(steps=(steps,), relations=(Relation(truth.m * u.v, truth.b * u.v - truth.force),))
 
 
@@ -369,6 +371,15 @@ def test_a_memory_starts_positive_semidefinite(start: list[float], holds: bool) 
 def test_a_memory_that_grows_by_itself_and_a_box_without_the_truth_are_told() -> None:
     assert "retention of the steps of theta" in verdict(retention=1.01).reason
     assert "true value of theta inside its box" in verdict(most=1.5).reason
+
+
+def test_that_rows_follow_from_the_relation_is_assumed_and_told() -> None:
+    """dy/dt = v is true of the plant, and says nothing of its mass."""
+    told = "learner: its rows are means over a sample of the relations that it states, and its true values theirs"
+    for lie in ("", "another_relation"):
+        found = verdict(lie=lie)
+        assert found.outcome == "proved"
+        assert told in [item.text for item in found.assumptions]
 
 
 def test_along_a_run_v_falls_and_the_true_values_are_found() -> None:
