@@ -24,6 +24,27 @@ MOST_DELAY: Final = 100
 
 @final
 @dataclass(frozen=True)
+class Options:
+    """What a drive tells its driver.
+
+    Parameters
+    ----------
+    duration
+        How long it is to be [s].
+    halt
+        With which the robot stops by itself where nothing is heard [rad/s^2].
+    patience
+        How long to wait for a sample [s]; None for the driver's own.
+    """
+
+    duration: float
+    engine: Choice = "auto"
+    halt: float = 20.0
+    patience: float | None = None
+
+
+@final
+@dataclass(frozen=True)
 class Kind:
     """A kind of driver.
 
@@ -32,11 +53,11 @@ class Kind:
     real
         It moves something: limits and a rehearsal are asked for.
     make
-        From what stands after the colon, the graph and the time to drive [s].
+        From what stands after the colon, the graph and what the drive is to be.
     """
 
     real: bool
-    make: Callable[[str, Experiment, Diagram, float, Choice], Robot]
+    make: Callable[[str, Experiment, Diagram, Options], Robot]
 
 
 def simulated_robot(
@@ -57,16 +78,15 @@ def clock_of(experiment: Experiment) -> float:
     return clock
 
 
-def _simulated(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
     if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
         raise ValueFault(
             f"--robot sim:{text}: expected how many samples late commands act, sim:2, at most {MOST_DELAY}"
         )
-    return simulated_robot(experiment, diagram, duration, engine, delay=int(text or 0))
+    return simulated_robot(experiment, diagram, options.duration, options.engine, delay=int(text or 0))
 
 
-def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
-    del duration, engine
+def _universal(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
     if not text:
         raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
     robot = diagram.robot
@@ -77,7 +97,13 @@ def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: fl
         )
     section = experiment.file.robot
     return UniversalRobot(
-        text, clock_of(experiment), robot.joint_names, _tool(robot), dict(section.hold) if section is not None else {}
+        text,
+        clock_of(experiment),
+        robot.joint_names,
+        _tool(robot),
+        dict(section.hold) if section is not None else {},
+        halt=options.halt,
+        patience=options.patience,
     )
 
 
