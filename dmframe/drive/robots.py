@@ -16,7 +16,9 @@ from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.runtime.ur import JOINTS, UniversalRobot
+from dmframe.runtime.ur import UniversalRobot
+from dmframe.runtime.ur_arm import JOINTS
+from dmframe.runtime.ur_rtde import UrRtde
 from dmframe.simulate.engine import Choice
 
 MOST_DELAY: Final = 100
@@ -87,24 +89,26 @@ def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Opt
 
 
 def _universal(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+    return UniversalRobot(*_arm("ur", text, experiment, diagram), halt=options.halt, patience=options.patience)
+
+
+def _by_ur_rtde(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+    return UrRtde(*_arm("ur_rtde", text, experiment, diagram), patience=options.patience)
+
+
+def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tuple[Any, ...]:
+    """What every driver of a UR takes: address, period, joints, kinematics, and where joints are held."""
     if not text:
-        raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
+        raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
     robot = diagram.robot
     strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
     if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
         raise DriveError(
-            f"--robot ur: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
+            f"--robot {kind}: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
         )
     section = experiment.file.robot
-    return UniversalRobot(
-        text,
-        clock_of(experiment),
-        robot.joint_names,
-        _tool(robot),
-        dict(section.hold) if section is not None else {},
-        halt=options.halt,
-        patience=options.patience,
-    )
+    held = dict(section.hold) if section is not None else {}
+    return text, clock_of(experiment), robot.joint_names, _tool(robot), held
 
 
 def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -120,6 +124,7 @@ def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
 KINDS: Final[dict[str, Kind]] = {
     "sim": Kind(real=False, make=_simulated),
     "ur": Kind(real=True, make=_universal),
+    "ur_rtde": Kind(real=True, make=_by_ur_rtde),
 }
 """By what stands before the colon."""
 

@@ -13,37 +13,18 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
+from dmframe.errors import LostError
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
+from dmframe.runtime.ur_arm import ANSWER, MODES, PATIENCE, PLAYING, SAFE, UrArm, way_time
 
 SCRIPTS: Final = 30002
-JOINTS: Final = tuple(
-    f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-)
-PATIENCE: Final = 5
-"""Periods without a heartbeat after which the arm comes to rest by itself, and without a sample after which we do."""
 FIRST: Final = 1.0
 """How long the script waits for the first heartbeat [s]; nothing moves meanwhile."""
-ANSWER: Final = 2.0
-"""How long we wait for what is not a sample of the loop [s]."""
-AWAY: Final = 0.01
-"""How far a joint may be from where the graph holds it [rad]."""
-OFF: Final = 0.05
-"""How far from a whole number of periods samples may be apart, in periods."""
+FASTEST: Final = 6.3
+"""No joint of these arms is faster [rad/s]; how long a stop may take follows from it."""
 MOST_BEATS: Final = 1 << 30
 """Heartbeats begin anew above this, half of what a register holds."""
-RUNNING, PLAYING = 7, 2
-SAFE: Final = (1, 2)
-MODES: Final = {
-    3: "protective stop",
-    4: "recovery",
-    5: "safeguard stop",
-    6: "emergency stop of the system",
-    7: "emergency stop of the robot",
-    8: "violation",
-    9: "fault",
-}
 OUTPUTS: Final = (
     "timestamp",
     "actual_q",
@@ -149,9 +130,8 @@ class UniversalRobot:
         linked: Callable[[str, int], Link] = Wire,
     ) -> None:
         self.name, self.period = f"ur:{host}", period
-        self._host, self._linked, self._tool = host, linked, tool
-        self._places = [JOINTS.index(name) for name in joints]
-        self._held = {JOINTS.index(name): held.get(name, 0.0) for name in JOINTS if name not in joints}
+        self._host, self._linked = host, linked
+        self._arm = UrArm(self.name, period, joints, tool, held)
         self._script = FOLLOW.format(
             acceleration=acceleration,
             halt=halt,
@@ -161,7 +141,7 @@ class UniversalRobot:
         self._patience = PATIENCE * period if patience is None else patience
         self._answer = max(ANSWER, self._patience)
         self._rtde: Rtde | None = None
-        self._beat, self._following, self._last = 0, False, float("nan")
+        self._beat, self._following = 0, False
         self._sent, self._scripted = dict[int, float](), False
 
     def connect(self) -> None:
@@ -173,14 +153,13 @@ class UniversalRobot:
             Its cycle does not divide the period: it would send samples in another one, unasked.
         """
         link = self._linked(self._host, PORT)
-        self._rtde = Rtde(link, 1 / self.period, OUTPUTS, INPUTS, self._answer)
+        try:
+            self._rtde = Rtde(link, 1 / self.period, OUTPUTS, INPUTS, self._answer)
+        except BaseException:
+            link.close()
+            raise
         first, second = (self._newest(self._answer)["timestamp"] for _ in range(2))
-        periods = (second - first) / self.period
-        if periods < 0.5 or abs(periods - round(periods)) > OFF:
-            raise DriveError(
-                f"{self.name}: expected samples {self.period * 1e3:g} ms apart, the graph's clock, found "
-                f"{(second - first) * 1e3:g} ms; set one that the arm's cycle divides: --set clock='8 ms'"
-            )
+        self._arm.check_period(first, second)
 
     def read(self) -> Sample:
         """See `Robot`; where no sample comes in time, it is lost."""
@@ -195,13 +174,8 @@ class UniversalRobot:
             A joint that the graph holds is elsewhere, so that its tool is, too.
         """
         told = self._newest(self._answer)
-        q, echo = told["actual_q"], told["output_int_register_24"]
-        for k, angle in self._held.items():
-            if abs(q[k] - angle) > AWAY:
-                raise DriveError(
-                    f"{self.name}: expected {JOINTS[k]} at {angle:.4g} rad, where the graph holds it, found it at "
-                    f"{q[k]:.4g} rad"
-                )
+        self._arm.check_held(told["actual_q"])
+        echo = told["output_int_register_24"]
         # an echo that another has left is none of ours
         first = self._beat = max(self._beat, echo + 1) if echo < MOST_BEATS else 0
         self._write(np.zeros(6), 1)  # over the speeds that it has left
@@ -210,34 +184,29 @@ class UniversalRobot:
             self._write(np.zeros(6), 1)
             told = self._newest(self._answer)
             if first <= told["output_int_register_24"] < self._beat and told["runtime_state"] == PLAYING:
-                self._following, self._last = True, float("nan")
+                self._following = True
+                self._arm.begin()
                 self._write(np.zeros(6), 1)  # each sample is answered; the next one is the loop's
                 return
         raise LostError(f"{self.name}: its script does not answer; is the arm in remote control?")
 
     def command(self, dq: np.ndarray) -> None:
         """See `Robot`."""
-        wanted = np.zeros(6)
-        wanted[self._places] = dq
-        self._write(wanted, 1)
+        self._write(self._arm.speeds(dq), 1)
 
     def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
         """By the maker's own `movej`."""
-        now = np.array(self._newest(self._answer)["actual_q"])
-        goal = now.copy()
-        goal[self._places] = q
-        for k, angle in self._held.items():
-            goal[k] = angle
+        now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         text = ", ".join(f"{angle:.9f}" for angle in goal)
         self._upload(f"def dmframe_move():\n  movej([{text}], a={acceleration}, v={speed})\nend\n")
-        most = float(np.max(np.abs(goal - now))) / speed + 2 * speed / acceleration + 5
+        most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             told = self._newest(self._answer)
             if told["safety_mode"] not in SAFE:
                 raise LostError(f"{self.name}: on its way to the start: {MODES.get(told['safety_mode'], 'a stop')}")
             arrived = np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4
             if arrived and told["runtime_state"] != PLAYING:
-                self._last = float("nan")
+                self._arm.begin()
                 return
         raise LostError(f"{self.name}: expected to be at the start within {most:.0f} s, and is not")
 
@@ -247,7 +216,7 @@ class UniversalRobot:
             return
         following, self._following = self._following, False
         with suppress(LostError):  # the other port may still be heard
-            for _ in range(round(1 / self.period) if following else 0):
+            for _ in range(round((1 + FASTEST / deceleration) / self.period) if following else 0):
                 self._write(np.zeros(6), 0, deceleration)
                 told = self._newest(self._patience)
                 if told["runtime_state"] != PLAYING:
@@ -282,23 +251,6 @@ class UniversalRobot:
             link.close()
 
     def _told(self, told: Any) -> Sample:
-        mode, stamp = told["safety_mode"], told["timestamp"]
-        fault = MODES.get(mode, f"safety mode {mode}") if mode not in SAFE else ""
-        if not fault and self._following and told["runtime_state"] != PLAYING:
-            fault = "its script has ended"
-        q = np.array(told["actual_q"])[self._places]
-        steps = (stamp - self._last) / self.period
-        self._last = stamp
         sent = self._sent.get(told["output_int_register_24"])
-        return Sample(
-            time=stamp,
-            q=q,
-            dq=np.array(told["actual_qd"])[self._places],
-            q_c=np.array(told["target_q"])[self._places],
-            x=np.asarray(self._tool(q)).ravel(),
-            scaling=min(1.0, max(0.0, told["speed_scaling"] * told["target_speed_fraction"])),
-            ready=told["robot_mode"] == RUNNING,
-            fault=fault,
-            age=time.monotonic() - sent if sent is not None and self._following else None,
-            missed=max(0, round(steps) - 1) if np.isfinite(steps) else 0,
-        )
+        age = time.monotonic() - sent if sent is not None and self._following else None
+        return self._arm.sample(told, following=self._following, age=age)
