@@ -172,4 +172,6 @@ def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise MissingError("--robot ur_rtde: expected the package ur_rtde, found none: python -m pip install ur_rtde") from None
+        raise MissingError(
+            "--robot ur_rtde: expected the package ur_rtde, found none: python -m pip install ur_rtde"
+        ) from None

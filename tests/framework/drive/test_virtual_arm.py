@@ -301,9 +301,7 @@ def test_a_graph_with_more_joints_than_the_arm_lets_move_is_stopped_by_the_arm()
 def test_a_graph_that_holds_joints_elsewhere_is_refused_before_it_moves() -> None:
     at = setting()
     at.driver = driver(at.line, **{"robot.hold": {}})  # which is 0 for each of them
-    with pytest.raises(
-        DriveError, match="expected wrist_2_joint at 0 rad, where the graph holds it, found"
-    ):
+    with pytest.raises(DriveError, match="expected wrist_2_joint at 0 rad, where the graph holds it, found"):
         drive(at)
     assert max(at.trace.told) == 0
 

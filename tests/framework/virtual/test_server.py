@@ -253,9 +253,7 @@ def test_in_step_a_silent_client_is_waited_for_no_longer_than_that(
     assert held.owing  # it is waited for again
 
 
-def test_who_pauses_or_has_no_script_is_not_waited_for(
-    held: VirtualRobot, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_who_pauses_or_has_no_script_is_not_waited_for(held: VirtualRobot, monkeypatch: pytest.MonkeyPatch) -> None:
     client, _ = following(held, monkeypatch)
     held.end_program("enough")
     assert not held.owing
