@@ -158,7 +158,7 @@ def test_another_period_and_a_held_joint_elsewhere_are_refused_and_a_way_is_gone
     package.values["actual_q"] = [0.0] * 6
     at = driver()
     at.connect()
-    with pytest.raises(DriveError, match="expected wrist_2_joint at -1.571 rad"):
+    with pytest.raises(DriveError, match="expected wrist_2_joint at"):
         at.begin()
     assert "control" not in names(package)
     at.move(np.array([1.0, -1.0, 1.0]), 0.25, 1.0)
