@@ -51,7 +51,7 @@ def driven(
     Parameters
     ----------
     robot
-        ``sim``, or ``sim:2``: the graph's own, two samples late.
+        ``sim``, ``sim:2``: the graph's own, two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
     until
         Time of the reference [s]; the graph's duration without it.
     limits

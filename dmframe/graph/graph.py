@@ -286,7 +286,7 @@ class Graph:
         Parameters
         ----------
         robot
-            ``sim``, the graph's own, or ``sim:2``, that one two samples late.
+            ``sim``, the graph's own, ``sim:2``, that one two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
         until
             Time of the reference; the graph's duration without it.
         limits

@@ -200,8 +200,9 @@ class Trace:
 
     def rest(self, since: float) -> float:
         """How long from then on until nothing moves any more [s]; inf where something still does."""
-        moves = [t for t, v, told in zip(self.time, self.speed, self.told, strict=True) if v > REST or told > 0]
-        return math.inf if not moves or moves[-1] == self.time[-1] else moves[-1] + 1e-9 - since
+        moves = [k for k, (v, told) in enumerate(zip(self.speed, self.told, strict=True)) if v > REST or told > 0]
+        first = moves[-1] + 1 if moves else 0
+        return self.time[first] - since if first < len(self.time) else math.inf
 
 
 REST = 0.01

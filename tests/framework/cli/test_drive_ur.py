@@ -71,7 +71,7 @@ def test_it_follows_the_run_and_its_log_is_played_again_identically(dmframe: Any
             assert "a virtual ur10" in process.stdout.readline()
             said = dmframe(*words(host, "--patience", f"{LONG} s"))
         finally:
-            process.send_signal(signal.SIGINT)
+            process.terminate()
         told = process.stdout.read()
     assert said.status == 0, said.err
     assert "measured latency: the robot acted on commands" in said.out

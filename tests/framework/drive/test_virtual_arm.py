@@ -92,6 +92,15 @@ def test_a_sample_of_delay_would_be_noticed() -> None:
     assert np.max(np.abs(x_of(found) - run["arm.x"])) > 1e-3
 
 
+def test_an_arm_with_a_shorter_cycle_takes_a_command_in_the_one_after_the_sample() -> None:
+    run = graph("ur10_fast").run(2.0, progress=False).recording
+    at = setting(series="e")
+    found, _ = drive(at)
+    assert found.stop is None
+    assert {sample.missed for sample in found.journal.samples} == {0}
+    assert 1e-5 < np.max(np.abs(x_of(found) - run["arm.x"])) < 3e-4
+
+
 def cut(at: Setting) -> None:
     at.line.cut = True
 
