@@ -178,7 +178,6 @@ class UniversalRobot:
         echo = told["output_int_register_24"]
         # an echo that another has left is none of ours
         first = self._beat = max(self._beat, echo + 1) if echo < MOST_BEATS else 0
-        self._write(np.zeros(6), 1)  # over the speeds that it has left
         self._upload(self._script)
         for _ in range(round(5 / self.period)):
             self._write(np.zeros(6), 1)
