@@ -315,7 +315,10 @@ def rehearse(
 def drive(
     graph: OneGraph,
     robot: Annotated[
-        str, typer.Option(metavar="ROBOT", help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST.")
+        str,
+        typer.Option(
+            metavar="ROBOT", help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST; ur_rtde:HOST."
+        ),
     ],
     seconds: Annotated[
         str | None, typer.Option(metavar="S", help="Time of the reference; the graph's duration without it.")
@@ -324,6 +327,10 @@ def drive(
     ramp: Annotated[
         str | None,
         typer.Option(metavar="S", help="How long the first motion gathers speed; 0 for sim, else 1 s."),
+    ] = None,
+    patience: Annotated[
+        str | None,
+        typer.Option(metavar="S", help="How long to wait for a sample of a real robot; five periods without it."),
     ] = None,
     shadow: Annotated[bool, typer.Option("--shadow", help="Compute, and send nothing.")] = False,
     unrehearsed: Annotated[
@@ -353,6 +360,7 @@ def drive(
         seconds=seconds,
         limits=limits,
         ramp=ramp,
+        patience=patience,
         shadow=shadow,
         rehearsed=not unrehearsed,
         out=out,
@@ -414,21 +422,29 @@ def robot(
     lost: Annotated[str, typer.Option(metavar="SHARE", help="Share of samples that are not sent.")] = "0",
     seed: Annotated[str, typer.Option(metavar="N", help="Of the samples that are lost.")] = "0",
     until: Annotated[str | None, typer.Option(metavar="S", help="End after this time; at Ctrl-C without it.")] = None,
+    patience: Annotated[
+        str | None,
+        typer.Option(
+            metavar="S", help="Let the clock wait so long for a client's answer to a sample; real time without it."
+        ),
+    ] = None,
     trust: Trust = False,
 ) -> None:
     """Be a closed UR robot without hardware: a graph's arm and hidden servo behind the maker's protocols.
 
-    RTDE, dashboard and script ports on this machine, in real time.
+    RTDE, dashboard and script ports on this machine, in real time, or with --patience in step with a client.
     """
     from dmframe.cli.graphs import one_graph
     from dmframe.cli.options import quantity, whole
     from dmframe.cli.robot import ports_of, serve
+    from dmframe.graph.graph import seconds as time_of
 
     serve(
         one_graph(graph, overrides, trust=trust),
         host,
         ports_of(port),
         None if until is None else quantity("--until", until, "s"),
+        0.0 if patience is None else time_of("--patience", patience),
         series=series,
         slider=quantity("--slider", slider, ""),
         command_delay=whole("--command-delay", command_delay),

@@ -30,6 +30,7 @@ def drive_graph(
     seconds: str | None,
     limits: Path | None,
     ramp: str | None,
+    patience: str | None,
     shadow: bool,
     rehearsed: bool,
     out: Path | None,
@@ -44,6 +45,7 @@ def drive_graph(
     graph = graph if seconds is None else graph.until(time_of("--seconds", seconds))
     _ = graph.diagram
     gathers = None if ramp is None else _not_negative("--ramp", ramp, "s")
+    waits = None if patience is None else time_of("--patience", patience)
     with ExitStack() as stack:
         place = stack.enter_context(placed_folder(out, [graph], force=force))
         with held_off() as came:
@@ -51,6 +53,7 @@ def drive_graph(
                 robot,
                 limits=limits,
                 ramp=gathers,
+                patience=waits,
                 shadow=shadow,
                 rehearsed=rehearsed,
                 asked=lambda: _named(came[0]) if came else "",

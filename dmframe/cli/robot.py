@@ -27,8 +27,10 @@ def ports_of(pairs: Sequence[str]) -> dict[str, int]:
     return found
 
 
-def serve(graph: Graph, host: str, ports: dict[str, int], until: float | None, **behaviour: Any) -> None:
-    """Open the ports and run in real time, telling what happens."""
+def serve(
+    graph: Graph, host: str, ports: dict[str, int], until: float | None, patience: float, **behaviour: Any
+) -> None:
+    """Open the ports and run, telling what happens."""
     from dmframe.virtual import Ports
 
     with graph.virtual_robot(**behaviour) as robot:
@@ -37,7 +39,7 @@ def serve(graph: Graph, host: str, ports: dict[str, int], until: float | None, *
         tell(f"{graph.name}: a virtual {robot.arm.name} at {host}, {1 / robot.dt:g} cycles a second; {listed}")
         tell("no hardware: what it does not emulate stands in its documentation; Ctrl-C ends it")
         told = _Told(robot)
-        robot.serve(lambda: told.wanted(until))
+        robot.serve(lambda: told.wanted(until), patience)
 
 
 class _Told:

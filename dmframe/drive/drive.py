@@ -13,7 +13,7 @@ from dmframe.diagram import Diagram
 from dmframe.drive.kept import passed
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
-from dmframe.drive.robots import clock_of, kind_of
+from dmframe.drive.robots import Options, clock_of, kind_of
 from dmframe.errors import DriveError
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.driving import Plan, drive
@@ -40,6 +40,7 @@ def driven(
     until: float | None = None,
     limits: Limits | None = None,
     ramp: float | None = None,
+    patience: float | None = None,
     shadow: bool = False,
     rehearsed: bool = True,
     engine: Choice = "auto",
@@ -50,13 +51,15 @@ def driven(
     Parameters
     ----------
     robot
-        ``sim``, or ``sim:2``: the graph's own, two samples late.
+        ``sim``, ``sim:2``: the graph's own, two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
     until
         Time of the reference [s]; the graph's duration without it.
     limits
         Without them, those of the robot's model.
     ramp
         For how long the first motion gathers speed [s]; none for a simulated robot, else a second.
+    patience
+        How long to wait for a sample of a real robot [s]; its driver's own without it.
     rehearsed
         Ask for a passed rehearsal of the same graph before a real robot is driven.
     asked
@@ -77,7 +80,9 @@ def driven(
     steered = steered_controller(experiment, diagram, engine)  # all is compiled before the loop
     with SYMBOLIC:
         start = _start(experiment, diagram)
-    driver = kind.make(rest, experiment, diagram, duration, engine)
+    driver = kind.make(
+        rest, experiment, diagram, Options(duration, engine, max(held.deceleration, held.halt), patience)
+    )
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
     found = drive(steered, driver, Gate(held, driver.period), plan, asked)
     recording = recording_of(

@@ -50,7 +50,10 @@ class LimitsFile(Section):
     acceleration: Any = Field(None, description="of commands [rad/s^2]: one number, or by joint")
     position: dict[str, Any] = Field({}, description="of joints [rad], {joint: [least, most]}")
     box: dict[str, Any] = Field({}, description="of the tool's coordinates [m], {x: [least, most]}")
-    deceleration: Annotated[float, _number("rad/s^2")] = Field(2.0, description="of a stop, and before joints' limits")
+    deceleration: Annotated[float, _number("rad/s^2")] = Field(
+        2.0, description="at the end, of a stop that was asked for, and before joints' limits"
+    )
+    halt: Annotated[float, _number("rad/s^2")] = Field(20.0, description="of a stop after a fault")
     deviation: Annotated[float, _number("rad")] = Field(0.2, description="between measured and target angles")
     lost: Annotated[int, BeforeValidator(_count)] = Field(5, description="samples in a row that may be lost")
 
@@ -99,7 +102,8 @@ def load_limits(path: str | Path, robot: Any) -> Limits:
     except DmframeError as error:
         raise placed(error, document, KEYS) from None
     assert file is not None  # a file that is not valid left a fault
-    return replace(made, deceleration=file.deceleration, deviation=file.deviation, lost=file.lost)
+    given = {key: getattr(file, key) for key in ("deceleration", "halt", "deviation", "lost")}
+    return replace(made, **given)
 
 
 def _once(faults: list[DmframeError]) -> list[DmframeError]:

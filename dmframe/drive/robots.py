@@ -16,10 +16,33 @@ from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot
-from dmframe.runtime.ur import JOINTS, UniversalRobot
+from dmframe.runtime.ur import UniversalRobot
+from dmframe.runtime.ur_arm import JOINTS
+from dmframe.runtime.ur_rtde import UrRtde
 from dmframe.simulate.engine import Choice
 
 MOST_DELAY: Final = 100
+
+
+@final
+@dataclass(frozen=True)
+class Options:
+    """What a drive tells its driver.
+
+    Parameters
+    ----------
+    duration
+        How long it is to be [s].
+    halt
+        With which the robot stops by itself where nothing is heard [rad/s^2].
+    patience
+        How long to wait for a sample [s]; None for the driver's own.
+    """
+
+    duration: float
+    engine: Choice = "auto"
+    halt: float = 20.0
+    patience: float | None = None
 
 
 @final
@@ -32,11 +55,11 @@ class Kind:
     real
         It moves something: limits and a rehearsal are asked for.
     make
-        From what stands after the colon, the graph and the time to drive [s].
+        From what stands after the colon, the graph and what the drive is to be.
     """
 
     real: bool
-    make: Callable[[str, Experiment, Diagram, float, Choice], Robot]
+    make: Callable[[str, Experiment, Diagram, Options], Robot]
 
 
 def simulated_robot(
@@ -57,28 +80,35 @@ def clock_of(experiment: Experiment) -> float:
     return clock
 
 
-def _simulated(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
     if text and not (text.isascii() and text.isdigit() and int(text) <= MOST_DELAY):
         raise ValueFault(
             f"--robot sim:{text}: expected how many samples late commands act, sim:2, at most {MOST_DELAY}"
         )
-    return simulated_robot(experiment, diagram, duration, engine, delay=int(text or 0))
+    return simulated_robot(experiment, diagram, options.duration, options.engine, delay=int(text or 0))
 
 
-def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
-    del duration, engine
+def _universal(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+    return UniversalRobot(*_arm("ur", text, experiment, diagram), halt=options.halt, patience=options.patience)
+
+
+def _by_ur_rtde(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+    return UrRtde(*_arm("ur_rtde", text, experiment, diagram), patience=options.patience)
+
+
+def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tuple[Any, ...]:
+    """What every driver of a UR takes: address, period, joints, kinematics, and where joints are held."""
     if not text:
-        raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
+        raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
     robot = diagram.robot
     strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
     if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
         raise DriveError(
-            f"--robot ur: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
+            f"--robot {kind}: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
         )
     section = experiment.file.robot
-    return UniversalRobot(
-        text, clock_of(experiment), robot.joint_names, _tool(robot), dict(section.hold) if section is not None else {}
-    )
+    held = dict(section.hold) if section is not None else {}
+    return text, clock_of(experiment), robot.joint_names, _tool(robot), held
 
 
 def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -94,6 +124,7 @@ def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
 KINDS: Final[dict[str, Kind]] = {
     "sim": Kind(real=False, make=_simulated),
     "ur": Kind(real=True, make=_universal),
+    "ur_rtde": Kind(real=True, make=_by_ur_rtde),
 }
 """By what stands before the colon."""
 

@@ -282,6 +282,7 @@ class Graph:
         until: float | str | None = None,
         limits: str | Path | None = None,
         ramp: float | str | None = None,
+        patience: float | str | None = None,
         shadow: bool = False,
         rehearsed: bool = True,
         engine: Choice = "auto",
@@ -292,13 +293,15 @@ class Graph:
         Parameters
         ----------
         robot
-            ``sim``, the graph's own, or ``sim:2``, that one two samples late.
+            ``sim``, the graph's own, ``sim:2``, that one two samples late, ``ur:HOST``, or ``ur_rtde:HOST``.
         until
             Time of the reference; the graph's duration without it.
         limits
             A file; without it, the limits of the robot's model.
         ramp
             For how long the first motion gathers speed; none for a simulated robot.
+        patience
+            How long to wait for a sample of a real robot; five periods without it.
         shadow
             Compute, and send nothing.
         rehearsed
@@ -320,6 +323,7 @@ class Graph:
             until=None if until is None else seconds("until", until),
             limits=None if limits is None else load_limits(limits, self.robot),
             ramp=None if ramp is None else to_unit(ramp, "s"),
+            patience=None if patience is None else seconds("patience", patience),
             shadow=shadow,
             rehearsed=rehearsed,
             engine=engine,

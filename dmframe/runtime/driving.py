@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from typing import Final, final
 
@@ -108,23 +109,28 @@ def drive(steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callabl
     LostError
         Nobody answers at the beginning.
     """
-    journal, begun = Journal(), time.perf_counter()
-    robot.connect()
-    try:
+    journal, begun, limits = Journal(), time.perf_counter(), gate.limits
+    halt = max(limits.deceleration, limits.halt)
+    with closing(robot):
+        robot.connect()
+        stop: Stop | None
         try:
             stop = _run(steered, robot, gate, plan, asked, journal)
         except LostError as fault:
             stop = Stop("lost link", fault.text)
         except KeyboardInterrupt:
             stop = Stop("asked", "Ctrl-C")
-        finally:  # whatever was raised
+        except BaseException:
             if not plan.shadow:
-                robot.stop(gate.limits.deceleration)
-    except LostError as fault:
-        told = f"{stop}; " if stop is not None else ""
-        stop = Stop("lost link", f"{told}it could not be told to stop: {fault.text}")
-    finally:
-        robot.close()
+                with suppress(LostError):  # what was raised first is what is told
+                    robot.stop(halt)
+            raise
+        if not plan.shadow:
+            try:
+                robot.stop(limits.deceleration if stop is None or stop.rule == "asked" else halt)
+            except LostError as fault:
+                told = f"{stop}; " if stop is not None else ""
+                stop = Stop("lost link", f"{told}it could not be told to stop: {fault.text}")
     return Driven(journal, stop, dict(gate.cuts), time.perf_counter() - begun)
 
 

@@ -37,7 +37,9 @@ class Limits:
     acceleration
         Of commands [rad/s^2]; None for any.
     deceleration
-        With which joints brake before their limits, and the robot at a stop [rad/s^2].
+        With which joints brake before their limits, and the robot at the end and where a stop is asked for [rad/s^2].
+    halt
+        With which the robot stops after a fault, where that is more [rad/s^2].
     deviation
         Between measured and target angles at most [rad].
     lost
@@ -54,6 +56,7 @@ class Limits:
     speed: np.ndarray
     acceleration: np.ndarray | None = None
     deceleration: float = 2.0
+    halt: float = 20.0
     deviation: float = 0.2
     lost: int = 5
     box: np.ndarray | None = None

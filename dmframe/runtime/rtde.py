@@ -170,6 +170,12 @@ def _message(kind: str, payload: bytes) -> bytes:
 
 def _recipe(answer: bytes, names: Sequence[str]) -> struct.Struct:
     kinds = answer[1:].decode(errors="replace").split(",")
+    taken = [name for name, kind in zip(names, kinds, strict=False) if kind == "IN_USE"]
+    if taken:
+        raise DriveError(
+            f"RTDE: expected registers that no other client writes, found {taken[0]} and {len(taken) - 1} more in use; "
+            "end the other client"
+        )
     wrong = [f"{name}: {kind}" for name, kind in zip(names, kinds, strict=False) if kind not in FORMATS]
     if wrong or len(kinds) != len(names):
         raise DriveError(f"RTDE: expected a robot that knows {len(names)} names, found {', '.join(wrong) or kinds}")

@@ -13,29 +13,18 @@ from typing import Any, Final, final
 
 import numpy as np
 
-from dmframe.errors import DriveError, LostError
+from dmframe.errors import LostError
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
+from dmframe.runtime.ur_arm import ANSWER, MODES, PATIENCE, PLAYING, SAFE, UrArm, way_time
 
 SCRIPTS: Final = 30002
-JOINTS: Final = tuple(
-    f"{name}_joint" for name in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-)
-PATIENCE: Final = 5
-"""Periods without a heartbeat after which the arm comes to rest by itself, and without a sample after which we do."""
-AWAY: Final = 0.01
-"""How far a joint may be from where the graph holds it [rad]."""
-RUNNING, PLAYING = 7, 2
-SAFE: Final = (1, 2)
-MODES: Final = {
-    3: "protective stop",
-    4: "recovery",
-    5: "safeguard stop",
-    6: "emergency stop of the system",
-    7: "emergency stop of the robot",
-    8: "violation",
-    9: "fault",
-}
+FIRST: Final = 1.0
+"""How long the script waits for the first heartbeat [s]; nothing moves meanwhile."""
+FASTEST: Final = 6.3
+"""No joint of these arms is faster [rad/s]; how long a stop may take follows from it."""
+MOST_BEATS: Final = 1 << 30
+"""Heartbeats begin anew above this, half of what a register holds."""
 OUTPUTS: Final = (
     "timestamp",
     "actual_q",
@@ -52,45 +41,59 @@ INPUTS: Final = (
     "input_int_register_24",
     "input_int_register_25",
     *(f"input_double_register_{24 + k}" for k in range(6)),
+    "input_double_register_30",
 )
 
 FOLLOW: Final = """def dmframe_follow():
   global dm_wanted = [0, 0, 0, 0, 0, 0]
   global dm_going = True
+  global dm_halt = {halt}
   thread dm_move():
     while dm_going:
       speedj(dm_wanted, {acceleration}, get_steptime())
     end
+    stopj(dm_halt)
   end
   dm_beat = read_input_integer_register(24)
+  dm_heard = False
   dm_silent = 0
+  dm_most = {first}
   dm_mover = run dm_move()
-  while dm_silent < {patience}:
+  while dm_silent < dm_most:
     dm_now = read_input_integer_register(24)
     if dm_now == dm_beat:
       dm_silent = dm_silent + get_steptime()
     else:
       dm_silent = 0
       dm_beat = dm_now
+      dm_heard = True
+      dm_most = {patience}
     end
-    if read_input_integer_register(25) == 0:
-      dm_silent = {patience}
+    if dm_heard:
+      if read_input_integer_register(25) == 0:
+        dm_silent = dm_most
+        dm_halt = read_input_float_register(30)
+      else:
+        dm_wanted[0] = read_input_float_register(24)
+        dm_wanted[1] = read_input_float_register(25)
+        dm_wanted[2] = read_input_float_register(26)
+        dm_wanted[3] = read_input_float_register(27)
+        dm_wanted[4] = read_input_float_register(28)
+        dm_wanted[5] = read_input_float_register(29)
+      end
     end
-    dm_wanted[0] = read_input_float_register(24)
-    dm_wanted[1] = read_input_float_register(25)
-    dm_wanted[2] = read_input_float_register(26)
-    dm_wanted[3] = read_input_float_register(27)
-    dm_wanted[4] = read_input_float_register(28)
-    dm_wanted[5] = read_input_float_register(29)
     write_output_integer_register(24, dm_beat)
     sync()
   end
   dm_going = False
   join dm_mover
-  stopj({deceleration})
 end
 """
-"""`join` before `stopj`: two that move the joints at once are an error of the program."""
+"""The thread that moves the joints also stops them: two at once are an error of the program, and between the end of one
+and `stopj` in another a cycle passes, in which the arm slows down by the acceleration of `speedj`.
+
+Registers outlive who wrote them: until the heartbeat changes, they may hold the speeds of a client that was killed.
+"""
 
 
 @final
@@ -105,8 +108,10 @@ class UniversalRobot:
         q -> x, the graph's own kinematics: the maker's pose is in another frame.
     held
         Where the graph holds the others of the six [rad]; 0 without a word.
-    acceleration, deceleration
-        Of the script [rad/s^2].
+    acceleration, halt
+        With which the script follows, and comes to rest where nothing is heard [rad/s^2].
+    patience
+        How long to wait for a sample [s]; five periods without it. The script's own patience is five periods anyway.
     linked
         Opens a connection to a port; by TCP without it.
     """
@@ -120,27 +125,45 @@ class UniversalRobot:
         held: Mapping[str, float],
         *,
         acceleration: float = 40.0,
-        deceleration: float = 2.0,
+        halt: float = 20.0,
+        patience: float | None = None,
         linked: Callable[[str, int], Link] = Wire,
     ) -> None:
         self.name, self.period = f"ur:{host}", period
-        self._host, self._linked, self._tool = host, linked, tool
-        self._places = [JOINTS.index(name) for name in joints]
-        self._held = {JOINTS.index(name): held.get(name, 0.0) for name in JOINTS if name not in joints}
+        self._host, self._linked = host, linked
+        self._arm = UrArm(self.name, period, joints, tool, held)
         self._script = FOLLOW.format(
-            acceleration=acceleration, deceleration=deceleration, patience=round(PATIENCE * period, 6)
+            acceleration=acceleration,
+            halt=halt,
+            first=FIRST,
+            patience=round((PATIENCE - 0.5) * period, 6),  # half a period less than the sum that passes it
         )
+        self._patience = PATIENCE * period if patience is None else patience
+        self._answer = max(ANSWER, self._patience)
         self._rtde: Rtde | None = None
-        self._beat, self._following, self._last = 0, False, float("nan")
+        self._beat, self._following = 0, False
         self._sent, self._scripted = dict[int, float](), False
 
     def connect(self) -> None:
-        """See `Robot`."""
-        self._rtde = Rtde(self._linked(self._host, PORT), 1 / self.period, OUTPUTS, INPUTS)
+        """See `Robot`.
+
+        Raises
+        ------
+        DriveError
+            Its cycle does not divide the period: it would send samples in another one, unasked.
+        """
+        link = self._linked(self._host, PORT)
+        try:
+            self._rtde = Rtde(link, 1 / self.period, OUTPUTS, INPUTS, self._answer)
+        except BaseException:
+            link.close()
+            raise
+        first, second = (self._newest(self._answer)["timestamp"] for _ in range(2))
+        self._arm.check_period(first, second)
 
     def read(self) -> Sample:
-        """See `Robot`; after five periods without a sample it is lost."""
-        return self._told(self._newest(PATIENCE * self.period))
+        """See `Robot`; where no sample comes in time, it is lost."""
+        return self._told(self._newest(self._patience))
 
     def begin(self) -> None:
         """Send the script, and wait until its heartbeat is heard.
@@ -150,45 +173,39 @@ class UniversalRobot:
         DriveError
             A joint that the graph holds is elsewhere, so that its tool is, too.
         """
-        q = self._newest(PATIENCE * self.period)["actual_q"]
-        for k, angle in self._held.items():
-            if abs(q[k] - angle) > AWAY:
-                raise DriveError(
-                    f"{self.name}: expected {JOINTS[k]} at {angle:.4g} rad, where the graph holds it, found it at "
-                    f"{q[k]:.4g} rad"
-                )
+        told = self._newest(self._answer)
+        self._arm.check_held(told["actual_q"])
+        echo = told["output_int_register_24"]
+        # an echo that another has left is none of ours
+        first = self._beat = max(self._beat, echo + 1) if echo < MOST_BEATS else 0
         self._upload(self._script)
         for _ in range(round(5 / self.period)):
             self._write(np.zeros(6), 1)
-            told = self._newest(PATIENCE * self.period)
-            if told["output_int_register_24"] == self._beat - 1 and told["runtime_state"] == PLAYING:
-                self._following, self._last = True, float("nan")
+            told = self._newest(self._answer)
+            if first <= told["output_int_register_24"] < self._beat and told["runtime_state"] == PLAYING:
+                self._following = True
+                self._arm.begin()
+                self._write(np.zeros(6), 1)  # each sample is answered; the next one is the loop's
                 return
         raise LostError(f"{self.name}: its script does not answer; is the arm in remote control?")
 
     def command(self, dq: np.ndarray) -> None:
         """See `Robot`."""
-        wanted = np.zeros(6)
-        wanted[self._places] = dq
-        self._write(wanted, 1)
+        self._write(self._arm.speeds(dq), 1)
 
     def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
         """By the maker's own `movej`."""
-        now = np.array(self._newest(2.0)["actual_q"])
-        goal = now.copy()
-        goal[self._places] = q
-        for k, angle in self._held.items():
-            goal[k] = angle
+        now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         text = ", ".join(f"{angle:.9f}" for angle in goal)
         self._upload(f"def dmframe_move():\n  movej([{text}], a={acceleration}, v={speed})\nend\n")
-        most = float(np.max(np.abs(goal - now))) / speed + 2 * speed / acceleration + 5
+        most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
-            told = self._newest(2.0)
+            told = self._newest(self._answer)
             if told["safety_mode"] not in SAFE:
                 raise LostError(f"{self.name}: on its way to the start: {MODES.get(told['safety_mode'], 'a stop')}")
             arrived = np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4
             if arrived and told["runtime_state"] != PLAYING:
-                self._last = float("nan")
+                self._arm.begin()
                 return
         raise LostError(f"{self.name}: expected to be at the start within {most:.0f} s, and is not")
 
@@ -198,9 +215,9 @@ class UniversalRobot:
             return
         following, self._following = self._following, False
         with suppress(LostError):  # the other port may still be heard
-            for _ in range(round(1 / self.period) if following else 0):
-                self._write(np.zeros(6), 0)
-                told = self._newest(PATIENCE * self.period)
+            for _ in range(round((1 + FASTEST / deceleration) / self.period) if following else 0):
+                self._write(np.zeros(6), 0, deceleration)
+                told = self._newest(self._patience)
                 if told["runtime_state"] != PLAYING:
                     return
         self._upload(f"def dmframe_stop():\n  stopj({deceleration})\nend\n")
@@ -216,10 +233,10 @@ class UniversalRobot:
             raise LostError(f"{self.name}: there is no connection")
         return self._rtde.read(patience)
 
-    def _write(self, dq: np.ndarray, follow: int) -> None:
+    def _write(self, dq: np.ndarray, follow: int, deceleration: float = 0.0) -> None:
         if self._rtde is None:
             raise LostError(f"{self.name}: there is no connection")
-        self._rtde.write(self._beat, follow, *dq.tolist())
+        self._rtde.write(self._beat, follow, *dq.tolist(), deceleration)
         self._sent[self._beat] = time.monotonic()
         self._sent.pop(self._beat - 1000, None)
         self._beat += 1
@@ -233,23 +250,6 @@ class UniversalRobot:
             link.close()
 
     def _told(self, told: Any) -> Sample:
-        mode, stamp = told["safety_mode"], told["timestamp"]
-        fault = MODES.get(mode, f"safety mode {mode}") if mode not in SAFE else ""
-        if not fault and self._following and told["runtime_state"] != PLAYING:
-            fault = "its script has ended"
-        q = np.array(told["actual_q"])[self._places]
-        steps = (stamp - self._last) / self.period
-        self._last = stamp
         sent = self._sent.get(told["output_int_register_24"])
-        return Sample(
-            time=stamp,
-            q=q,
-            dq=np.array(told["actual_qd"])[self._places],
-            q_c=np.array(told["target_q"])[self._places],
-            x=np.asarray(self._tool(q)).ravel(),
-            scaling=min(1.0, max(0.0, told["speed_scaling"] * told["target_speed_fraction"])),
-            ready=told["robot_mode"] == RUNNING,
-            fault=fault,
-            age=time.monotonic() - sent if sent is not None and self._following else None,
-            missed=max(0, round(steps) - 1) if np.isfinite(steps) else 0,
-        )
+        age = time.monotonic() - sent if sent is not None and self._following else None
+        return self._arm.sample(told, following=self._following, age=age)

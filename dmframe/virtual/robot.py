@@ -22,6 +22,7 @@ from dmframe.virtual.safety import EMERGENCY, POWER_OFF, PROTECTIVE, Safety
 
 if TYPE_CHECKING:
     from dmframe.virtual.program import Program
+    from dmframe.virtual.rtde import Rtde
     from dmframe.virtual.server import Ports, Servers
 
 Series = Literal["cb3", "e"]
@@ -405,17 +406,22 @@ class VirtualRobot:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def serve(self, wanted: Callable[[], bool] = lambda: True) -> None:
-        """Run in real time as long as it is wanted; see `dmframe.virtual.pace`."""
+    @property
+    def owing(self) -> list[Rtde]:
+        """While a script runs, the clients by RTDE that answer samples, and have not answered the last."""
+        return self._servers.owing if self._servers is not None and self.running else []
+
+    def serve(self, wanted: Callable[[], bool] = lambda: True, patience: float = 0.0) -> None:
+        """Run as long as it is wanted, in real time, or in step with a client; see `dmframe.virtual.pace`."""
         from dmframe.virtual.pace import serve
 
-        serve(self, wanted)
+        serve(self, wanted, patience)
 
-    def in_background(self) -> AbstractContextManager[VirtualRobot]:
-        """Run in real time in a thread of its own, until the block ends."""
+    def in_background(self, patience: float = 0.0) -> AbstractContextManager[VirtualRobot]:
+        """Run, as by `serve`, in a thread of its own, until the block ends."""
         from dmframe.virtual.pace import in_background
 
-        return in_background(self)
+        return in_background(self, patience)
 
     def wait(self, time: float) -> None:
         """Serve the ports for a while [s], no cycle passing."""

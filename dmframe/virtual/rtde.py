@@ -41,6 +41,7 @@ class Rtde:
         self._every, self._since = 1, 0
         self._started, self._version = False, 1
         self._sent: deque[tuple[int, bytes]] = deque()
+        self._answers, self._owes = False, False
         others.append(self)
         robot.listeners.append(self)
 
@@ -48,6 +49,15 @@ class Rtde:
     def claimed(self) -> set[str]:
         """The inputs that are this client's."""
         return {name for names in self._recipes.values() for name in names}
+
+    @property
+    def owes(self) -> bool:
+        """True where it has a sample, and has not written since; it has answered one before."""
+        return self._owes
+
+    def excuse(self) -> None:
+        """Expect no answers from it, until it writes again."""
+        self._answers = self._owes = False
 
     def close(self) -> None:
         """The client has gone."""
@@ -84,6 +94,7 @@ class Rtde:
                 self._say("S", bytes([self._started]))
             case "P":
                 self._started = False
+                self.excuse()
                 self._say("P", b"\1")
             case "U":
                 self._write(message)
@@ -131,6 +142,7 @@ class Rtde:
             found = struct.unpack_from(f">{FORMATS[kind]}", message, first)
             values[name] = list(found) if kind.startswith("VECTOR") else found[0]
             first += size_of(kind)
+        self._answers, self._owes = True, False
         return self._robot.write(values)
 
     def cycle(self, robot: VirtualRobot) -> None:
@@ -142,6 +154,7 @@ class Rtde:
             self._since += 1
         while self._sent and self._sent[0][0] <= robot.cycles:
             self._say("U", self._sent.popleft()[1])
+            self._owes = self._answers
 
     def _tell(self, text: str) -> None:
         """A text message, a warning."""

@@ -165,6 +165,11 @@ class Servers:
         found: int = door.getsockname()[1]
         return found
 
+    @property
+    def owing(self) -> list[Rtde]:
+        """The clients by RTDE that have a sample, and have not answered it."""
+        return [client for client in self._rtde if client.owes]
+
     def poll(self, timeout: float = 0.0) -> None:
         """Take what has come, and send what waits; wait for it no longer than `timeout` [s]."""
         for key, events in self._selector.select(timeout):

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
+import os
 import struct
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 import dmframe as dm
+from dmframe.errors import LostError
+from dmframe.runtime.rtde import PORT
 from dmframe.virtual import VirtualRobot
+from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
 
 
@@ -23,6 +30,12 @@ def graph(name: str) -> dm.Graph:
 def robot(name: str = "ur10_fast", **behaviour: Any) -> VirtualRobot:
     """A robot at its start."""
     return graph(name).virtual_robot(**behaviour)
+
+
+def own_host() -> str:
+    """An address of this machine for this process alone: some clients know no other ports than the maker's."""
+    number = os.getpid()
+    return f"127.{40 + number % 80}.{number // 80 % 250}.{2 + number // 20000 % 250}"
 
 
 def runs(held: VirtualRobot, script: str, cycles: int = 2000) -> VirtualRobot:
@@ -117,3 +130,80 @@ def follow():
 end
 """
 """Such as a client of its own uploads."""
+
+
+class Line:
+    """Connections to a robot without sockets: its clock goes on where a client waits for a sample, and only there."""
+
+    def __init__(self, held: VirtualRobot) -> None:
+        self.robot, self.others = held, list[Rtde]()
+        self.cut, self.closed = False, False
+        """Nothing passes any more, in either direction; or both ends are told that it is closed."""
+
+    def __call__(self, host: str, port: int) -> Link:
+        self.check()
+        return Link(self, Rtde(self.robot, self.others) if port == PORT else None)
+
+    def check(self) -> None:
+        """As the operating system tells of a connection that is closed."""
+        if self.closed:
+            raise LostError("the robot has closed the connection")
+
+
+class Link:
+    """One of them: by RTDE, or one that takes scripts."""
+
+    def __init__(self, line: Line, rtde: Rtde | None) -> None:
+        self.line, self.rtde = line, rtde
+
+    def send(self, data: bytes) -> None:
+        self.line.check()
+        if self.line.cut:
+            return
+        if self.rtde is None:
+            self.line.robot.run_program(Program(data.decode(), self.line.robot))
+        else:
+            assert self.rtde.received(data)
+
+    def receive(self, patience: float) -> bytes:
+        assert self.rtde is not None
+        self.line.check()
+        waiting = self.rtde.pending
+        for _ in range(round(patience / self.line.robot.dt)):
+            if waiting and not self.line.cut:
+                break
+            self.line.robot.advance()
+        if self.line.cut:
+            return b""
+        data = bytes(waiting)
+        waiting.clear()
+        return data
+
+    def close(self) -> None:
+        if self.rtde is not None:
+            self.rtde.close()
+
+
+class Trace:
+    """What a robot did, cycle by cycle."""
+
+    def __init__(self, held: VirtualRobot) -> None:
+        self.time, self.speed, self.told = list[float](), list[float](), list[float]()
+        self.lost = 0
+        held.listeners.append(self)
+
+    def cycle(self, robot: VirtualRobot) -> None:
+        self.time.append(robot.time)
+        self.speed.append(float(np.abs(robot.dq).max()))
+        self.told.append(float(np.abs(robot.target.qd).max()))
+        self.lost += robot.sample_lost
+
+    def rest(self, since: float) -> float:
+        """How long from then on until nothing moves any more [s]; inf where something still does."""
+        moves = [k for k, (v, told) in enumerate(zip(self.speed, self.told, strict=True)) if v > REST or told > 0]
+        first = moves[-1] + 1 if moves else 0
+        return self.time[first] - since if first < len(self.time) else math.inf
+
+
+REST = 0.01
+"""Slower than this an arm rests [rad/s]: its servo's integral takes out what is left of a way, for seconds."""

@@ -73,14 +73,17 @@ def test_a_stop_by_the_gate_has_another_status_and_its_reason(dmframe: Any) -> N
 
 
 def test_wrong_words_are_told(dmframe: Any) -> None:
+    Path("arm.yaml").write_text("dmframe-limits: 1\nacceleration: 15 rad/s^2\n")
     for words, told in (
         (["--robot", "abb"], "--robot abb: unknown kind of robot; "),
         (["--robot", "sim:-1"], "--robot sim:-1: expected how many samples late commands act"),
         (["--robot", "sim", "--ramp", "-1"], "--ramp -1: expected a number in s of 0 or above"),
         (["--robot", "sim", "--seconds", "0"], "--seconds 0: expected a time above zero"),
+        (["--robot", "ur:x", "--patience", "0"], "--patience 0: expected a time above zero"),
+        (["--robot", "ur_rtde", "--limits", "arm.yaml"], "--robot ur_rtde: expected the address of an arm"),
         (["--robot", "sim", "--limits", "none.yaml"], "expected a limits file, found none"),
     ):
-        said = dmframe("drive", "ur10_fast", *words)
+        said = dmframe("drive", "ur10_fast", "--without-a-passed-rehearsal", *words)
         assert said.status == 2
         assert told in said.err
         assert not Path("runs").exists() or not any(Path("runs").iterdir())

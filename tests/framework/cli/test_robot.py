@@ -39,6 +39,7 @@ def test_it_tells_where_it_listens(monkeypatch: pytest.MonkeyPatch, capsys: pyte
         (["ur10_fast", "--series", "g"], "series: expected cb3 or e, found 'g'"),
         (["ur10_fast", "--slider", "2"], "slider: expected a number from 0 to 1, found 2.0"),
         (["ur10_fast", "--lost", "x"], "--lost x: "),
+        (["ur10_fast", "--patience", "0"], "--patience 0: expected a time above zero"),
         (["ur10_fast", "--command-delay", "1.5"], "--command-delay 1.5: expected a whole number"),
     ],
 )

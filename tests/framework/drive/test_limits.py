@@ -30,6 +30,7 @@ def test_a_file_narrows_them(tmp_path: Path) -> None:
         "position: {shoulder_lift_joint: [-180 deg, 0]}\n"
         "box: {z: [5 cm, 1.2 m]}\n"
         "deceleration: 3\n"
+        "halt: 12 rad/s^2\n"
         "deviation: 5 deg\n"
         "lost: 2\n"
     )
@@ -40,7 +41,7 @@ def test_a_file_narrows_them(tmp_path: Path) -> None:
     np.testing.assert_allclose([found.lower[1], found.upper[1]], [-np.pi, 0])
     assert found.box is not None
     np.testing.assert_array_equal(found.box, [[-np.inf, -np.inf, 0.05], [np.inf, np.inf, 1.2]])
-    assert (found.deceleration, found.lost) == (3.0, 2)
+    assert (found.deceleration, found.halt, found.lost) == (3.0, 12.0, 2)
     assert found.deviation == pytest.approx(np.pi / 36)
 
 
@@ -61,6 +62,7 @@ def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
         "  shoulder_pan_joint: [1, -1]\n"
         "box: {w: [0, 1], x: 3}\n"
         "deceleration: 2 m/s^2\n"
+        "halt: 0\n"
         "lost: -1\n"
         "sped: 1\n"
     )
@@ -80,8 +82,9 @@ def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
             "7:7: box.w: unknown coordinate; choose from x, y, z",
             "7:21: box.x: expected the least and the most, [0.1, 0.8], found 3",
             "8:15: deceleration: expected a quantity in rad/s^2, found '2 m/s^2'",
-            "9:7: lost: expected a whole number from 0 to 1000, found -1",
-            "10:1: sped: unknown key; did you mean speed?",
+            "9:7: halt: expected a positive number in rad/s^2, found 0",
+            "10:7: lost: expected a whole number from 0 to 1000, found -1",
+            "11:1: sped: unknown key; did you mean speed?",
         ],
         strict=True,
     ):

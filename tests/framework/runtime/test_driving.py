@@ -58,7 +58,7 @@ def test_at_its_end_the_robot_is_stopped_and_let_go() -> None:
 def test_what_goes_wrong_is_named_and_the_robot_is_stopped(fault: Any, told: str) -> None:
     found, robot = ended([*standing(5), fault, *standing(20)])
     assert str(found.stop) == told
-    assert robot.told[-2:] == [("stop", 2.0), "close"]
+    assert robot.told[-2:] == [("stop", 2.0 if told.startswith("asked") else 20.0), "close"]
     assert len(found.journal.sent) == 5
     assert all(np.isfinite(command).all() for command in robot.told[1:-2])
 
@@ -80,7 +80,7 @@ def test_a_defect_stops_the_robot_too() -> None:
     robot = Script(standing(5))
     with pytest.raises(IndexError):  # of the list of samples
         driven(graph(), robot, 20)
-    assert robot.told[-2:] == [("stop", 2.0), "close"]
+    assert robot.told[-2:] == [("stop", 20.0), "close"]
 
 
 def test_asked_to_stop_it_does_at_the_next_sample() -> None:

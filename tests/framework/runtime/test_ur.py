@@ -10,7 +10,7 @@ import pytest
 from drivers import driven
 
 import dmframe as dm
-from dmframe.drive.robots import kind_of
+from dmframe.drive.robots import Options, kind_of
 from dmframe.errors import DriveError, LostError, ValueFault
 from dmframe.runtime import ur
 from dmframe.runtime.rtde import PORT, Rtde
@@ -51,7 +51,7 @@ class Arm:
     def tick(self) -> None:
         self.values["timestamp"] += 0.008
         if self.written and self.values["runtime_state"] == 2:
-            beat, follow, *dq = self.written[-1]
+            beat, follow, *dq, _ = self.written[-1]
             self.values["output_int_register_24"] = beat
             self.values["runtime_state"] = 2 if follow else 1
             speed = np.array(dq) * follow
@@ -90,7 +90,7 @@ class Main:
                 answer = b"\x07" + ",".join(KINDS[name] for name in payload.decode().split(",")).encode()
             case "U":
                 assert payload[0] == 7
-                self.arm.written.append(struct.unpack(">ii6d", payload[1:]))
+                self.arm.written.append(struct.unpack(">ii7d", payload[1:]))
                 return
         self.arm.pending += message("M", b"a text in between") + message(
             chr(kind), self.arm.answers.get(chr(kind), answer)
@@ -127,7 +127,7 @@ class Scripts:
 
 def driver(arm: Arm) -> UniversalRobot:
     graph = dm.load("ur10_fast")
-    made = kind_of("ur:arm")[0].make("arm", graph.experiment, graph.diagram, 1.0, "auto")
+    made = kind_of("ur:arm")[0].make("arm", graph.experiment, graph.diagram, Options(1.0))
     assert isinstance(made, UniversalRobot)
     made._linked = arm.linked
     return made
@@ -139,10 +139,10 @@ def test_a_drive_follows_stops_and_lets_go() -> None:
     assert found.stop is None
     assert [script.split("(")[0] for script in arm.scripts] == ["def dmframe_follow"]
     beats = [row[0] for row in arm.written]
-    assert beats == list(range(len(beats)))
-    assert arm.written[-1][1:] == (0, 0, 0, 0, 0, 0, 0)  # asked to end, at rest
-    np.testing.assert_array_equal([row[2:5] for row in arm.written[1:-1]], found.journal.sent[:-1])
-    assert all(row[5:] == (0, 0, 0) for row in arm.written)  # the joints that the graph holds
+    assert beats == list(range(1, 1 + len(beats)))  # none that could be an echo of what was there
+    assert arm.written[-1][1:] == (0, 0, 0, 0, 0, 0, 0, 2.0)  # asked to end, at rest, and how hard
+    np.testing.assert_array_equal([row[2:5] for row in arm.written[2:-1]], found.journal.sent[:-1])
+    assert all(row[5:8] == (0, 0, 0) for row in arm.written)  # the joints that the graph holds
     assert arm.values["runtime_state"] == 1
     assert arm.closed == 1
     x = np.array([sample.x for sample in found.journal.samples])
@@ -192,7 +192,7 @@ def test_a_silent_arm_is_lost_and_a_stop_is_sent_by_the_other_port() -> None:
 
     found = driven(graph, driver(arm), 50, ramp=0.1, asked=after)
     assert str(found.stop) == "lost link: no sample for 40 ms"
-    assert arm.scripts[-1] == "def dmframe_stop():\n  stopj(2.0)\nend\n"
+    assert arm.scripts[-1] == "def dmframe_stop():\n  stopj(20.0)\nend\n"
     assert arm.closed == 1
 
 
@@ -236,14 +236,14 @@ def test_samples_that_wait_are_skipped_for_the_newest_and_counted() -> None:
     for _ in range(4):
         arm.tick()
     found = robot.read()
-    assert (found.missed, found.time) == (3, pytest.approx(100.0 + 5 * 0.008))
+    assert (found.missed, found.time) == (3, pytest.approx(100.0 + 7 * 0.008))
 
 
 def test_an_unknown_name_another_version_and_no_answer_are_told() -> None:
     for kind, answer, told in (
         ("V", b"\x00", "expected a robot that speaks version 2"),
         ("O", b"\x01" + b"NOT_FOUND," * (len(OUTPUTS) - 1) + b"DOUBLE", "found timestamp: NOT_FOUND"),
-        ("I", b"\x00" + b"IN_USE," * (len(INPUTS) - 1) + b"DOUBLE", "found input_int_register_24: IN_USE"),
+        ("I", b"\x00" + b"IN_USE," * (len(INPUTS) - 1) + b"DOUBLE", "found input_int_register_24 and 7 more in use"),
         ("S", b"\x00", "expected samples, and the robot does not begin"),
     ):
         arm = Arm()
@@ -259,16 +259,17 @@ def test_an_unknown_name_another_version_and_no_answer_are_told() -> None:
         Rtde(Mute(Arm()), 125.0, OUTPUTS, INPUTS)
 
 
-def test_the_script_uses_registers_that_no_fieldbus_has_and_joins_before_it_stops() -> None:
+def test_the_script_uses_registers_that_no_fieldbus_has_and_stops_in_the_thread_that_moves() -> None:
     registers = [int(part.split(")")[0].split(",")[0]) for part in ur.FOLLOW.split("register(")[1:]]
     assert min(registers) >= 24
-    assert ur.FOLLOW.index("join dm_mover") < ur.FOLLOW.index("stopj(")
-    assert "0.04" in driver(Arm())._script  # five periods of patience
+    mover = ur.FOLLOW[ur.FOLLOW.index("thread dm_move") : ur.FOLLOW.index("  dm_beat =")]
+    assert ur.FOLLOW.count("stopj(") == mover.count("stopj(") == 1
+    assert "dm_most = 0.036" in driver(Arm())._script  # passed in the fifth period of silence
 
 
 def test_addresses_and_arms_are_checked() -> None:
     panda = dm.load("panda_full")
     with pytest.raises(ValueFault, match="expected the address of an arm"):
-        kind_of("ur")[0].make("", panda.experiment, panda.diagram, 1.0, "auto")
+        kind_of("ur")[0].make("", panda.experiment, panda.diagram, Options(1.0))
     with pytest.raises(DriveError, match="expected the joints of a UR in their order, found panda_joint1"):
-        kind_of("ur:x")[0].make("x", panda.experiment, panda.diagram, 1.0, "auto")
+        kind_of("ur:x")[0].make("x", panda.experiment, panda.diagram, Options(1.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -199,3 +200,66 @@ def test_a_client_that_talks_nonsense_is_dropped(held: VirtualRobot) -> None:
     held.advance(2)
     assert held.listeners == []
     assert client.socket.recv(10) == b""
+
+
+def following(held: VirtualRobot, monkeypatch: pytest.MonkeyPatch) -> tuple[Connected, list[float]]:
+    """A client that has answered a sample, while a script runs; and a time that passes where the robot waits."""
+    client, now = Connected(held, held.listen(HOST, Ports.free()).rtde), [0.0]
+    client.send(message("V", b"\0\2") + message("O", struct.pack(">d", 500.0) + b"timestamp"))
+    client.send(message("I", b"input_int_register_24") + message("S"))
+    client.read(4 + 10 + 9 + 4)
+    held.load_script("def p():\n while True:\n  sync()\n end\nend\n")
+    client.send(message("U", b"\1\0\0\0\1"))
+    held.advance(2)
+    assert held.owing
+
+    def wait(seconds: float) -> None:
+        now[0] += seconds
+        assert held._servers is not None
+        held._servers.poll()
+
+    monkeypatch.setattr(held, "wait", wait)
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    return client, now
+
+
+def test_in_step_the_clock_waits_for_the_answer_to_each_sample(
+    held: VirtualRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client, now = following(held, monkeypatch)
+    begun, answers = held.cycles, [0]
+
+    def wanted() -> bool:
+        if now[0] >= 5.0 * (answers[0] + 1):  # it takes its time, 5 s for each
+            answers[0] += 1
+            client.send(message("U", b"\1\0\0\0\1"))
+        return answers[0] < 4 or bool(held.owing)
+
+    held.serve(wanted, 60.0)
+    assert held.cycles - begun == 3
+    assert held.late == 0
+
+
+def test_in_step_a_silent_client_is_waited_for_no_longer_than_that(
+    held: VirtualRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client, now = following(held, monkeypatch)
+    begun = held.cycles
+    held.serve(lambda: now[0] < 60.1, 60.0)
+    assert held.cycles - begun == pytest.approx(50, abs=2)  # in real time after that
+    assert held.messages[-1].endswith("a client has not answered for 60 s: the clock goes on")
+    client.send(message("U", b"\1\0\0\0\1"))
+    held.advance(2)
+    assert held.owing  # it is waited for again
+
+
+def test_who_pauses_or_has_no_script_is_not_waited_for(held: VirtualRobot, monkeypatch: pytest.MonkeyPatch) -> None:
+    client, _ = following(held, monkeypatch)
+    held.end_program("enough")
+    assert not held.owing
+    held.load_script("def p():\n while True:\n  sync()\n end\nend\n")
+    held.advance()
+    assert held.owing
+    client.send(message("P"))
+    held.advance()
+    assert not held.owing

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
 import subprocess
 import sys
 from typing import Any
 
 import pytest
-from virtual_robots import robot
+from virtual_robots import own_host, robot
 
 LIMIT = 120.0
 """Of the client [s]; it needs some seconds."""
@@ -102,8 +101,7 @@ print(json.dumps(told))
 
 
 def test_its_interfaces_drive_the_robot() -> None:
-    number = os.getpid()
-    host = f"127.{40 + number % 80}.{number // 80 % 250}.{2 + number // 20000 % 250}"
+    host = own_host()
     with robot("ur10_full") as held:
         held.listen(host)  # this client knows no other ports
         with held.in_background():
