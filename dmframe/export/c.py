@@ -45,7 +45,7 @@ def header(program: Program) -> str:
         name=name,
         guard=guard,
         upper=name.upper(),
-        about=_about(program),
+        about=about(program),
         period=repr(program.period),
         measured=_struct(f"{name}_measured", program.measured, "What the robot shows at a sample."),
         commanded=_struct(f"{name}_commanded", program.commanded, "What it is told, until the next."),
@@ -69,7 +69,7 @@ def source(program: Program) -> str:
     }
     name = program.name
     lines = [
-        f"/* {_about(program)} */",
+        f"/* {about(program)} */",
         f'#include "{name}.h"',
         "#ifndef __GNUC__",
         "#define __attribute__(list)",
@@ -130,6 +130,10 @@ int {name}_reset({name}_controller *self, const {name}_measured *measured, doubl
 
 /* What is commanded from time t on, until the next sample. */
 int {name}_step({name}_controller *self, const {name}_measured *measured, double t, {name}_commanded *commanded);
+
+/* The same where the next sample is T s away: one was lost, or the robot is slowed down and its time with it. */
+int {name}_step_for({name}_controller *self, const {name}_measured *measured, double t, double T,
+  {name}_commanded *commanded);
 {tool}
 #ifdef __cplusplus
 }}
@@ -171,19 +175,19 @@ def _unused(head: re.Match[str]) -> str:
     return "\n".join([head.group(), f"  {' '.join(f'(void){name};' for name in names)}"])
 
 
-def _about(program: Program) -> str:
+def about(program: Program) -> str:
     title = f": {program.title}" if program.title else ""
     return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:
     lines = [f"/* {about} */", "typedef struct {"]
-    lines += [f"  double {item.word}[{item.size}]; /* {_unit(item.unit)} */" for item in members]
+    lines += [f"  double {item.word}[{item.size}]; /* {unit_of(item.unit)} */" for item in members]
     lines += [] if members else ["  double none[1];"]
     return "\n".join([*lines, f"}} {name};"])
 
 
-def _unit(unit: str) -> str:
+def unit_of(unit: str) -> str:
     return unit or "1"
 
 
@@ -191,7 +195,7 @@ def _places(program: Program) -> Iterator[str]:
     first = 0
     for member in program.states:
         word = f"{program.name}_{member.word}".upper()
-        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {_unit(member.unit)} */"
+        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {unit_of(member.unit)} */"
         first += member.size
 
 
@@ -220,29 +224,50 @@ def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> li
     OutputError
         The folder is there already, or cannot be written.
     """
+    place = new_folder(folder)
+    program = program_of(experiment, diagram)
+    return write_all(place, files_of(experiment, diagram, program))
+
+
+def new_folder(folder: str | Path) -> Path:
+    """A path where nothing is. Raises `OutputError`."""
     place = expanded(folder)
     if place.exists():
         raise OutputError(f"{place}: is there already; name a new folder")
-    program = program_of(experiment, diagram)
+    return place
+
+
+def write_all(place: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Files by their paths in a new folder. Raises `OutputError`."""
+    with writing(place, "folder"):
+        for name in texts:
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        write_text(place / name, text)
+    return [place / name for name in texts]
+
+
+def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:
+    """All files of an exported controller, by name."""
     code, told = source(program), header(program)
     wanted = {f"{program.name}.c": code, f"{program.name}.h": told}
     samples = _samples(experiment, diagram, program)
     wanted |= {"replay.c": _called("replay.c", program), "samples.h": _listed(samples, exact=False)}
     compiled = _compiled(program, wanted, samples)
     exact = compiled is not None
-    wanted |= {
+    return wanted | {
         "samples.h": _listed(compiled or samples, exact=exact),
         "example.c": _called("example.c", program).replace("DM_STILL", _still(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
         "README.md": _readme(program, exact=exact),
-        "graph.yaml": resolved_text(experiment),
-        "provenance.json": json.dumps(provenance(experiment, resolved_text(experiment)), indent=2) + "\n",
+        **origin(experiment),
     }
-    with writing(place, "folder"):
-        place.mkdir(parents=True)
-    for name, text in wanted.items():
-        write_text(place / name, text)
-    return [place / name for name in wanted]
+
+
+def origin(experiment: Experiment) -> dict[str, str]:
+    """The files that say from what others were made."""
+    text = resolved_text(experiment)
+    return {"graph.yaml": text, "provenance.json": json.dumps(provenance(experiment, text), indent=2) + "\n"}
 
 
 @final

@@ -34,11 +34,11 @@ int DM_NAMED(reset)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from
   return 1;
 }
 
-int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, DM_NAMED(commanded) * to) {
+int DM_NAMED(step_for)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, double T,
+                       DM_NAMED(commanded) * to) {
   double measured[DM_M], next[DM_Z + 1], command[DM_U];
-  const double T = DM_PERIOD;
   next[DM_Z] = 0;
-  if (dm_read(from, t, measured)) {
+  if (dm_read(from, t, measured) && dm_finite(&T, 1)) {
     dm_control(self->state, measured, &t, &T, self->parameters, self->constants, next, command);
     if (dm_finite(next, DM_Z) && dm_finite(command, DM_U)) {
       memcpy(self->state, next, DM_Z * sizeof *next);
@@ -48,4 +48,8 @@ int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from,
   }
   self->refused++;
   return 0;
+}
+
+int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, DM_NAMED(commanded) * to) {
+  return DM_NAMED(step_for)(self, from, t, DM_PERIOD, to);
 }
