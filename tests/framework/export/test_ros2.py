@@ -52,8 +52,12 @@ def manager(folder: Path, real: str = "") -> Path:
     if real:
         base = Path(real)
         sources += [
-            str(base / "controller_interface" / "src" / f"{name}.cpp")
-            for name in ("chainable_controller_interface", "controller_interface_base")
+            str(base / room / "src" / f"{name}.cpp")
+            for room, name in (
+                ("controller_interface", "chainable_controller_interface"),
+                ("controller_interface", "controller_interface_base"),
+                ("hardware_interface", "lexical_casts"),
+            )
         ]
         own = [base / name / "include" for name in ("controller_interface", "hardware_interface", "joint_limits", "fmt")]
         words = ["-std=c++17", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-DFMT_HEADER_ONLY", f"-I{below}"]

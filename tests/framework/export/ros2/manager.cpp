@@ -65,8 +65,8 @@ int main(int count, char ** words)
       hardware_interface::InterfaceDescription(name.substr(0, at), info)));
     std::cout << name << '\n';
   }
-  for (const auto & one : commands) lent_commands.emplace_back(one);
-  for (const auto & one : states) lent_states.emplace_back(one);
+  for (const auto & one : commands) lent_commands.emplace_back(one, nullptr);
+  for (const auto & one : states) lent_states.emplace_back(one, nullptr);
   controller->assign_interfaces(std::move(lent_commands), std::move(lent_states));
   if (node->activate().id() != 3) return 4;
 

@@ -2,6 +2,7 @@
 #ifndef STAND_IN_LOANED_INTERFACES
 #define STAND_IN_LOANED_INTERFACES
 
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -58,7 +59,7 @@ public:
 class LoanedStateInterface
 {
 public:
-  explicit LoanedStateInterface(StateInterface::ConstSharedPtr lent) : lent_(std::move(lent)) {}
+  LoanedStateInterface(StateInterface::ConstSharedPtr lent, std::function<void()> &&) : lent_(std::move(lent)) {}
   template <typename T = double>
   [[nodiscard]] std::optional<T> get_optional(unsigned int = 10) const
   {
@@ -72,7 +73,7 @@ private:
 class LoanedCommandInterface
 {
 public:
-  explicit LoanedCommandInterface(CommandInterface::SharedPtr lent) : lent_(std::move(lent)) {}
+  LoanedCommandInterface(CommandInterface::SharedPtr lent, std::function<void()> &&) : lent_(std::move(lent)) {}
   template <typename T>
   [[nodiscard]] bool set_value(const T & value, unsigned int = 10)
   {

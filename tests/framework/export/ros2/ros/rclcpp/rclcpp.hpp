@@ -2,6 +2,8 @@
 #ifndef STAND_IN_RCLCPP
 #define STAND_IN_RCLCPP
 
+#include <cxxabi.h>
+
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
