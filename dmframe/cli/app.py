@@ -312,7 +312,12 @@ def rehearse(
 def drive(
     graph: OneGraph,
     robot: Annotated[
-        str, typer.Option(metavar="ROBOT", help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST.")
+        str,
+        typer.Option(
+            metavar="ROBOT",
+            help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST; xarm:HOST. The last two are "
+            "untested on hardware.",
+        ),
     ],
     seconds: Annotated[
         str | None, typer.Option(metavar="S", help="Time of the reference; the graph's duration without it.")

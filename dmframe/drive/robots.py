@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -14,6 +14,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.runtime import xarm
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.runtime.ur import JOINTS, UniversalRobot
@@ -70,15 +71,29 @@ def _universal(text: str, experiment: Experiment, diagram: Diagram, duration: fl
     if not text:
         raise ValueFault("--robot ur: expected the address of an arm, ur:192.168.0.2")
     robot = diagram.robot
-    strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
-    if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
-        raise DriveError(
-            f"--robot ur: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
-        )
+    _check_joints(robot, JOINTS, "--robot ur: expected the joints of a UR")
+    return UniversalRobot(text, clock_of(experiment), robot.joint_names, _tool(robot), _holds(experiment))
+
+
+def _xarm(text: str, experiment: Experiment, diagram: Diagram, duration: float, engine: Choice) -> Robot:
+    del duration, engine
+    if not text:
+        raise ValueFault("--robot xarm: expected the address of an arm, xarm:192.168.1.2")
+    robot = diagram.robot
+    _check_joints(robot, xarm.JOINTS, "--robot xarm: expected the joints of an xArm, joint1 to joint7,")
+    return xarm.XArm(text, clock_of(experiment), robot.joint_names, _tool(robot), _holds(experiment))
+
+
+def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
+    strange = [name for name in robot.joint_names if name not in known] if robot is not None else ["no joints"]
+    if strange or list(robot.joint_names) != [name for name in known if name in robot.joint_names]:
+        raise DriveError(f"{expected} in their order, found {', '.join(strange) or 'another'}")
+
+
+def _holds(experiment: Experiment) -> dict[str, float]:
+    """Where the graph holds joints [rad]."""
     section = experiment.file.robot
-    return UniversalRobot(
-        text, clock_of(experiment), robot.joint_names, _tool(robot), dict(section.hold) if section is not None else {}
-    )
+    return dict(section.hold) if section is not None else {}
 
 
 def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -94,6 +109,7 @@ def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
 KINDS: Final[dict[str, Kind]] = {
     "sim": Kind(real=False, make=_simulated),
     "ur": Kind(real=True, make=_universal),
+    "xarm": Kind(real=True, make=_xarm),
 }
 """By what stands before the colon."""
 

@@ -176,6 +176,7 @@ def _unused(head: re.Match[str]) -> str:
 
 
 def about(program: Program) -> str:
+    """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
     return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
 
@@ -188,6 +189,7 @@ def _struct(name: str, members: Sequence[Member], about: str) -> str:
 
 
 def unit_of(unit: str) -> str:
+    """A unit, 1 for none."""
     return unit or "1"
 
 

@@ -51,7 +51,9 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "DM_PERIOD": f"{program.name.upper()}_PERIOD",
         "DM_JOINTS": str(len(joints)),
         "DM_NAMES": ", ".join(f'"{name}"' for name in joints),
-        "DM_ROWS": "\n".join(f'  {{"{row.name}", {row.first}, {row.item.size}}},  // {unit_of(row.item.unit)}' for row in rows),
+        "DM_ROWS": "\n".join(
+            f'  {{"{row.name}", {row.first}, {row.item.size}}},  // {unit_of(row.item.unit)}' for row in rows
+        ),
         "DM_MEASURED": "\n".join(_taken(program, fields)),
         "DM_NEEDS_TARGET": str("q_c" in fields.values()).lower(),
         "DM_COMMAND": by_label[command],
@@ -102,7 +104,9 @@ class _Row(NamedTuple):
 
 def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
     """All but those of the robot's model, to which the tool's place would not follow."""
-    names = told_apart([item.label if _NAME.fullmatch(item.label) else item.word for item in parameters], "{}_{}".format)
+    names = told_apart(
+        [item.label if _NAME.fullmatch(item.label) else item.word for item in parameters], "{}_{}".format
+    )
     first = 0
     for name, item in zip(names, parameters, strict=True):
         if not item.label.startswith("robot."):
@@ -170,9 +174,9 @@ def _readme(program: Program, package: str, rate: int, rows: Sequence[_Row]) -> 
 _README: Final = """\
 # {name} for ros2_control
 
-The controller of `graph.yaml` as a chainable controller, `{package}/Controller`, sampled every {period}. It was compiled
-and run against stand-ins of ROS 2, in simulation; **it was never run in ROS 2, nor on a robot**. Set the maintainer in
-`package.xml`, build the package in a workspace with colcon, and load it by a controller manager with
+The controller of `graph.yaml` as a chainable controller, `{package}/Controller`, sampled every {period}. It was
+compiled and run against stand-ins of ROS 2, in simulation; **it was never run in ROS 2, nor on a robot**. Set the
+maintainer in `package.xml`, build the package in a workspace with colcon, and load it by a controller manager with
 `config/controllers.yaml`. `colcon test` holds your compiler to the samples of a simulation. It is written for the
 interfaces of ROS 2 Jazzy and later.
 
@@ -184,7 +188,7 @@ interfaces of ROS 2 Jazzy and later.
 | `JOINT/TARGET`, where `interfaces.target` names one | state: where its servo is told to be | rad |
 | what `interfaces.scaling` names, in full | state: by how much a speed slider slows it down, 0 to 1 | 1 |
 | `JOINT/velocity` | command, of each joint, held until the next update | rad/s |
-| `{package}/pace` | reference: how fast the path is followed, 0 to 1; 1 where no controller stands before it | 1 |
+| `{package}/pace` | reference: how fast the path is followed, 0 to 1; 1 without a controller before it | 1 |
 
 Joints are those of `joints`, in the order of the graph. Where no target is told, it is taken as the measured start plus
 all that was commanded: right for a servo that integrates its commands from there, wrong by a constant for one that
@@ -198,11 +202,11 @@ over a second or so: the first command of a path that is entered at full pace is
 ## What it does
 
 - It starts from what is measured at the first update after it was activated; estimates begin as in the graph.
-- An update is one sample, and must come at {rate} Hz; configuring it at another rate fails. Where updates were lost, time
-  goes on by as many periods; after more than `patience` of them it is an error.
-- A state that is not finite or cannot be read, a pace or a scaling outside of 0 to 1, and what is not finite after them:
-  zeros are commanded, the update returns ERROR, and so do those after it, until it is activated anew. Deactivating it
-  says why, and commands zeros.
+- An update is one sample, and must come at {rate} Hz; configuring it at another rate fails. Where updates were lost,
+  time goes on by as many periods; after more than `patience` of them it is an error.
+- A state that is not finite or cannot be read, a pace or a scaling outside of 0 to 1, and what is not finite after
+  them: zeros are commanded, the update returns ERROR, and so do those after it, until it is activated anew.
+  Deactivating it says why, and commands zeros.
 - An update asks for no memory.
 
 Nothing in it limits joints, forces or the workspace, and it is not a safety function: use the limits of the manager and
@@ -210,8 +214,9 @@ the safety configuration of the robot's maker.
 
 ## Parameters
 
-Read when it is configured, and held to nothing but their count; what the graph says of a gain's sign or size is not asked
-for again. The robot's lengths and its gravity are those of the graph: export it anew for another robot. A matrix is given column by column, boxes as all least numbers and then all largest.
+Read when it is configured, and held to nothing but their count: what the graph says of a gain's sign or size is not
+asked for again. The robot's lengths and its gravity are those of the graph; export it anew for another robot. A matrix
+is given column by column, boxes as all least numbers and then all largest.
 
 | name | numbers | unit |
 |---|---|---|

@@ -146,7 +146,8 @@ class Step:
 
     def solved_by(self, solver: Solver, clock: float | None) -> Step:
         """The same with another solver."""
-        return replace(self, solver=solver, substeps=substeps_of(None if clock is None else self.instants.longest, solver))
+        longest = None if clock is None else self.instants.longest
+        return replace(self, solver=solver, substeps=substeps_of(longest, solver))
 
     def with_period(self, period: float) -> Step:
         """The same with another period [s], in one step of the integrator."""
@@ -238,7 +239,7 @@ def plant_step(
 
 
 def substeps_of(clock: float | None, solver: Solver) -> int:
-    """Integrator steps in a tick that lasts as long as `clock`. Raises `EngineError` where they are too many to write out."""
+    """Integrator steps in a tick of `clock` [s]. Raises `EngineError` where they are too many to write out."""
     if solver.method not in FIXED:
         return 1
     period = clock if clock is not None else solver.output

@@ -28,7 +28,17 @@ CC, CXX = shutil.which("gcc"), shutil.which("g++")
 needs_compilers = pytest.mark.skipif(CC is None or CXX is None, reason="needs gcc and g++")
 STAND_INS = Path(__file__).parent / "ros2"
 PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
-STRICT = ("-std=c++17", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-pedantic", "-Wshadow", "-Wconversion", "-Werror")
+STRICT = (
+    "-std=c++17",
+    "-O1",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+    "-pedantic",
+    "-Wshadow",
+    "-Wconversion",
+    "-Werror",
+)
 NAME, SAMPLES, T = "ur10_fast", 1000, 0.008
 FULL = ("interfaces.target=target",)
 
@@ -59,7 +69,9 @@ def manager(folder: Path, real: str = "") -> Path:
                 ("hardware_interface", "lexical_casts"),
             )
         ]
-        own = [base / name / "include" for name in ("controller_interface", "hardware_interface", "joint_limits", "fmt")]
+        own = [
+            base / name / "include" for name in ("controller_interface", "hardware_interface", "joint_limits", "fmt")
+        ]
         words = ["-std=c++17", "-O1", "-ffp-contract=off", "-Wall", "-Wextra", "-DFMT_HEADER_ONLY", f"-I{below}"]
         words += [f"-isystem{path}" for path in own]
     done = subprocess.run(
@@ -159,7 +171,9 @@ def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_anew(bad
 
 
 @needs_compilers
-@pytest.mark.parametrize(("pace", "periods", "text"), [(1.5, 1, "pace: expected a number"), (1, 7, "samples were lost")])
+@pytest.mark.parametrize(
+    ("pace", "periods", "text"), [(1.5, 1, "pace: expected a number"), (1, 7, "samples were lost")]
+)
 def test_a_wrong_pace_and_updates_that_stay_away_are_errors(pace: float, periods: float, text: str) -> None:
     rows = rows_of(run()[0][:10], pace=1.0)
     rows[5, 0], rows[5, 1] = periods * T, pace
