@@ -51,6 +51,7 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "DM_PERIOD": f"{program.name.upper()}_PERIOD",
         "DM_JOINTS": str(len(joints)),
         "DM_NAMES": ", ".join(f'"{name}"' for name in joints),
+        "DM_COUNT": str(len(rows)),
         "DM_ROWS": "\n".join(
             f'  {{"{row.name}", {row.first}, {row.item.size}}},  // {unit_of(row.item.unit)}' for row in rows
         ),

@@ -1,6 +1,7 @@
 // DM_ABOUT
 #include "DM_PACKAGE/controller.hpp"
 
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <memory>
@@ -27,9 +28,9 @@ struct Row
 };
 
 /// Gains and other numbers, and where they are in DM_FILE_parameters.
-constexpr Row ROWS[] = {
+constexpr std::array<Row, DM_COUNT> ROWS = {{
 DM_ROWS
-};
+}};
 }  // namespace
 
 CallbackReturn Controller::on_init()

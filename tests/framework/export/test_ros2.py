@@ -249,6 +249,44 @@ def test_it_does_the_same_on_the_real_headers_and_bases() -> None:
     assert np.all(bad.commands[4:] == 0)
 
 
+AMENT = """\
+macro(pluginlib_export_plugin_description_file base file)
+  if(NOT EXISTS ${CMAKE_CURRENT_SOURCE_DIR}/${file})
+    message(FATAL_ERROR "no ${file}")
+  endif()
+endmacro()
+foreach(word export_targets export_dependencies package)
+  cmake_language(EVAL CODE "macro(ament_${word})\nendmacro()")
+endforeach()
+enable_testing()
+set(BUILD_TESTING ON)
+"""
+
+
+@needs_compilers
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="needs cmake")
+def test_cmake_builds_the_package_and_its_own_test_passes(tmp_path: Path) -> None:
+    found = dict[str, str]()
+    for name in ("controller_interface", "hardware_interface", "pluginlib", "rclcpp", "rclcpp_lifecycle"):
+        target = f"{name}::{name}"
+        folders = f"{STAND_INS / 'ros'} {STAND_INS / 'control'}"
+        text = f"add_library({target} INTERFACE IMPORTED)\ntarget_include_directories({target} INTERFACE {folders})\n"
+        found[name] = text
+    for name, text in (found | {"ament_cmake": AMENT}).items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / f"{name}Config.cmake").write_text(text, encoding="utf-8")
+    told_where = [f"-D{name}_DIR={tmp_path / name}" for name in (*found, "ament_cmake")]
+    build = tmp_path / "build"
+    for words in (
+        ["cmake", "-S", str(package()), "-B", str(build), *told_where],
+        ["cmake", "--build", str(build)],
+        ["ctest", "--test-dir", str(build), "--no-tests=error"],
+    ):
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "warning" not in done.stderr.lower(), done.stderr
+
+
 def test_its_files_name_one_another() -> None:
     folder, name = package(), f"dmframe_{NAME}"
     assert ET.parse(folder / "package.xml").findtext("name") == name
