@@ -49,6 +49,7 @@ def header(program: Program) -> str:
         period=repr(program.period),
         measured=_struct(f"{name}_measured", program.measured, "What the robot shows at a sample."),
         commanded=_struct(f"{name}_commanded", program.commanded, "What it is told, until the next."),
+        path=_struct(f"{name}_path", program.path, "Where it is to go, as the law asks for it."),
         parameters=_struct(f"{name}_parameters", program.parameters, "Gains and other numbers of the controller."),
         p=max(1, sum(member.size for member in program.parameters)),
         c=max(1, constants),
@@ -66,6 +67,7 @@ def source(program: Program) -> str:
         "M": sum(member.size for member in program.measured),
         "U": sum(member.size for member in program.commanded),
         "P": max(1, sum(member.size for member in program.parameters)),
+        "W": sum(member.size for member in program.path),
     }
     name = program.name
     lines = [
@@ -108,6 +110,8 @@ extern "C" {{
 
 {commanded}
 
+{path}
+
 {parameters}
 
 /* As the graph has them. */
@@ -134,6 +138,13 @@ int {name}_step({name}_controller *self, const {name}_measured *measured, double
 /* The same where the next sample is T s away: one was lost, or the robot is slowed down and its time with it. */
 int {name}_step_for({name}_controller *self, const {name}_measured *measured, double t, double T,
   {name}_commanded *commanded);
+
+/* Where the graph's own path is at time t. */
+void {name}_path_at(const {name}_controller *self, double t, double T, {name}_path *path);
+
+/* The same as {name}_step_for, on a path of yours instead of the graph's. */
+int {name}_step_on({name}_controller *self, const {name}_measured *measured, const {name}_path *path, double t, double T,
+  {name}_commanded *commanded);
 {tool}
 #ifdef __cplusplus
 }}
@@ -146,14 +157,20 @@ void {name}_tool(const double *q, double *x);
 """
 
 
-def functions_of(program: Program, *, tool: bool = True) -> tuple[list[Any], int]:
-    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is."""
+def functions_of(program: Program, *, free: bool = True) -> tuple[list[Any], int]:
+    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is.
+
+    `free`: the path is an argument, and there is the tool's place; else they are what an FMU needs.
+    """
     z, measured, t, T, p = (ca.SX.sym(word, program.control.numel_in(k)) for k, word in enumerate(_ARGUMENTS))
-    bodies: dict[str, tuple[list[Any], list[Any]]] = {
-        "control": ([z, measured, t, T], list(program.control(z, measured, t, T, p))),
-        "start": ([measured, t, T], [program.start(measured, t, T, p)]),
-    }
-    if tool and program.tool is not None:
+    bodies: dict[str, tuple[list[Any], list[Any]]] = {"start": ([measured, t, T], [program.start(measured, t, T, p)])}
+    if free:
+        path = ca.SX.sym("path", program.follow.numel_in(5))
+        bodies["follow"] = ([z, measured, t, T, path], list(program.follow(z, measured, t, T, p, path)))
+        bodies["path"] = ([t, T], [program.own_path(t, T, p)])
+    else:
+        bodies["control"] = ([z, measured, t, T], list(program.control(z, measured, t, T, p)))
+    if free and program.tool is not None:
         q = ca.SX.sym("q", program.tool.numel_in(0))
         bodies["tool"] = ([q], [program.tool(q)])
     made, constants = split(bodies, p)
