@@ -143,8 +143,8 @@ int {name}_step_for({name}_controller *self, const {name}_measured *measured, do
 void {name}_path_at(const {name}_controller *self, double t, double T, {name}_path *path);
 
 /* The same as {name}_step_for, on a path of yours instead of the graph's. */
-int {name}_step_on({name}_controller *self, const {name}_measured *measured, const {name}_path *path, double t, double T,
-  {name}_commanded *commanded);
+int {name}_step_on({name}_controller *self, const {name}_measured *measured, const {name}_path *path, double t,
+  double T, {name}_commanded *commanded);
 {tool}
 #ifdef __cplusplus
 }}

@@ -130,7 +130,9 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
         states=members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
         parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
-        path=members((leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in (*loop.trajectories, *loop.ahead)),
+        path=members(
+            (leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in (*loop.trajectories, *loop.ahead)
+        ),
         control=ca.Function("control", [*inputs, p], list(told)),
         follow=ca.Function("follow", [*inputs, p, path], list(follow(*inputs, loop.p, path))),
         own_path=ca.Function("own_path", [*inputs[2:], p], [own_path(*inputs[2:], loop.p)]),

@@ -42,6 +42,7 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
     joints = list(diagram.robot.joint_names)
     package = package_of(program.name)
     rows = list(_rows(program.parameters))
+    path = list(zip(_names(program.path), program.path, strict=True))
     by_label = {member.label: member.word for member in program.commanded}
     words = {
         "DM_ABOUT": about(program),
@@ -55,6 +56,8 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "DM_ROWS": "\n".join(
             f'  {{"{row.name}", {row.first}, {row.item.size}}},  // {unit_of(row.item.unit)}' for row in rows
         ),
+        "DM_PARTS": str(len(path)),
+        "DM_PATH": "\n".join(f'  {{"{name}", {item.size}}},  // {unit_of(item.unit)}' for name, item in path),
         "DM_MEASURED": "\n".join(_taken(program, fields)),
         "DM_NEEDS_TARGET": str("q_c" in fields.values()).lower(),
         "DM_COMMAND": by_label[command],
@@ -105,14 +108,16 @@ class _Row(NamedTuple):
 
 def _rows(parameters: Sequence[Member]) -> Iterator[_Row]:
     """All but those of the robot's model, to which the tool's place would not follow."""
-    names = told_apart(
-        [item.label if _NAME.fullmatch(item.label) else item.word for item in parameters], "{}_{}".format
-    )
     first = 0
-    for name, item in zip(names, parameters, strict=True):
+    for name, item in zip(_names(parameters), parameters, strict=True):
         if not item.label.startswith("robot."):
             yield _Row(name, first, item)
         first += item.size
+
+
+def _names(items: Sequence[Member]) -> list[str]:
+    """As ROS 2 calls them: by blocks, as the graph does."""
+    return told_apart([item.label if _NAME.fullmatch(item.label) else item.word for item in items], "{}_{}".format)
 
 
 _NAME: Final = re.compile(r"[A-Za-z]\w*(\.[A-Za-z]\w*)*", re.ASCII)
@@ -167,6 +172,10 @@ def _readme(program: Program, package: str, rate: int, rows: Sequence[_Row]) -> 
         package=package,
         period=plain(program.period, "s"),
         rate=rate,
+        path="\n".join(
+            f"| `NAME/{name}.0` to `.{item.size - 1}` | reference: part of the path | {unit_of(item.unit)} |"
+            for name, item in zip(_names(program.path), program.path, strict=True)
+        ),
         rows="\n".join(f"| `{name}` | {item.size} | {unit_of(item.unit)} |" for name, _, item in rows),
         version=version(),
     )
@@ -189,16 +198,19 @@ interfaces of ROS 2 Jazzy and later.
 | `JOINT/TARGET`, where `interfaces.target` names one | state: where its servo is told to be | rad |
 | what `interfaces.scaling` names, in full | state: by how much a speed slider slows it down, 0 to 1 | 1 |
 | `JOINT/velocity` | command, of each joint, held until the next update | rad/s |
-| `{package}/pace` | reference: how fast the path is followed, 0 to 1; 1 without a controller before it | 1 |
+| `NAME/pace` | reference: how fast time goes for it, 0 to 1; 1 without a controller before it | 1 |
+{path}
 
-Joints are those of `joints`, in the order of the graph. Where no target is told, it is taken as the measured start plus
+NAME is what the manager calls it. Joints are those of `joints`, in the order of the graph. Where no target is told, it is taken as the measured start plus
 all that was commanded: right for a servo that integrates its commands from there, wrong by a constant for one that
 starts beside where it stands, and by more for one that does not do as it is told. Where the tool is follows from the
 joints, with the lengths of the graph's own model.
 
-The path is the graph's own, as a function of time from the first update on; its numbers are parameters. At a pace s the
-controller's time runs s times as fast, velocities are s times as large, and the path stays where it is. Raise it from 0
-over a second or so: the first command of a path that is entered at full pace is a step.
+The path is the graph's own, as a function of time from the first update on; its numbers are parameters. A controller
+before this one may give another: all numbers of the path, with their rates, and what they are later where the law asks
+for that; or none of them (NaN). They are those of the controller's own time. At a pace s the controller's time runs s
+times as fast, velocities are s times as large, and the path stays where it is. Raise it from 0 over a second or so: the
+first command of a path that is entered at full pace is a step.
 
 ## What it does
 

@@ -31,6 +31,17 @@ struct Row
 constexpr std::array<Row, DM_COUNT> ROWS = {{
 DM_ROWS
 }};
+
+struct Part
+{
+  const char * name;
+  std::size_t size;
+};
+
+/// Of the path, in the order of DM_FILE_path.
+constexpr std::array<Part, DM_PARTS> PATH = {{
+DM_PATH
+}};
 }  // namespace
 
 CallbackReturn Controller::on_init()
@@ -119,13 +130,21 @@ InterfaceConfiguration Controller::state_interface_configuration() const
 
 std::vector<hardware_interface::CommandInterface::SharedPtr> Controller::on_export_reference_interfaces_list()
 {
-  hardware_interface::InterfaceInfo told;
-  told.name = "pace";
-  told.data_type = "double";
-  told.initial_value = "1.0";
-  pace_ = std::make_shared<hardware_interface::CommandInterface>(
-    hardware_interface::InterfaceDescription(get_node()->get_name(), told));
-  return {pace_};
+  const auto made = [this](const std::string & name) {
+    hardware_interface::InterfaceInfo told;
+    told.name = name;
+    told.data_type = "double";
+    return std::make_shared<hardware_interface::CommandInterface>(
+      hardware_interface::InterfaceDescription(get_node()->get_name(), told));
+  };
+  pace_ = made("pace");
+  asked_.clear();
+  for (const Part & part : PATH) {
+    for (std::size_t k = 0; k < part.size; k++) asked_.push_back(made(std::string(part.name) + "." + std::to_string(k)));
+  }
+  std::vector<hardware_interface::CommandInterface::SharedPtr> all{pace_};
+  all.insert(all.end(), asked_.begin(), asked_.end());
+  return all;
 }
 
 CallbackReturn Controller::on_activate(const rclcpp_lifecycle::State &)
@@ -142,7 +161,7 @@ CallbackReturn Controller::on_activate(const rclcpp_lifecycle::State &)
   }
   begun_ = false;
   fault_ = "";
-  const bool set = pace_ == nullptr || pace_->set_value(1.0);
+  const bool set = pace_ == nullptr || lead_by_itself();
   return command(0) && set ? CallbackReturn::SUCCESS : CallbackReturn::FAILURE;
 }
 
@@ -152,10 +171,17 @@ CallbackReturn Controller::on_deactivate(const rclcpp_lifecycle::State &)
   return command(0) ? CallbackReturn::SUCCESS : CallbackReturn::ERROR;
 }
 
-/// Nobody but a controller before this one gives it a pace.
+/// The graph's own path at its own pace: nobody but a controller before this one gives it others.
+bool Controller::lead_by_itself()
+{
+  bool set = pace_->set_value(1.0);
+  for (const auto & one : asked_) set = one->set_value(static_cast<double>(NAN)) && set;
+  return set;
+}
+
 return_type Controller::update_reference_from_subscribers(const rclcpp::Time &, const rclcpp::Duration &)
 {
-  if (!pace_->set_value(1.0) && *fault_ == 0) fault_ = "pace: it could not be set";
+  if (!lead_by_itself() && *fault_ == 0) fault_ = "the pace could not be set";
   return return_type::OK;  // so that zeros are commanded after a fault, too
 }
 
@@ -210,11 +236,31 @@ const char * Controller::pass(double lasted)
   if (scale >= STILL) {
     measure(scale);
     const double T = scale * (PERIOD * static_cast<double>(periods));
-    if (!DM_FILE_step_for(&law_, &measured_, t, T, &commanded_)) return "from a sample followed what is not finite";
+    fault = on_path(t, T);
+    if (*fault != 0) return fault;
+    if (!DM_FILE_step_on(&law_, &measured_, &path_, t, T, &commanded_)) {
+      return "from a sample followed what is not finite";
+    }
   }
   begun_ = true;
   for (std::size_t k = 0; k < n; k++) sent_[k] = share_ * scaling * commanded_.DM_COMMAND[k];
   return "";
+}
+
+/// The path that a controller before this one gives; the graph's own where it gives none.
+const char * Controller::on_path(double t, double T)
+{
+  DM_FILE_path_at(&law_, t, T, &path_);
+  double * number = reinterpret_cast<double *>(&path_);
+  std::size_t given = 0;
+  for (const auto & one : asked_) {
+    const auto value = one->get_optional();
+    if (!value) return "the path could not be read";
+    if (std::isnan(*value)) continue;
+    given++;
+    number[&one - asked_.data()] = *value;
+  }
+  return given == 0 || given == asked_.size() ? "" : "path: expected all of its numbers, or none";
 }
 
 /// What the law measures, in its own time: that goes `scale` times as fast as the robot's, where velocities are larger.

@@ -34,6 +34,8 @@ private:
   static constexpr std::size_t n = DM_JOINTS;
 
   const char * pass(double lasted);
+  const char * on_path(double t, double T);
+  bool lead_by_itself();
   void measure(double scale);
   const char * read(std::size_t first, double * values) const;
   bool command(double share);
@@ -45,6 +47,8 @@ private:
   std::vector<std::string> joints_;
   std::string position_, velocity_, target_, scaling_, command_;
   hardware_interface::CommandInterface::SharedPtr pace_;
+  std::vector<hardware_interface::CommandInterface::SharedPtr> asked_;
+  DM_FILE_path path_{};
   long patience_ = 5;
   const char * fault_ = "";
   bool begun_ = false;

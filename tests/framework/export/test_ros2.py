@@ -40,6 +40,7 @@ STRICT = (
     "-Werror",
 )
 NAME, SAMPLES, T = "ur10_fast", 1000, 0.008
+PATH = 9  # x_d, its rate and the rate of that
 FULL = ("interfaces.target=target",)
 
 
@@ -107,7 +108,7 @@ def told(rows: np.ndarray, *words: str, rate: int = 125, real: str = "") -> Answ
         [str(manager(package(), real)), str(rate), *words], input=text, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    return Answer(done, rows.shape[1] - 2)
+    return Answer(done, rows.shape[1] - 2 - PATH)
 
 
 @cache
@@ -119,7 +120,7 @@ def run() -> tuple[np.ndarray, np.ndarray]:
 
 
 def rows_of(measured: np.ndarray, pace: float = -1.0, periods: float = 1.0) -> np.ndarray:
-    before = np.tile([periods * T, pace], (len(measured), 1))
+    before = np.tile([periods * T, pace, *[np.nan] * PATH], (len(measured), 1))
     return np.hstack([before, measured])
 
 
@@ -132,7 +133,8 @@ def test_it_commands_what_a_simulation_does_over_1000_updates_and_asks_for_no_me
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-12)
     assert found.asked == [0] * SAMPLES
     assert found.last == [0.0] * 3
-    assert found.reference == "1 law/pace"
+    assert found.reference.split()[:3] == ["law/pace", "law/path.x_d.0", "law/path.x_d.1"]
+    assert found.reference.split()[-1] == "law/path.ddx_d.2"
     assert found.states[0] == "shoulder_pan_joint/position"
     assert found.states[-1] == "elbow_joint/target"
 
@@ -155,11 +157,11 @@ def test_without_a_target_it_takes_what_it_has_commanded() -> None:
 
 @needs_compilers
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("place", [2, 5, 10])
+@pytest.mark.parametrize("place", [0, 3, 8])
 def test_what_is_not_finite_is_an_error_and_zeros_until_it_is_activated_anew(bad: float, place: int) -> None:
     measured, _ = run()
     rows = rows_of(measured[:10])
-    rows[4, place] = bad
+    rows[4, 2 + PATH + place] = bad
     found = told(rows, *FULL)
     assert found.results == [0] * 4 + [1] * 6
     assert np.all(found.commands[4:] == 0)
@@ -208,6 +210,25 @@ def test_at_half_a_pace_and_over_lost_updates_it_does_what_a_drive_does() -> Non
     assert np.max(np.abs(found.commands[10:] - run()[1][10:40])) > 1e-3
 
 
+@needs_compilers
+def test_a_controller_before_it_may_give_the_path_as_a_whole() -> None:
+    measured, commanded = run()
+    rows, t = rows_of(measured, pace=1.0), np.arange(SAMPLES) * T
+    s, c, o = np.sin(t), np.cos(t), np.zeros(SAMPLES)
+    center = np.array([-0.07, 0.67, 0.55])
+    circle = [center + 0.15 * np.array([s, c, o]).T, 0.15 * np.array([c, -s, o]).T, 0.15 * np.array([-s, -c, o]).T]
+    rows[:, 2 : 2 + PATH] = np.hstack(circle)
+    found = told(rows, *FULL, "path.radius=0.01")  # which would be its own
+    np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-9)
+    assert found.asked == [0] * SAMPLES
+    rows[:, 2] += 0.01
+    assert np.max(np.abs(told(rows[:20], *FULL).commands - commanded[:20])) > 1e-3
+    rows[5, 4] = np.nan
+    partly = told(rows[:10], *FULL)
+    assert partly.results == [0] * 5 + [1] * 5
+    assert "path: expected all of its numbers, or none" in partly.said
+
+
 def graph_x(graph: dm.Graph, q: np.ndarray) -> np.ndarray:
     from dmframe.drive.robots import _tool
 
@@ -243,7 +264,7 @@ def test_it_does_the_same_on_the_real_headers_and_bases() -> None:
     np.testing.assert_allclose(found.commands, commanded, rtol=0, atol=1e-12)
     assert found.asked == [0] * SAMPLES
     rows = rows_of(measured[:10])
-    rows[4, 2] = np.nan
+    rows[4, 2 + PATH] = np.nan
     bad = told(rows, *FULL, real=real)
     assert bad.results == [0] * 4 + [1] * 6
     assert np.all(bad.commands[4:] == 0)

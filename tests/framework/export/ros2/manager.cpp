@@ -1,8 +1,8 @@
 // A controller manager in small: it loads the controller, and hands it rows of numbers from the standard input.
 //
 // Words of the command line: RATE COLUMNS, then NAME=VALUE for parameters that are words. A row holds the period [s], the
-// pace (negative: not chained), and the state interfaces in the order of the configuration. For each row it prints the
-// result, how much memory the update asked for, and the commands.
+// pace (negative: not chained), the other references, and the state interfaces in the order of the configuration. For each
+// row it prints the result, how much memory the update asked for, and the commands.
 #include <cstdlib>
 #include <cstring>
 #include <iostream>
@@ -41,7 +41,8 @@ int main(int count, char ** words)
   }
   if (controller->configure().id() != 2) return 3;
   const auto references = controller->export_reference_interfaces();
-  std::cout << references.size() << ' ' << references[0]->get_name() << '\n';
+  for (const auto & one : references) std::cout << one->get_name() << ' ';
+  std::cout << '\n';
 
   const auto made = [](const std::string & full) {
     const auto at = full.rfind('/');
@@ -74,6 +75,11 @@ int main(int count, char ** words)
   double period, pace, value;
   bool chained = false;
   while (std::scanf("%lf %lf", &period, &pace) == 2) {
+    std::vector<double> path;
+    for (std::size_t k = 1; k < references.size(); k++) {
+      if (std::scanf("%lf", &value) != 1) return 5;
+      path.push_back(value);
+    }
     for (const auto & one : states) {
       if (std::scanf("%lf", &value) != 1) return 5;
       if (!one->set_value(value)) return 6;
@@ -84,6 +90,9 @@ int main(int count, char ** words)
       node->activate();
     }
     if (chained && !references[0]->set_value(pace)) return 7;
+    for (std::size_t k = 1; chained && k < references.size(); k++) {
+      if (!references[k]->set_value(path[k - 1])) return 7;
+    }
     const auto length = std::chrono::nanoseconds(static_cast<std::int64_t>(period * 1e9 + 0.5));
     now += length.count();
     const unsigned long before = asked;
