@@ -201,10 +201,10 @@ interfaces of ROS 2 Jazzy and later.
 | `NAME/pace` | reference: how fast time goes for it, 0 to 1; 1 without a controller before it | 1 |
 {path}
 
-NAME is what the manager calls it. Joints are those of `joints`, in the order of the graph. Where no target is told, it is taken as the measured start plus
-all that was commanded: right for a servo that integrates its commands from there, wrong by a constant for one that
-starts beside where it stands, and by more for one that does not do as it is told. Where the tool is follows from the
-joints, with the lengths of the graph's own model.
+NAME is what the manager calls it. Joints are those of `joints`, in the order of the graph. Where no target is told, it
+is taken as the measured start plus all that was commanded: right for a servo that integrates its commands from there,
+wrong by a constant for one that starts beside where it stands, by more for one that does not do as it is told. Where
+the tool is follows from the joints, with the lengths of the graph's own model.
 
 The path is the graph's own, as a function of time from the first update on; its numbers are parameters. A controller
 before this one may give another: all numbers of the path, with their rates, and what they are later where the law asks
