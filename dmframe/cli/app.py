@@ -317,7 +317,9 @@ def drive(
     robot: Annotated[
         str,
         typer.Option(
-            metavar="ROBOT", help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST; ur_rtde:HOST."
+            metavar="ROBOT",
+            help="sim: the graph's own; sim:2: that one, two samples late; ur:HOST; ur_rtde:HOST; xarm:HOST. The last "
+            "three are untested on hardware.",
         ),
     ],
     seconds: Annotated[
@@ -393,15 +395,18 @@ def export(
     c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
     fmi2: Annotated[bool, typer.Option("--fmi2", help="Controller and robot as units of FMI 2.0.")] = False,
     fmi3: Annotated[bool, typer.Option("--fmi3", help="Controller and robot as units of FMI 3.0.")] = False,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="A package with a controller of ros2_control; never run in ROS 2.")
+    ] = False,
     trust: Trust = False,
 ) -> None:
     """Write a graph's controller for other programs."""
     from dmframe.cli.graphs import one_graph
 
-    kinds: dict[Literal["c", "fmi2", "fmi3"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3}
+    kinds: dict[Literal["c", "fmi2", "fmi3", "ros2"], bool] = {"c": c, "fmi2": fmi2, "fmi3": fmi3, "ros2": ros2}
     asked = [kind for kind, wanted in kinds.items() if wanted]
     if len(asked) != 1:
-        raise MissingError(f"expected one of --c, --fmi2 and --fmi3, found {len(asked) or 'none'}")
+        raise MissingError(f"expected one of --c, --fmi2, --fmi3 and --ros2, found {len(asked) or 'none'}")
     files = one_graph(graph, overrides, trust=trust).export(out, asked[0])
     tell(f"wrote {out}: {', '.join(file.name for file in files)}")
 

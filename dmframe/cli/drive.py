@@ -12,6 +12,7 @@ from dmframe.cli import STOPPED
 from dmframe.cli.run import placed_folder
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
+from dmframe.drive.robots import kind_of
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.graph import seconds as time_of
@@ -46,6 +47,8 @@ def drive_graph(
     _ = graph.diagram
     gathers = None if ramp is None else _not_negative("--ramp", ramp, "s")
     waits = None if patience is None else time_of("--patience", patience)
+    if kind_of(robot)[0].real:
+        tell(f"{robot}: notice: its driver is untested on hardware, and the gate is not a safety function", aside=True)
     with ExitStack() as stack:
         place = stack.enter_context(placed_folder(out, [graph], force=force))
         with held_off() as came:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -14,6 +14,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import SymbolicRobot
+from dmframe.runtime import xarm
 from dmframe.runtime.robot import Robot
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.runtime.ur import UniversalRobot
@@ -101,14 +102,29 @@ def _arm(kind: str, text: str, experiment: Experiment, diagram: Diagram) -> tupl
     if not text:
         raise ValueFault(f"--robot {kind}: expected the address of an arm, {kind}:192.168.0.2")
     robot = diagram.robot
-    strange = [name for name in robot.joint_names if name not in JOINTS] if robot is not None else ["no joints"]
-    if strange or list(robot.joint_names) != [name for name in JOINTS if name in robot.joint_names]:
-        raise DriveError(
-            f"--robot {kind}: expected the joints of a UR in their order, found {', '.join(strange) or 'another'}"
-        )
+    _check_joints(robot, JOINTS, f"--robot {kind}: expected the joints of a UR")
+    return text, clock_of(experiment), robot.joint_names, _tool(robot), _holds(experiment)
+
+
+def _xarm(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:
+    if not text:
+        raise ValueFault("--robot xarm: expected the address of an arm, xarm:192.168.1.2")
+    robot = diagram.robot
+    _check_joints(robot, xarm.JOINTS, "--robot xarm: expected the joints of an xArm, joint1 to joint7,")
+    held = _holds(experiment)
+    return xarm.XArm(text, clock_of(experiment), robot.joint_names, _tool(robot), held, patience=options.patience)
+
+
+def _check_joints(robot: Any, known: Sequence[str], expected: str) -> None:
+    strange = [name for name in robot.joint_names if name not in known] if robot is not None else ["no joints"]
+    if strange or list(robot.joint_names) != [name for name in known if name in robot.joint_names]:
+        raise DriveError(f"{expected} in their order, found {', '.join(strange) or 'another'}")
+
+
+def _holds(experiment: Experiment) -> dict[str, float]:
+    """Where the graph holds joints [rad]."""
     section = experiment.file.robot
-    held = dict(section.hold) if section is not None else {}
-    return text, clock_of(experiment), robot.joint_names, _tool(robot), held
+    return dict(section.hold) if section is not None else {}
 
 
 def _tool(robot: Any) -> Callable[[np.ndarray], np.ndarray]:
@@ -125,6 +141,7 @@ KINDS: Final[dict[str, Kind]] = {
     "sim": Kind(real=False, make=_simulated),
     "ur": Kind(real=True, make=_universal),
     "ur_rtde": Kind(real=True, make=_by_ur_rtde),
+    "xarm": Kind(real=True, make=_xarm),
 }
 """By what stands before the colon."""
 

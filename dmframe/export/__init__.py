@@ -1,8 +1,9 @@
-"""A graph's controller for other programs: as C, or with its robot as FMUs."""
+"""A graph's controller for other programs: as C, for ROS 2, or with its robot as FMUs."""
 
 from __future__ import annotations
 
 from dmframe.export.c import export_c
 from dmframe.export.fmu import export_fmus
+from dmframe.export.ros2 import export_ros2
 
-__all__ = ["export_c", "export_fmus"]
+__all__ = ["export_c", "export_fmus", "export_ros2"]

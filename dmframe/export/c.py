@@ -45,10 +45,11 @@ def header(program: Program) -> str:
         name=name,
         guard=guard,
         upper=name.upper(),
-        about=_about(program),
+        about=about(program),
         period=repr(program.period),
         measured=_struct(f"{name}_measured", program.measured, "What the robot shows at a sample."),
         commanded=_struct(f"{name}_commanded", program.commanded, "What it is told, until the next."),
+        path=_struct(f"{name}_path", program.path, "Where it is to go, as the law asks for it."),
         parameters=_struct(f"{name}_parameters", program.parameters, "Gains and other numbers of the controller."),
         p=max(1, sum(member.size for member in program.parameters)),
         c=max(1, constants),
@@ -66,10 +67,11 @@ def source(program: Program) -> str:
         "M": sum(member.size for member in program.measured),
         "U": sum(member.size for member in program.commanded),
         "P": max(1, sum(member.size for member in program.parameters)),
+        "W": sum(member.size for member in program.path),
     }
     name = program.name
     lines = [
-        f"/* {_about(program)} */",
+        f"/* {about(program)} */",
         f'#include "{name}.h"',
         "#ifndef __GNUC__",
         "#define __attribute__(list)",
@@ -108,6 +110,8 @@ extern "C" {{
 
 {commanded}
 
+{path}
+
 {parameters}
 
 /* As the graph has them. */
@@ -130,6 +134,17 @@ int {name}_reset({name}_controller *self, const {name}_measured *measured, doubl
 
 /* What is commanded from time t on, until the next sample. */
 int {name}_step({name}_controller *self, const {name}_measured *measured, double t, {name}_commanded *commanded);
+
+/* The same where the next sample is T s away: one was lost, or the robot is slowed down and its time with it. */
+int {name}_step_for({name}_controller *self, const {name}_measured *measured, double t, double T,
+  {name}_commanded *commanded);
+
+/* Where the graph's own path is at time t. */
+void {name}_path_at(const {name}_controller *self, double t, double T, {name}_path *path);
+
+/* The same as {name}_step_for, on a path of yours instead of the graph's. */
+int {name}_step_on({name}_controller *self, const {name}_measured *measured, const {name}_path *path, double t,
+  double T, {name}_commanded *commanded);
 {tool}
 #ifdef __cplusplus
 }}
@@ -142,14 +157,20 @@ void {name}_tool(const double *q, double *x);
 """
 
 
-def functions_of(program: Program, *, tool: bool = True) -> tuple[list[Any], int]:
-    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is."""
+def functions_of(program: Program, *, free: bool = True) -> tuple[list[Any], int]:
+    """The functions as C has them, what follows from parameters alone computed once, and how many numbers that is.
+
+    `free`: the path is an argument, and there is the tool's place; else they are what an FMU needs.
+    """
     z, measured, t, T, p = (ca.SX.sym(word, program.control.numel_in(k)) for k, word in enumerate(_ARGUMENTS))
-    bodies: dict[str, tuple[list[Any], list[Any]]] = {
-        "control": ([z, measured, t, T], list(program.control(z, measured, t, T, p))),
-        "start": ([measured, t, T], [program.start(measured, t, T, p)]),
-    }
-    if tool and program.tool is not None:
+    bodies: dict[str, tuple[list[Any], list[Any]]] = {"start": ([measured, t, T], [program.start(measured, t, T, p)])}
+    if free:
+        path = ca.SX.sym("path", program.follow.numel_in(5))
+        bodies["follow"] = ([z, measured, t, T, path], list(program.follow(z, measured, t, T, p, path)))
+        bodies["path"] = ([t, T], [program.own_path(t, T, p)])
+    else:
+        bodies["control"] = ([z, measured, t, T], list(program.control(z, measured, t, T, p)))
+    if free and program.tool is not None:
         q = ca.SX.sym("q", program.tool.numel_in(0))
         bodies["tool"] = ([q], [program.tool(q)])
     made, constants = split(bodies, p)
@@ -171,19 +192,21 @@ def _unused(head: re.Match[str]) -> str:
     return "\n".join([head.group(), f"  {' '.join(f'(void){name};' for name in names)}"])
 
 
-def _about(program: Program) -> str:
+def about(program: Program) -> str:
+    """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
     return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:
     lines = [f"/* {about} */", "typedef struct {"]
-    lines += [f"  double {item.word}[{item.size}]; /* {_unit(item.unit)} */" for item in members]
+    lines += [f"  double {item.word}[{item.size}]; /* {unit_of(item.unit)} */" for item in members]
     lines += [] if members else ["  double none[1];"]
     return "\n".join([*lines, f"}} {name};"])
 
 
-def _unit(unit: str) -> str:
+def unit_of(unit: str) -> str:
+    """A unit, 1 for none."""
     return unit or "1"
 
 
@@ -191,7 +214,7 @@ def _places(program: Program) -> Iterator[str]:
     first = 0
     for member in program.states:
         word = f"{program.name}_{member.word}".upper()
-        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {_unit(member.unit)} */"
+        yield f"#define {word} {first} /* {member.label}, {member.size} numbers, {unit_of(member.unit)} */"
         first += member.size
 
 
@@ -220,29 +243,50 @@ def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> li
     OutputError
         The folder is there already, or cannot be written.
     """
+    place = new_folder(folder)
+    program = program_of(experiment, diagram)
+    return write_all(place, files_of(experiment, diagram, program))
+
+
+def new_folder(folder: str | Path) -> Path:
+    """A path where nothing is. Raises `OutputError`."""
     place = expanded(folder)
     if place.exists():
         raise OutputError(f"{place}: is there already; name a new folder")
-    program = program_of(experiment, diagram)
+    return place
+
+
+def write_all(place: Path, texts: Mapping[str, str]) -> list[Path]:
+    """Files by their paths in a new folder. Raises `OutputError`."""
+    with writing(place, "folder"):
+        for name in texts:
+            (place / name).parent.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        write_text(place / name, text)
+    return [place / name for name in texts]
+
+
+def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:
+    """All files of an exported controller, by name."""
     code, told = source(program), header(program)
     wanted = {f"{program.name}.c": code, f"{program.name}.h": told}
     samples = _samples(experiment, diagram, program)
     wanted |= {"replay.c": _called("replay.c", program), "samples.h": _listed(samples, exact=False)}
     compiled = _compiled(program, wanted, samples)
     exact = compiled is not None
-    wanted |= {
+    return wanted | {
         "samples.h": _listed(compiled or samples, exact=exact),
         "example.c": _called("example.c", program).replace("DM_STILL", _still(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
         "README.md": _readme(program, exact=exact),
-        "graph.yaml": resolved_text(experiment),
-        "provenance.json": json.dumps(provenance(experiment, resolved_text(experiment)), indent=2) + "\n",
+        **origin(experiment),
     }
-    with writing(place, "folder"):
-        place.mkdir(parents=True)
-    for name, text in wanted.items():
-        write_text(place / name, text)
-    return [place / name for name in wanted]
+
+
+def origin(experiment: Experiment) -> dict[str, str]:
+    """The files that say from what others were made."""
+    text = resolved_text(experiment)
+    return {"graph.yaml": text, "provenance.json": json.dumps(provenance(experiment, text), indent=2) + "\n"}
 
 
 @final

@@ -3,6 +3,7 @@
 
 typedef char dm_measured_is_packed[sizeof(DM_NAMED(measured)) == DM_M * sizeof(double) ? 1 : -1];
 typedef char dm_commanded_is_packed[sizeof(DM_NAMED(commanded)) == DM_U * sizeof(double) ? 1 : -1];
+typedef char dm_path_is_packed[sizeof(DM_NAMED(path)) >= DM_W * sizeof(double) ? 1 : -1];
 typedef char dm_parameters_are_packed[sizeof(DM_NAMED(parameters)) == DM_P * sizeof(double) ? 1 : -1];
 
 static int dm_finite(const double *values, int count) {
@@ -34,12 +35,20 @@ int DM_NAMED(reset)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from
   return 1;
 }
 
-int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, DM_NAMED(commanded) * to) {
-  double measured[DM_M], next[DM_Z + 1], command[DM_U];
-  const double T = DM_PERIOD;
-  next[DM_Z] = 0;
-  if (dm_read(from, t, measured)) {
-    dm_control(self->state, measured, &t, &T, self->parameters, self->constants, next, command);
+void DM_NAMED(path_at)(const DM_NAMED(controller) * self, double t, double T, DM_NAMED(path) * to) {
+  double path[DM_W + 1];
+  path[DM_W] = 0;
+  dm_path(&t, &T, self->parameters, self->constants, path);
+  memcpy(to, path, DM_W * sizeof *path);
+}
+
+int DM_NAMED(step_on)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, const DM_NAMED(path) * on, double t,
+                      double T, DM_NAMED(commanded) * to) {
+  double measured[DM_M], path[DM_W + 1], next[DM_Z + 1], command[DM_U];
+  next[DM_Z] = path[DM_W] = 0;
+  memcpy(path, on, DM_W * sizeof *path);
+  if (dm_read(from, t, measured) && dm_finite(&T, 1) && dm_finite(path, DM_W)) {
+    dm_follow(self->state, measured, &t, &T, path, self->parameters, self->constants, next, command);
     if (dm_finite(next, DM_Z) && dm_finite(command, DM_U)) {
       memcpy(self->state, next, DM_Z * sizeof *next);
       memcpy(to, command, DM_U * sizeof *command);
@@ -48,4 +57,15 @@ int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from,
   }
   self->refused++;
   return 0;
+}
+
+int DM_NAMED(step_for)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, double T,
+                       DM_NAMED(commanded) * to) {
+  DM_NAMED(path) path;
+  DM_NAMED(path_at)(self, t, T, &path);
+  return DM_NAMED(step_on)(self, from, &path, t, T, to);
+}
+
+int DM_NAMED(step)(DM_NAMED(controller) * self, const DM_NAMED(measured) * from, double t, DM_NAMED(commanded) * to) {
+  return DM_NAMED(step_for)(self, from, t, DM_PERIOD, to);
 }

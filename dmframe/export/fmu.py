@@ -106,7 +106,7 @@ def _json(data: Mapping[str, Any]) -> str:
 
 
 def _of_controller(program: Program) -> Unit:
-    functions, constants = functions_of(program, tool=False)
+    functions, constants = functions_of(program, free=False)
     return Unit(
         name=program.name,
         about=f"{program.title} (the controller)".strip(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -18,7 +18,7 @@ from dmframe.errors import EngineError, OutputError
 from dmframe.files import told_apart
 from dmframe.port import Side
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.runtime.controller import control_function, start_function
+from dmframe.runtime.controller import control_function, path_function, start_function
 
 _WORDS: Final = frozenset(
     "auto bool break case char const continue default do double else enum extern float for goto if inline int long "
@@ -58,8 +58,14 @@ class Program:
 
     Parameters
     ----------
+    path
+        What the controller is told of it: trajectories, their rates, and what they are later where it looks ahead.
     control
-        (z, measured, t, T, p) -> (z one period later, commands).
+        (z, measured, t, T, p) -> (z one period later, commands), on the graph's own path.
+    follow
+        (z, measured, t, T, p, path) -> the same, on any path.
+    own_path
+        (t, T, p) -> path.
     start
         (measured, t, T, p) -> z.
     tool
@@ -75,7 +81,10 @@ class Program:
     commanded: tuple[Member, ...]
     states: tuple[Member, ...]
     parameters: tuple[Member, ...]
+    path: tuple[Member, ...]
     control: Any
+    follow: Any
+    own_path: Any
     start: Any
     tool: Any
     untold: tuple[str, ...]
@@ -103,6 +112,8 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
     inputs = [ca.SX.sym(word, control.numel_in(k)) for k, word in enumerate(("z", "measured", "t", "T"))]
     told = control(*inputs, loop.p)
     begun = start(*inputs[1:], loop.p)
+    follow, own_path = control_function(diagram, path=True), path_function(diagram)
+    path = ca.SX.sym("path", follow.numel_in(5))
     used = symbols_in([*told, begun])
     kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
     sides = {label: block.side for label, block in diagram.blocks.items()}
@@ -119,11 +130,27 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
         states=members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
         parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
+        path=members(
+            (leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in (*loop.trajectories, *loop.ahead)
+        ),
         control=ca.Function("control", [*inputs, p], list(told)),
+        follow=ca.Function("follow", [*inputs, p, path], list(follow(*inputs, loop.p, path))),
+        own_path=ca.Function("own_path", [*inputs[2:], p], [own_path(*inputs[2:], loop.p)]),
         start=ca.Function("start", [*inputs[1:], p], [begun]),
         tool=_tool(diagram),
         untold=untold,
     )
+
+
+def _path_unit(name: str, units: Mapping[str, str]) -> str:
+    """Of a trajectory, or of its rate, ``path.ddx_d``, which is no output of its own."""
+    label, _, _ = name.partition("(")
+    block, _, port = label.rpartition(".")
+    for order in range(len(port)):
+        if (unit := units.get(f"{block}.{port[order:]}")) is not None and port[:order] == "d" * order:
+            below = "s" if order == 1 else f"s^{order}"
+            return unit if order == 0 else f"{unit or 1}/{below}"
+    return ""
 
 
 def _tool(diagram: Diagram) -> Any:

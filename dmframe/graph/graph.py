@@ -404,26 +404,27 @@ class Graph:
         _ = page.html
         return page
 
-    def export(self, folder: str | Path, kind: Literal["c", "fmi2", "fmi3"] = "c") -> list[Path]:
+    def export(self, folder: str | Path, kind: Literal["c", "fmi2", "fmi3", "ros2"] = "c") -> list[Path]:
         """Write its controller for other programs to a new folder; returns the files.
 
         Parameters
         ----------
         kind
             ``c``: C99, with an example and a test. ``fmi2``, ``fmi3``: two units of that version of FMI for
-            co-simulation, the controller and the robot with its servo.
+            co-simulation, the controller and the robot with its servo. ``ros2``: a package with a controller of
+            ros2_control.
 
         Raises
         ------
         DmframeError
             It runs in continuous time, commands nothing, or draws numbers; the folder is there already.
         """
-        from dmframe.export import export_c, export_fmus
+        from dmframe.export import export_c, export_fmus, export_ros2
 
-        if kind == "c":
-            return export_c(self.experiment, self.diagram, folder)
+        if kind in ("c", "ros2"):
+            return (export_c if kind == "c" else export_ros2)(self.experiment, self.diagram, folder)
         if kind not in ("fmi2", "fmi3"):
-            raise ValueFault(f"kind: expected c, fmi2 or fmi3, found {kind!r}")
+            raise ValueFault(f"kind: expected c, fmi2, fmi3 or ros2, found {kind!r}")
         return export_fmus(self.experiment, self.diagram, folder, 2 if kind == "fmi2" else 3)
 
     def virtual_robot(self, **behaviour: Any) -> VirtualRobot:

@@ -178,18 +178,32 @@ def _works(library: Path, function: Any, constants: int) -> bool:
     return alike(mine, lambda state: function(state, measured, 0.3, 1e-3, p), z)
 
 
-def control_function(diagram: Diagram) -> Any:
-    """(z, measured, t, T, p) -> (z one period later, commands)."""
+def control_function(diagram: Diagram, *, path: bool = False) -> Any:
+    """(z, measured, t, T, p) -> (z one period later, commands).
+
+    With `path` the path is no function of time, but one more argument, last: what the trajectories are, and what they
+    are later where the law looks ahead.
+    """
     loop, resolver = diagram.loop, diagram.resolver
     size = stack(variable.symbol for variable in loop.controller).numel()
     commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
     advanced, commands = loop.projected([loop.advanced, commands], joined=False)
-    expressions = [loop.on_path(expression) for expression in (loop.put_back(advanced)[:size], commands)]
+    expressions = [loop.put_back(advanced)[:size], commands]
+    if not path:
+        expressions = [loop.on_path(expression) for expression in expressions]
     for noise in loop.noises:
         if any(ca.depends_on(expression, noise.symbol) for expression in expressions):
             raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
     z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
-    return ca.Function("control", [z, measured, loop.time, loop.period, loop.p], ca.cse(expressions))
+    given = [stack(leaf.symbol for leaf in (*loop.trajectories, *loop.ahead))] if path else []
+    return ca.Function("control", [z, measured, loop.time, loop.period, loop.p, *given], ca.cse(expressions))
+
+
+def path_function(diagram: Diagram) -> Any:
+    """(t, T, p) -> the path that a `control_function` with one is given."""
+    loop = diagram.loop
+    path = stack(leaf.expression for leaf in (*loop.trajectories, *loop.ahead))
+    return ca.Function("path", [loop.time, loop.period, loop.p], [ca.cse(path)])
 
 
 def start_function(diagram: Diagram, given: Mapping[str, Any]) -> tuple[Any, tuple[str, ...]]:

@@ -70,6 +70,11 @@ class Instants:
         return cls(period, tuple(drawn), seed, jitter)
 
     @property
+    def longest(self) -> float:
+        """The longest that a tick may last [s]."""
+        return self.period + 2 * self.jitter
+
+    @property
     def width(self) -> int:
         """How many numbers a row has."""
         return DRAWN + len(self.drawn)

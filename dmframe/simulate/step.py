@@ -126,8 +126,8 @@ class Step:
 
     @property
     def length(self) -> float:
-        """h, the integrator's step [s]."""
-        return self.period / self.substeps
+        """h, the integrator's step in the longest tick [s]."""
+        return self.instants.longest / self.substeps
 
     @cached_property
     def tick(self) -> Any:
@@ -146,7 +146,8 @@ class Step:
 
     def solved_by(self, solver: Solver, clock: float | None) -> Step:
         """The same with another solver."""
-        return replace(self, solver=solver, substeps=substeps_of(clock, solver))
+        longest = None if clock is None else self.instants.longest
+        return replace(self, solver=solver, substeps=substeps_of(longest, solver))
 
     def with_period(self, period: float) -> Step:
         """The same with another period [s], in one step of the integrator."""
@@ -176,7 +177,7 @@ def build_step(
     Without `bounds`, a state may be any finite number.
     """
     instants = Instants.of(loop, clock if clock is not None else solver.output, seed, jitter)
-    substeps = substeps_of(clock, solver)
+    substeps = substeps_of(None if clock is None else instants.longest, solver)
     parts = build_parts(loop, clock, recorded)
     flowing = _seen("flowing", loop, [stack(variable.rate for variable in loop.flowing)])
     state, t, p = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
@@ -234,11 +235,11 @@ def plant_step(
         outputs=ca.Function("outputs", seen, [ca.cse(shown)]),
         clip=ca.Function("clip", [integrated, loop.p], [loop.held(integrated)]),
     )
-    return Step(parts, None, solver, instants, substeps_of(clock, solver), bounds)
+    return Step(parts, None, solver, instants, substeps_of(instants.longest, solver), bounds)
 
 
 def substeps_of(clock: float | None, solver: Solver) -> int:
-    """Integrator steps in a tick. Raises `EngineError` where they are too many to write out."""
+    """Integrator steps in a tick of `clock` [s]. Raises `EngineError` where they are too many to write out."""
     if solver.method not in FIXED:
         return 1
     period = clock if clock is not None else solver.output

@@ -34,7 +34,7 @@ def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
     assert borne.sentence == "ur10_fast bears what it must for 1 s; runs of 40 s decide whether it may meet a robot."
     whole = replace(borne, seconds=40.0)
     assert whole.sentence.startswith("ur10_fast may meet a robot, as far as a simulation can tell: it was tried on no")
-    found = tried(dm.load("panda_full"), 3.0, late)
+    found = tried(dm.load("panda_full").set({"dynamics.Gamma": 30}), 3.0, late)
     assert not found.passed
     assert found.sentence.startswith(
         "panda_full may not meet a robot: it does not bear 3 samples of delay, 24 ms (stopped "
@@ -44,7 +44,7 @@ def test_a_delay_is_borne_by_one_graph_and_not_by_another() -> None:
 
 
 def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
-    graph = dm.load("panda_full")
+    graph = dm.load("panda_full").set({"dynamics.Gamma": 30})
     found = tried(graph, 3.0, Condition("3 samples", {"delay": 3}, needed=False))
     assert found.passed
     assert found.outcomes[1].why.startswith("stopped after 2.")
@@ -65,6 +65,25 @@ def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
 def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, told: str) -> None:
     ideal = rehearse._Run("x - x_d", "m", 0.002, 0.002, "")
     assert rehearse._why(rehearse._Run("x - x_d", "m", second, last, ""), ideal) == told
+
+
+def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None:
+    graph = dm.load("panda_full")
+    still, jittered = (
+        robots.simulated_robot(graph.experiment, graph.diagram, 1.0, "interpreted", **options)._step
+        for options in ({}, {"jitter": 0.002})
+    )
+    assert still.length == 0.001
+    assert jittered.substeps == 12
+    assert max(np.diff(jittered.instants.rows(0, 200)[:, 0])) / jittered.substeps <= still.length
+
+
+def test_a_jitter_does_not_make_the_integrator_diverge_where_the_loop_does_not() -> None:
+    # its steps are near the limit of what rk4 bears of this robot, and those of the longest tick would pass it
+    found = tried(dm.load("panda_full"), 4.0, Condition("a jitter of 2 ms", {"jitter": 0.002}))
+    assert found.passed
+    ideal, jittered = (item.error for item in found.outcomes)
+    assert jittered == pytest.approx(ideal, rel=0.1)
 
 
 def test_a_controller_that_is_late_by_far_shows_it() -> None:

@@ -1,0 +1,1 @@
+#include "libstatistics_collector/moving_average_statistics/types.hpp"

@@ -1,0 +1,1 @@
+#include "pal_statistics/pal_statistics_macros.hpp"

@@ -1,0 +1,1 @@
+#define RCLCPP_VERSION_MAJOR 28
