@@ -127,6 +127,7 @@ class SampledSupervisor(AbstractBlock):
         State("next_rest", "", "s", sampled=True),
         State("trips", sampled=True),
         State("sent", "n d", "rad/s", sampled=True),
+        State("q_before", "n", "rad", sampled=True),
         State("lead", "n", "rad", sampled=True, optional=True),
         State("total", "n", "rad s", sampled=True, optional=True),
         State("cut", "n", sampled=True, optional=True),
@@ -150,7 +151,7 @@ class SampledSupervisor(AbstractBlock):
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """At rest, none in command."""
-        return {"rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
+        return {"q_before": u.q, "rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The errors, who is in command, and what is sent."""
@@ -166,7 +167,7 @@ class SampledSupervisor(AbstractBlock):
         better = _of(best, *E) < p.hysteresis * _of(x.chosen, *E)
         chosen = named("chosen_new", ca.if_else(rest > 0, 0, ca.if_else(better, best, x.chosen)))
 
-        v = named("v", x.sent[:, 0] - u.lag)
+        v = named("v", (u.q - x.q_before) / u.T)
         q_start = _of(chosen, u.q + self.delay * u.T * v, u.q_column, u.q_full)
         dq_sent = _of(chosen, clip(u.dq_r, p.u_max), u.dq_column, u.dq_full)
         used = named("epsilon_used", _of(x.chosen, *ca.horzsplit(epsilons)))
@@ -193,6 +194,7 @@ class SampledSupervisor(AbstractBlock):
                 "rest": rest,
                 "next_rest": ca.if_else(tripped, 2 * x.next_rest, x.next_rest),
                 "trips": x.trips + tripped,
+                "q_before": u.q,
                 "sent": ca.horzcat(x.sent[:, 1:], dq_sent),
                 **after,
             },
