@@ -245,7 +245,7 @@ def arm2() -> dict[str, Any]:
             "task": {"type": "sampled_tracking", "gamma": 1},
             "inverse": {"type": "sampled_inverse", "w_0": 0.02, "replay": 2, "supervised": True},
             "column": {"type": "disturbance_observer", "supervised": True},
-            "supervisor": {"type": "sampled_supervisor"},
+            "supervisor": {"type": "sampled_supervisor", "demand_max": 1},
             "servo": {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]},
             "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2]},
         },
