@@ -21,7 +21,7 @@ def weak(delay: int, **values: Any) -> Run:
     told = {f"{name}.delay": delay for name in ("task", "inverse", "column", "supervisor")}
     late = {"transport_delay": {"samples": 1}} if delay else {}
     graph = dm.load("ur10_slow_supervised").set({**told, **{f"supervisor.{k}": v for k, v in values.items()}})
-    return graph.reality({**late, "torque_limits": {"torque": [100, 75, 100]}}).run("50 s", progress=False)
+    return graph.reality({**late, "torque_limits": {"torque": [100, 75, 100]}}).run("30 s", progress=False, engine="interpreted")
 
 
 def by_hand(recorded: Any, delay: int, *, forgets: bool = True) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_without_a_bound_it_does() -> None:
 
 
 def test_where_a_drive_suffices_nothing_is_cut_off() -> None:
-    found = dm.load("ur10_slow_supervised").run("20 s", progress=False).recording
+    found = dm.load("ur10_slow_supervised").run("20 s", progress=False, engine="interpreted").recording
     assert not np.any(found["supervisor.withheld"])
     assert rms(np.asarray(found["arm.x"] - found["path.x_d"])) < 0.1
 
