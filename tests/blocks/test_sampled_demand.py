@@ -21,7 +21,8 @@ def weak(delay: int, **values: Any) -> Run:
     told = {f"{name}.delay": delay for name in ("task", "inverse", "column", "supervisor")}
     late = {"transport_delay": {"samples": 1}} if delay else {}
     graph = dm.load("ur10_slow_supervised").set({**told, **{f"supervisor.{k}": v for k, v in values.items()}})
-    return graph.reality({**late, "torque_limits": {"torque": [100, 75, 100]}}).run("30 s", progress=False, engine="interpreted")
+    weak = graph.reality({**late, "torque_limits": {"torque": [100, 75, 100]}})
+    return weak.run("30 s", progress=False, engine="interpreted")
 
 
 def by_hand(recorded: Any, delay: int, *, forgets: bool = True) -> np.ndarray:
