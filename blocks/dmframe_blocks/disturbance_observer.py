@@ -40,6 +40,9 @@ class DisturbanceObserver(AbstractBlock):
         The largest command.
     supervised : true or false
         Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is observed.
+    echoed : true or false
+        The robot reports the target of its servo: wire q_echo to it. What the target has moved by, over T, is
+        then u_applied.
     time_stamps : true or false
         The time at which positions were measured is known, and stands in (1) in place of T.
 
@@ -56,6 +59,7 @@ class DisturbanceObserver(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq_r", "n", "rad/s"),
         Port("dq_sent", "n", "rad/s", optional=True),
+        Port("q_echo", "n", "rad", optional=True),
         Port("t", "", "s", optional=True),
         PERIOD,
     )
@@ -66,6 +70,7 @@ class DisturbanceObserver(AbstractBlock):
     )
     states: ClassVar[tuple[State, ...]] = (
         State("q_before", "n", "rad", sampled=True),
+        State("q_aim", "n", "rad", sampled=True, optional=True),
         State("queue", "n d", "rad/s", sampled=True),
         State("t_before", "", "s", sampled=True, optional=True),
     )
@@ -73,6 +78,7 @@ class DisturbanceObserver(AbstractBlock):
     delay: Literal[0, 1, 2] = 0
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     supervised: bool = False
+    echoed: bool = False
     time_stamps: bool = False
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
@@ -80,17 +86,19 @@ class DisturbanceObserver(AbstractBlock):
         return {"d": self.delay + 1}
 
     def needs(self, port: str) -> bool:
-        """What is sent, where another block decides it."""
-        return self.supervised and port == "dq_sent"
+        """What is sent, where another block decides it; the target, where the robot reports it."""
+        return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, False)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest."""
-        return {"q_before": u.q} | ({"t_before": u.t - u.T} if self.time_stamps else {})
+        begins = {"q_before": u.q} | ({"t_before": u.t - u.T} if self.time_stamps else {})
+        return begins | ({"q_aim": u.q_echo} if self.echoed else {})
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
-        u_applied, waiting = named("u_applied", x.queue[:, 0]), x.queue[:, 1:]
-        lag = u_applied - (u.q - x.q_before) / (u.t - x.t_before if self.time_stamps else u.T)
+        T, waiting = u.t - x.t_before if self.time_stamps else u.T, x.queue[:, 1:]
+        u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else x.queue[:, 0])
+        lag = u_applied - (u.q - x.q_before) / T
         dq_c = clip(u.dq_r + lag, p.u_max)
         q_start = u.q
         for k in range(self.delay):
@@ -98,4 +106,6 @@ class DisturbanceObserver(AbstractBlock):
         after = {"q_before": u.q, "queue": ca.horzcat(waiting, u.dq_sent if self.supervised else dq_c)}
         if self.time_stamps:
             after["t_before"] = u.t
+        if self.echoed:
+            after["q_aim"] = u.q_echo
         return Equations(outputs={"dq_c": dq_c, "q_start": q_start, "lag": lag}, next=after)

@@ -75,7 +75,8 @@ class SampledInverse(AbstractBlock):
     *Delay.* A command acts `delay` samples later. The samples until then, whose commands are known, are predicted one
     by one from the same relation; q_start is where the robot then is.
 
-    A joint whose command was clipped at u_max learns nothing from that sample.
+    A joint whose command was clipped at u_max learns nothing from that sample. With `echoed`, u and target are what the
+    robot says that they were.
 
     Parameters
     ----------
@@ -120,6 +121,9 @@ class SampledInverse(AbstractBlock):
         Of the slope above 1/2.
     supervised : true or false
         Another block, such as `sampled_supervisor`, decides what is sent, dq_sent: it is what acts and is learnt from.
+    echoed : true or false
+        The robot reports the target of its servo: wire q_echo to it. What acted in a sample is then what the target has
+        moved by, whatever became of the commands on their way.
     time_stamps : true or false
         The time at which positions were measured is known, so that a sample that is over was as long as it was; without
         it, T. The coming sample is taken to last T either way.
@@ -138,6 +142,7 @@ class SampledInverse(AbstractBlock):
         Port("q", "n", "rad"),
         Port("dq_r", "n", "rad/s"),
         Port("dq_sent", "n", "rad/s", optional=True),
+        Port("q_echo", "n", "rad", optional=True),
         Port("t", "", "s", optional=True),
         PERIOD,
     )
@@ -209,6 +214,7 @@ class SampledInverse(AbstractBlock):
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     margin: Scalar = NonNegative(default=0.05)
     supervised: bool = False
+    echoed: bool = False
     time_stamps: bool = False
 
     @model_validator(mode="after")
@@ -234,13 +240,13 @@ class SampledInverse(AbstractBlock):
         return {**super().sizes(robot), **own}
 
     def needs(self, port: str) -> bool:
-        """What is sent, where another block decides it."""
-        return self.supervised and port == "dq_sent"
+        """What is sent, where another block decides it; the target, where the robot reports it."""
+        return {"dq_sent": self.supervised, "q_echo": self.echoed}.get(port, False)
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, as if nothing had been commanded in the sample before."""
         averaged, still = self._averaged(p), 0 * u.q
-        begins = {"q_before": u.q, "q_aim": u.q, "m_before": u.q, "m_planned": u.q}
+        begins = {"q_before": u.q, "q_aim": u.q_echo if self.echoed else u.q, "m_before": u.q, "m_planned": u.q}
         if self.filtered:
             begins["psi_slow"] = averaged.changing(self._psi(p, Start(u.q, u.q, still, u.q, still), still, still, u.T))
         if self.time_stamps:
@@ -327,7 +333,8 @@ class SampledInverse(AbstractBlock):
     def _sample(self, u: Signals, x: Signals, p: Signals) -> tuple[SX, SX, SX, SX, SX, SX]:
         """Of the sample that is over: command and average velocity, psi and y, and h and g, less what is slow."""
         T = self._over(u, x)
-        u_applied, v = named("u_applied", x.queue[:, 0]), named("v", (u.q - x.q_before) / T)
+        u_applied = named("u_applied", (u.q_echo - x.q_aim) / T if self.echoed else x.queue[:, 0])
+        v = named("v", (u.q - x.q_before) / T)
         psi = named("psi", self._psi(p, Start(x.q_before, x.q_aim, x.z, x.m_before, x.v_before), v, u_applied, T))
         y = named("y_row", u_applied - v)
         h, g = (named("h_row", psi - x.psi_slow), named("g_row", y - x.y_slow)) if self.filtered else (psi, y)

@@ -9,6 +9,7 @@ import casadi as ca
 from pydantic import Field
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX
 from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import PERIOD, Access, Port, State
@@ -20,7 +21,9 @@ class SampledSupervisor(AbstractBlock):
     r"""Sends the command of one of three predictors: none, the column of ones alone, or all columns.
 
     Each predicts what the joints fall short of a command over a sample, lag = u - v: none predicts zero, so that it
-    commands dq_r itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has learnt. Their errors
+    commands dq_r itself; `disturbance_observer` the last sample's; `sampled_inverse` what it has learnt. Where the
+    robot is when a command acts, none takes from its motion alone, q + delay T v: it stands in for predictors whose
+    delay may be wrong, so it asks nothing of the commands on their way. Their errors
     in the sample that is over are
 
         epsilon_0 = lag,    epsilon_1 = lag - lag_before,    epsilon_2 = epsilon
@@ -38,6 +41,16 @@ class SampledSupervisor(AbstractBlock):
     none takes over at once and stays for `dwell`, and then twice, four times, ... as long: a predictor that is wrong
     only when it is in command, such as one with a wrong delay, errs ever more rarely. It begins so, too: none commands
     for the first `dwell`.
+
+    *Demand.* A joint that does not move as it is told, such as one whose drive is at its limit, is left behind by the
+    servo's target, and the servo winds up. Over its velocity gain, it asks the drive in the mean of a sample for
+
+        demand = lag + k_P lead + k_I total
+
+    lead being the sum of T lag, by which the target is ahead, and total the sum of T lead, both in the middle of the
+    sample. With `demand_max` a command is cut off where demand would pass that if the joint went on as fast as it does;
+    `withheld` is what was cut off. The sums are forgotten, within `forget`, while the one in command foresees the joint
+    to within `quiet` and nothing is cut off: it then moves as it is told.
 
     All three learn from what is sent. What an estimate's error does from sample to sample does not ask how the command
     came about, so that switching leaves the proof of `sampled_inverse` as it is. The task's error obeys the same bound
@@ -61,11 +74,19 @@ class SampledSupervisor(AbstractBlock):
         fall.
     u_max : diagonal (n,), rad/s, > 0
         The largest command.
+    demand_max : diagonal (n,), rad/s, > 0
+        Some ten times the torque limit of the drive, over K K_D; a fifth of that and twice as much did as well. Without
+        it nothing is cut off.
+    k_P, k_I : (n,), 1/s, 1/s^2, > 0
+        Guesses of K_P/K_D and K_I/K_D, as in `sampled_inverse`.
+    forget : scalar, s, > 0
+        Some twenty samples.
 
     Notes
     -----
     Not for: a robot that the kinematic command does not hold. That the error of the one in command is small is not
-    proved.
+    proved. A demand is counted from where the sums were last forgotten, and gravity that the servo held before is not
+    in it: so it stops a winding up, and does not keep a drive within its limit.
 
     References
     ----------
@@ -89,6 +110,13 @@ class SampledSupervisor(AbstractBlock):
         Port("predictor"),
         Port("epsilon_used", "n", "rad/s"),
         Port("tripped"),
+        Port(
+            "withheld",
+            "n",
+            "rad/s",
+            optional=True,
+            told="a joint does not move as it is told, and its command is cut off",
+        ),
     )
     states: ClassVar[tuple[State, ...]] = (
         State("chosen", sampled=True),
@@ -99,6 +127,10 @@ class SampledSupervisor(AbstractBlock):
         State("next_rest", "", "s", sampled=True),
         State("trips", sampled=True),
         State("sent", "n d", "rad/s", sampled=True),
+        State("q_before", "n", "rad", sampled=True),
+        State("lead", "n", "rad", sampled=True, optional=True),
+        State("total", "n", "rad s", sampled=True, optional=True),
+        State("cut", "n", sampled=True, optional=True),
     )
 
     delay: Literal[0, 1, 2] = 0
@@ -108,6 +140,10 @@ class SampledSupervisor(AbstractBlock):
     quiet: Scalar = Positive("", "rad/s", default=0.01)
     dwell: Scalar = Positive("", "s", default=2.0)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
+    demand_max: Diagonal | None = Positive("n", "rad/s", default=None)
+    k_P: Diagonal = Positive("n", "1/s", default=1.8)
+    k_I: Diagonal = Positive("n", "1/s^2", default=1.2)
+    forget: Scalar = Positive("", "s", default=2.0)
 
     def sizes(self, robot: Any) -> Mapping[str, int]:
         """N samples are compared; d commands act now or wait."""
@@ -115,7 +151,7 @@ class SampledSupervisor(AbstractBlock):
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """At rest, none in command."""
-        return {"rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
+        return {"q_before": u.q, "rest": p.dwell, "next_rest": 2 * p.dwell, "scale": p.quiet * p.quiet}
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The errors, who is in command, and what is sent."""
@@ -131,15 +167,24 @@ class SampledSupervisor(AbstractBlock):
         better = _of(best, *E) < p.hysteresis * _of(x.chosen, *E)
         chosen = named("chosen_new", ca.if_else(rest > 0, 0, ca.if_else(better, best, x.chosen)))
 
-        q_none = u.q + u.T * ca.sum2(x.sent[:, 1:])
+        v = named("v", (u.q - x.q_before) / u.T)
+        q_start = _of(chosen, u.q + self.delay * u.T * v, u.q_column, u.q_full)
         dq_sent = _of(chosen, clip(u.dq_r, p.u_max), u.dq_column, u.dq_full)
+        used = named("epsilon_used", _of(x.chosen, *ca.horzsplit(epsilons)))
+        outputs, after = dict[str, SX](), dict[str, SX]()
+        if "demand_max" in p:
+            wished = named("dq_wished", dq_sent)
+            dq_sent, after = self._within(u, x, p, v, wished, used)
+            outputs["withheld"] = wished - dq_sent
+            after["cut"] = dq_sent != wished
         return Equations(
             outputs={
                 "dq_sent": dq_sent,
-                "q_start": _of(chosen, q_none, u.q_column, u.q_full),
+                "q_start": q_start,
                 "predictor": chosen,
-                "epsilon_used": _of(x.chosen, *ca.horzsplit(epsilons)),
+                "epsilon_used": used,
                 "tripped": tripped,
+                **outputs,
             },
             next={
                 "chosen": chosen,
@@ -149,9 +194,26 @@ class SampledSupervisor(AbstractBlock):
                 "rest": rest,
                 "next_rest": ca.if_else(tripped, 2 * x.next_rest, x.next_rest),
                 "trips": x.trips + tripped,
+                "q_before": u.q,
                 "sent": ca.horzcat(x.sent[:, 1:], dq_sent),
+                **after,
             },
         )
+
+    def _within(self, u: Signals, x: Signals, p: Signals, v: SX, wished: SX, used: SX) -> tuple[SX, dict[str, SX]]:
+        """The command with which demand stays within bounds, if the joints go on at v; and the sums."""
+        foreseen = ca.logic_and(ca.fabs(used) <= p.quiet, x.cut < 1)
+        keep = named("keep", ca.if_else(foreseen, ca.fmax(0, 1 - u.T / p.forget), 1))
+        lead, total = keep * (x.lead + u.T * u.lag), keep * (x.total + u.T * (x.lead + u.T * u.lag / 2))
+        after = {"lead": named("lead_new", lead), "total": named("total_new", total)}
+        lead, total = after["lead"], after["total"]
+        for k in range(1, self.delay + 1):  # of the commands that act before this one
+            lag = x.sent[:, k] - v
+            lead, total = lead + u.T * lag, total + u.T * (lead + u.T * lag / 2)
+        asked = named("asked", p.k_P * lead + p.k_I * (total + u.T * lead / 2))
+        per_lag = 1 + p.k_P * u.T / 2 + p.k_I * u.T * u.T / 4
+        low, high = v - (p.demand_max + asked) / per_lag, v + (p.demand_max - asked) / per_lag
+        return clip(ca.fmin(ca.fmax(wished, low), high), p.u_max), after
 
 
 def _of(choice: Any, none: Any, column: Any, full: Any) -> Any:

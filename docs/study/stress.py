@@ -48,13 +48,14 @@ BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 @final
 @dataclass(frozen=True)
 class Case:
-    """What is otherwise: values and blocks put into the graph, a reality, and the delay that controllers are told."""
+    """What is otherwise: values and blocks put into the graph, a reality; and what controllers are told."""
 
     values: Mapping[str, Any] = field(default_factory=dict)
     reality: Mapping[str, Any] = field(default_factory=dict)
     told: int = 0
     seconds: float = 200.0
     random: bool = False
+    echoed: bool = False
 
 
 def servo(scale: float) -> dict[str, Any]:
@@ -72,7 +73,16 @@ def block(kind: str, **parameters: Any) -> dict[str, Any]:
     return {"type": kind, **parameters}
 
 
-OWN: Final = "stress_servos.py"
+OWN, PLANTS = "stress_servos.py", "stress_plants.py"
+FRICTION: Final = {"viscous": (5, 5, 2), "coulomb": (8, 8, 4)}
+ROUND: Final = {"center": (-0.45, 0.45, 0.5), "radius": 0.1}
+STRETCHED: Final = {"path.center": [-0.665, 0.665, 0.5], "start.q": [2.123928, -0.593373, 0.295104]}
+SPRINGS: Final = {
+    "blocks.springs": block("elastic_joints", stiffness=1e4, damping=50, inertia=[2, 2, 1]),
+    "blocks.motors": block(f"{PLANTS}:MotorEncoders"),
+    "wires.servo.q": "springs.theta",
+    "wires.servo.dq": "springs.dtheta",
+}
 STAMPED: Final = {f"{label}.time_stamps": True for label in ("inverse", "column")}
 PAYLOAD: Final = {"loaded_manipulator": {"payload": ["5 kg"], "payload_at": ["100 s"]}}
 CASES: Final[dict[str, Case]] = {
@@ -103,6 +113,17 @@ CASES: Final[dict[str, Case]] = {
     "delay 1 or 2 at random, told 1": Case(
         reality={"transport_delay": {"samples": 1, "late": 0.5}}, told=1, random=True
     ),
+    "the same, the servo's target echoed": Case(
+        reality={"transport_delay": {"samples": 1, "late": 0.5}}, told=1, random=True, echoed=True
+    ),
+    "delay 1, told 0, the servo's target echoed": Case(reality=LATE, echoed=True),
+    "robot's clock fast by 1e-3": Case({"blocks.servo": block(f"{OWN}:HurriedServo", **SERVO, pace=1.001)}),
+    "servo filters its velocity, 30 ms": Case(
+        {"blocks.servo": block(f"{OWN}:FilteredServo", **SERVO, time_constant="30 ms")}
+    ),
+    "rotors of 9 kg m^2": Case({"blocks.arm": block(f"{PLANTS}:GearedArm", rotor=9, **FRICTION)}),
+    "springs of 1e4 N m/rad, encoders at the motors": Case(SPRINGS),
+    "friction changes with the pose": Case({"blocks.rub": block(f"{PLANTS}:PoseFriction", size=[4, 4, 2], waves=2)}),
     "friction sticks and is uneven": Case(
         reality={"stribeck_friction": {"sticking": [4, 4, 2], "uneven": [1.6, 1.6, 0.8]}}
     ),
@@ -110,10 +131,14 @@ CASES: Final[dict[str, Case]] = {
     **{f"servo x {scale:g}": Case(servo(scale)) for scale in (0.1, 0.3, 3, 10)},
     **{f"servo x {scale:g}, delay 1, steps": Case(servo(scale), LATE | STEPS, 1) for scale in (0.1, 0.3, 3, 10)},
     "start off the path by 0.2 rad a joint": Case({"start.q": [q + 0.2 for q in START]}),
+    "start 447 mm off the path": Case({"start.q": [q + 0.3524 for q in START]}),
+    "path stops and goes": Case({"blocks.path": block(f"{PLANTS}:StopAndGo", **ROUND, rate=0.15, period="20 s")}),
+    "arm nearly stretched": Case(STRETCHED),
     "w_0 x 0.03": Case({"inverse.w_0": 0.03 * 0.00125}),
     "w_0 x 30": Case({"inverse.w_0": 30 * 0.00125}),
     "a box without the truth": Case({"inverse.k_P_box": [0.2, 1.9], "inverse.friction_box": [0, 3]}),
     "a drive ends at 75 of 81 N m": Case(reality={"torque_limits": {"torque": [100, 75, 100]}}),
+    "a drive ends at 75 of 81 N m, delay 1": Case(reality=LATE | {"torque_limits": {"torque": [100, 75, 100]}}, told=1),
     "maker compensates gravity": Case({"arm.maker_gravity": 1}),
     "standing still": Case({"path.rate": 0}),
 }
@@ -126,6 +151,10 @@ def changed(name: str, case: Case, seed: int = 0) -> dm.Graph:
     told = {f"{label}.delay": case.told for label in late if late != ["task"]}
     lacking = [key for key in case.values if "." in key and not _has(graph, key)]
     values = {key: value for key, value in case.values.items() if key not in lacking}
+    if case.echoed:
+        hearing = [label for label in graph.blocks if "echoed" in type(graph.blocks[label]).model_fields]
+        values |= {f"{label}.echoed": True for label in hearing}
+        values |= {f"wires.{label}.q_echo": "servo.q_c" for label in hearing}
     graph = graph.set({**told, **values, "duration": f"{case.seconds} s", "seed": seed})
     return graph.reality(dict(case.reality)) if case.reality else graph
 

@@ -90,7 +90,7 @@ class Supervised(SampledLaw):
         self.column.begin(q)
         self.chosen, self.rest, self.dwell = 0, 2.0, 2.0
         self.seen = [np.zeros(3)] * 10
-        self.scale, self.y, self.choices = 0.01, np.zeros_like(q), list[int]()
+        self.scale, self.y, self.v, self.choices = 0.01, np.zeros_like(q), np.zeros_like(q), list[int]()
 
     def tick(self, k: int, q: Array, path: Circle) -> Array:
         if k > 0:
@@ -103,7 +103,7 @@ class Supervised(SampledLaw):
             new[2] = np.sum((self.known.g - np.sum(self.known.h * self.theta, axis=1)) ** 2)
             for law in (self, self.column):
                 law.learn(law.known.h, law.known.g, np.abs(u) < self.u_max)
-            self.y, self.seen = y, [*self.seen, new][-10:]
+            self.y, self.v, self.seen = y, u - y, [*self.seen, new][-10:]
             self.column.sent = list(self.sent)
         self.choose()
         ends = [self.known, self.known, self.known]
@@ -111,7 +111,7 @@ class Supervised(SampledLaw):
             for u, v in zip(self.sent, law.planned, strict=True):
                 at: Known = ends[place]
                 ends[place] = law.after(at, u, at.q + self.T * law.predict(at, u, v))
-        starts = [q + self.T * np.sum(self.sent, axis=0), ends[1].q, ends[2].q]
+        starts = [q + self.delay * self.T * self.v, ends[1].q, ends[2].q]
         t = (k + self.delay) * self.T
         self.v_des = self.goal(starts[self.chosen], path(t), path(t + self.T))
         commands = [self.v_des, self.column.command(ends[1], self.v_des), self.command(ends[2], self.v_des)]
@@ -245,7 +245,7 @@ def arm2() -> dict[str, Any]:
             "task": {"type": "sampled_tracking", "gamma": 1},
             "inverse": {"type": "sampled_inverse", "w_0": 0.02, "replay": 2, "supervised": True},
             "column": {"type": "disturbance_observer", "supervised": True},
-            "supervisor": {"type": "sampled_supervisor"},
+            "supervisor": {"type": "sampled_supervisor", "demand_max": 1},
             "servo": {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]},
             "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2]},
         },

@@ -49,6 +49,7 @@ def test_the_data_hold_every_case_of_every_controller_once_and_the_page_shows_th
 
 UNTOLD = ("delay 3/4, told 0", "delay 1, told 0", "delay 0, told 1", "delay 1 or 2 at random, told 1")
 HELD = "velocity P servo without q_c"
+ECHOED = ("the same, the servo's target echoed", "delay 1, told 0, the servo's target echoed")
 AT_REST, CUT_OFF = "standing still", "a drive ends at 75 of 81 N m"
 
 
@@ -61,7 +62,7 @@ def test_where_delay_and_servo_are_as_told_the_law_is_below_both_kinematic_contr
     cells: Cells,
 ) -> None:
     for case, row in of(cells, LAW).items():
-        if case not in (*UNTOLD, HELD):
+        if case not in (*UNTOLD, *ECHOED, HELD):
             assert rms(row) < min(rms(cells[case, name]) for name in KINEMATIC), case
             assert rms(row) < 1.25e3 * float(row["rms_middle"]), case
     assert rms(cells["q_c(0) off by 10 mrad, delay 1, steps", LAW]) < 0.5
@@ -69,13 +70,20 @@ def test_where_delay_and_servo_are_as_told_the_law_is_below_both_kinematic_contr
     assert worse == [*UNTOLD, HELD]
 
 
-def test_the_supervised_law_is_below_the_kinematic_controller_but_for_a_drive_at_its_limit(cells: Cells) -> None:
+def test_with_an_echo_law_and_observer_bear_a_wrong_delay_and_stay_below_the_kinematic_controller(cells: Cells) -> None:
+    for case, name in ((case, name) for case in ECHOED for name in (LAW, OBSERVER)):
+        assert rms(cells[case, name]) < 0.5 * rms(cells[case, KINEMATIC[0]])
+        assert rms(cells[case, name]) < 1.25e3 * float(cells[case, name]["rms_middle"])
+    assert all(rms(cells[case, SUPERVISED]) < 0.5 * rms(cells[case, KINEMATIC[1]]) for case in ECHOED)
+
+
+def test_the_supervised_law_is_below_the_kinematic_controller_everywhere(cells: Cells) -> None:
     rows, more = of(cells, SUPERVISED), []
     for case, row in rows.items():
-        assert (rms(row) < rms(cells[case, KINEMATIC[0]])) == (case != CUT_OFF), case
+        assert rms(row) < rms(cells[case, KINEMATIC[0]]), case
         if rms(row) > 1.01 * rms(cells[case, KINEMATIC[1]]):
             more.append(case)
-    assert more == ["delay 0, told 1", "servo x 0.1, delay 1, steps"]
+    assert more == ["delay 0, told 1"]
 
 
 def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, cells: Cells) -> None:
@@ -87,11 +95,16 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
     for words in (
         f"{rms(open_case):.2g} mm are left",
         f"by up to {1e3 * float(worst['peak_after']):.0f} mm",
-        f"delay is {max(1e3 * float(rows[case]['peak_after']) for case in UNTOLD):.2g} mm",
+        f"from 2 s on is then {max(1e3 * float(rows[case]['peak_after']) for case in UNTOLD):.2g} mm",
         *(
             f"({rms(rows[case]):.3g} against {rms(cells[case, KINEMATIC[1]]):.3g} mm)"
             for case in ("delay 0, told 1", "servo x 0.1, delay 1, steps")
         ),
+        f"the law with J' ({rms(cells['servo x 0.1, delay 1, steps', LAW]):.3g} mm)",
+        f"the law errs by {rms(cells[ECHOED[0], LAW]):.3g} mm behind the random one, the observer by "
+        f"{rms(cells[ECHOED[0], OBSERVER]):.3g}, and supervised they err by {rms(rows[ECHOED[0]]):.3g}",
+        f"errs by {rms(cells[CUT_OFF, KINEMATIC[1]]):.0f} mm, with J' by {rms(cells[CUT_OFF, KINEMATIC[0]]):.0f}",
+        f"and errs by {rms(rows[CUT_OFF]):.0f} mm",
         f"{peaks[OBSERVER]:.3g} mm against {peaks[LAW]:.3g}, and {peaks[SUPERVISED]:.3g} supervised",
     ):
         assert words in text, words
@@ -108,6 +121,12 @@ def test_numbers_in_the_pages_words_are_those_of_the_table(study: ModuleType, ce
         ("q_c(0) off by 10 mrad, delay 1, steps", LAW),
         ("servo's q_c integrates 0.99 of dq_c", LAW),
         ("delay 1, told 0", SUPERVISED),
+        ("delay 1, told 0", "ur10_slow_tuned"),
+        ("rotors of 9 kg m^2", "ur10_slow_kinematic"),
+        ("springs of 1e4 N m/rad, encoders at the motors", "ur10_slow_kinematic"),
+        ("friction changes with the pose", "ur10_slow_kinematic"),
+        ("servo filters its velocity, 30 ms", "ur10_slow_kinematic"),
+        ("robot's clock fast by 1e-3", "ur10_slow_kinematic"),
     ],
 )
 def test_runs_come_out_as_the_data_say(case: str, name: str, study: ModuleType, cells: Cells) -> None:

@@ -1,0 +1,112 @@
+"""Robots and a path that only ``stress.py`` has."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.linalg import solve_spd
+from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
+from dmframe.port import TIME, Access, Port, Side, State
+
+
+@final
+class GearedArm(AbstractBlock):
+    """A rigid arm each of whose motors turns with its joint, through a gear: only its own inertia feels it."""
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad", Access.MEASURED),
+        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
+        Port("x", "m", "m", Access.MEASURED),
+        Port("g", "n", "N m"),
+        Port("K", "n", "N m/V"),
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+    )
+    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+
+    rotor: Diagonal = NonNegative("n", "kg m^2")
+    viscous: Diagonal = NonNegative("n", "N m s/rad")
+    coulomb: Diagonal = NonNegative("n", "N m")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The acceleration."""
+        robot, still = p.robot, ca.DM.zeros(p.robot.n)
+        needed = robot.inverse_dynamics(x.q, x.dq, x.dq, still) + p.viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
+        ddq = solve_spd(robot.mass_matrix(x.q) + ca.diag(p.rotor), u.u - needed)
+        outputs = {"q": x.q, "dq": x.dq, "x": robot.position(x.q), "g": robot.gravity_torque(x.q)}
+        truths = {"K": ca.DM.ones(robot.n), "B": p.viscous, "D": p.coulomb}
+        return Equations({**outputs, **truths}, rates={"q": x.dq, "dq": ddq})
+
+
+@final
+class PoseFriction(AbstractBlock):
+    """Friction that rises and falls along each joint's way, on top of that of the arm."""
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("u", "n", "V"),
+        Port("K", "n", "N m/V"),
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("u_left", "n", "V", instead_of="u"),)
+
+    size: Diagonal = NonNegative("n", "N m")
+    waves: Scalar = Positive()
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """`waves` waves a radian."""
+        tau = p.size * ca.sin(2 * ca.pi * p.waves * u.q) * p.robot.coulomb(u.dq)
+        return Equations({"u_left": u.u - tau / u.K})
+
+
+@final
+class MotorEncoders(AbstractBlock):
+    """Reads the motors of elastic joints, which is all that a controller has of the joints."""
+
+    side: ClassVar[Side] = Side.PLANT
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("theta", "n", "rad"),
+        Port("dtheta", "n", "rad/s"),
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("x", "m", "m"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("q_motor", "n", "rad", Access.MEASURED, instead_of="q"),
+        Port("dq_motor", "n", "rad/s", Access.MEASURED, derivative_of="q_motor", instead_of="dq"),
+        Port("x_motor", "m", "m", Access.MEASURED, instead_of="x"),
+    )
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Pose, velocity, and where the tool would be without springs."""
+        return Equations({"q_motor": u.theta, "dq_motor": u.dtheta, "x_motor": p.robot.position(u.theta)})
+
+
+@final
+class StopAndGo(AbstractBlock):
+    """A circle that is run through for half of each `period`, and stood still on for the other half."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m"),)
+
+    center: Vector = Real("m", "m", spread=False)
+    radius: Scalar = Real("", "m")
+    rate: Scalar = Real("", "rad/s")
+    period: Scalar = Positive("", "s")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Each stretch begins and ends without velocity and acceleration; `rate` is the mean over both halves."""
+        done = ca.floor(u.t / p.period)
+        s = ca.fmin(2 * (u.t / p.period - done), 1)
+        angle = p.rate * p.period * (done + s * s * s * (10 - 15 * s + 6 * s * s))
+        return Equations(outputs={"x_d": p.center + p.radius * ca.vertcat(ca.sin(angle), ca.cos(angle), 0)})
