@@ -233,7 +233,9 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
                 f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
             )
         if part.relations:
-            text = f"{part.block}: the command that a row holds is what acted in its sample, so that a delay is as told"
+            text = (
+                f"{part.block}: the command that a row holds is what acted in its sample: a delay is as told, or echoed"
+            )
             yield Assumption(text, "the means over a sample")
         if part.steps and part.relations:
             text = "its rows are means over a sample of the relations that it states, and its true values theirs"
