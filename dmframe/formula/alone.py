@@ -212,6 +212,7 @@ def _arm() -> RobotFunctions:
         name="arm",
         joints=joints,
         tool=(one, zero, zero),
+        tool_rotation=unit,
         inertia=(link,) * 3,
         gravity=(zero, zero, Fraction("-9.81")),
         axes="xy",
