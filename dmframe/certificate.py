@@ -168,8 +168,8 @@ class Certificate:
     estimates
         The block's states that are estimates, with what they estimate. Their squares are added to the storage.
     errors
-        Errors that the block is there to take away, where its storage holds them in another form; V does not count them.
-        That they go to zero is concluded if what is dissipated says so.
+        Errors that the block is there to take away, where its storage holds them in another form; V does not count
+        them. That they go to zero is concluded if what is dissipated says so.
     """
 
     storage: tuple[Stored, ...] = ()

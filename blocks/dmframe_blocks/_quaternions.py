@@ -14,8 +14,8 @@ from dmframe.certificate import SX, Assumption
 from dmframe.naming import operation
 
 LESS_THAN_HALF_A_TURN: Final = Assumption(
-    "the tool stays less than half a turn from its orientation, |R - R_d|^2 < 8: V(0) < 4 lever^2 is enough; half a turn "
-    "away e_R is zero too, an equilibrium that the least disturbance leaves",
+    "the tool stays less than half a turn from its orientation, |R - R_d|^2 < 8: V(0) < 4 lever^2 is enough; half a "
+    "turn away e_R is zero too, an equilibrium that the least disturbance leaves",
     "e_R goes to zero, and |e_R|^2 = |R - R_d|^2 (8 - |R - R_d|^2)/4",
 )
 
@@ -63,6 +63,11 @@ def partly(a: SX, b: SX, share: SX) -> SX:
     half = ca.atan2(size, ca.fabs(whole[0]))
     toward = ca.if_else(whole[0] < 0, -1, 1)
     return ca.vertcat(ca.cos(share * half), ca.sin(share * half) / size * toward * whole[1:])
+
+
+def apart(R: Any, R_d: Any) -> Any:
+    """The sum of the squares of all elements of R - R_d: 8 sin(angle/2)^2, so that nothing but 0 is 0 below a turn."""
+    return ca.sumsqr(ca.vec(R - R_d))
 
 
 @operation

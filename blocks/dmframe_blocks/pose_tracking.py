@@ -13,7 +13,7 @@ from dmframe.linalg import solve_spd
 from dmframe.naming import named
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
-from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, left, right, turn_from
+from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, right, turn_from
 
 
 @final
@@ -25,7 +25,8 @@ class PoseTracking(AbstractBlock):
 
     .. math::
 
-        R_d &= E G^\top / |p_d|^2, \quad \omega_d = 2 E \dot p_d / |p_d|^2                           \tag{1} \\
+        R_d &= E G^\top / |p_d|^2, \quad \omega_d = 2 E \dot p_d / |p_d|^2, \quad
+        R_{apart} = |\operatorname{vec}(R - R_d)|^2                                                \tag{1} \\
         \dot q_r &= J_{pose}^+ v_d - \gamma J_{pose}^\top e + (I - J_{pose}^+ J_{pose})\, \dot q_{null}, \quad
         J_{pose}^+ = J_{pose}^\top (J_{pose} J_{pose}^\top)^{-1}                                   \tag{2}
 
@@ -48,12 +49,13 @@ class PoseTracking(AbstractBlock):
 
     Notes
     -----
-    With :math:`D = |R - R_d|^2`, which is :math:`8 \sin^2(\theta/2)` at an angle :math:`\theta` of the turn,
-    :math:`|e_R|^2 = D (8 - D)/4`. So :math:`e_R \to 0` says that the tool comes to its orientation, or to half a turn
-    from it. Half a turn away S is largest: who starts anywhere else below :math:`V = 4\, \mathrm{lever}^2` never comes
-    there, and what starts there leaves it after the least disturbance.
+    Almost global: with D for the output R_apart, 8 times the square of the sine of half the angle between R and
+    :math:`R_d`, :math:`|e_R|^2 = D (8 - D)/4`. So where :math:`e_R` goes to zero, the tool comes to its orientation, or to
+    half a turn from it, where D is 8. V holds half of :math:`\mathrm{lever}^2 D` and does not grow: from
+    :math:`V(0) < 4\, \mathrm{lever}^2` it never gets there. From beyond it may, but does not stay but by chance: D is
+    largest there, and the reference leads away from it.
 
-    Not for: a singular Jacobian, or kinematics that are uncertain.
+    Not for: a singular Jacobian, or kinematics that are uncertain: `observed_pose_tracking`.
 
     References
     ----------
@@ -71,7 +73,11 @@ class PoseTracking(AbstractBlock):
         Port("lever", "", "m/rad"),
         Port("dq_null", "n", "rad/s", optional=True),
     )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"), Port("R_d", "3 3"))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_r", "n", "rad/s"),
+        Port("R_d", "3 3"),
+        Port("R_apart"),
+    )
     truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
 
     gamma: Scalar = Positive("", "rad^2/(m^2 s)")
@@ -83,7 +89,7 @@ class PoseTracking(AbstractBlock):
         v_d, e_R = ca.vertcat(u.dx_d, u.lever * omega_d), named("e_R", turn_from(u.R, R_d))
         forward = solve_spd(u.J_pose @ u.J_pose.T, v_d - u.J_pose @ u.dq_null)
         dq_r = u.J_pose.T @ (forward - p.gamma * _error(u, e_R)) + u.dq_null
-        return Equations(outputs={"dq_r": dq_r, "R_d": R_d})
+        return Equations(outputs={"dq_r": dq_r, "R_d": R_d, "R_apart": apart(u.R, R_d)})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""

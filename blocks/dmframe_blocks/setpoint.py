@@ -31,7 +31,11 @@ class Setpoint(AbstractBlock):
     """
 
     side: ClassVar[Side] = Side.SOURCE
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True), Port("p_d", "4", optional=True))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("x_d", "m", "m", optional=True),
+        Port("q_d", "n", "rad", optional=True),
+        Port("p_d", "4", optional=True),
+    )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)
     q_d: Vector | None = Real("n", "rad", default=None, spread=False)

@@ -4,10 +4,10 @@ Let every :math:`z_k \to 0`. A vector w goes to zero if it is, identically and e
 
 .. math:: w = \sum_k c_k z_k \quad\text{or}\quad R^\top w = \sum_k c_k z_k
 
-with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. With such an R, what
-:math:`R^\top` takes to :math:`z_k`, or next to it, :math:`(R R^\top)^{-1} R z_k`, goes to zero too, and so do the parts
-of it of which w may be made. The constants are not guessed: they are solved for at random points of a prime field, more points than there are constants, with the
-parameters at the graph's own numbers.
+with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. With such an R,
+:math:`(R R^\top)^{-1} R z_k` goes to zero too, which :math:`R^\top` takes to :math:`z_k` or next to it, and so does
+what is made of its parts. The constants are not guessed: they are solved for at random points of a prime field, more
+points than there are constants, with the parameters at the graph's own numbers.
 """
 
 from __future__ import annotations
@@ -113,19 +113,20 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
                 made = "goes to zero" if used == [whole] else f"is made of {listed(used)}"
                 step = f"{whole} {made}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
-        for item in vanishing:
-            if item.vector.shape == (R.shape[1], 1) and goal.vector.shape[0] < R.shape[0]:
-                whole = list(_parts(item.of, R, item.vector, goal.vector.numel()))
-                if _made_of(own, symbols, goal.vector, whole) is not None:
+        if R.shape[0] > goal.vector.shape[0]:
+            for item in vanishing:
+                if _made_of(own, symbols, goal.vector, list(_parts(item, R, goal.vector.numel()))) is not None:
                     step = f"it is part of what {name}' takes to {item.of}, and {name} has full row rank"
                     return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
 
 
-def _parts(name: str, R: SX, z: SX, size: int) -> Iterator[Vanishing]:
-    """The parts, of a length, of the vector that R' takes to z, or next to it."""
-    whole = solve_spd(R @ R.T, R @ z)
-    yield from (Vanishing(name, whole[start : start + size], True) for start in range(whole.numel() - size + 1))
+def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
+    """The parts, of a length, of the vectors that R' takes to what vanishes, or next to it."""
+    width = R.shape[1]
+    for first in range(0, item.vector.numel() - width + 1, width):
+        whole = solve_spd(R @ R.T, R @ item.vector[first : first + width])
+        yield from (Vanishing(item.of, whole[k : k + size], item.proved) for k in range(whole.numel() - size + 1))
 
 
 def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:

@@ -185,7 +185,8 @@ def _others(robot: Any) -> dict[str, Any]:
     import pinocchio as pin
 
     chain = robot.chain
-    models = {group: chain.model.copy() for group in ("lengths", "axes", "tool", "tool_rotation", "gravity", "inertia", "all")}
+    groups = ("lengths", "axes", "tool", "tool_rotation", "gravity", "inertia", "all")
+    models = {group: chain.model.copy() for group in groups}
     turn = pin.exp3(np.array([0.1, 0.2, 0.3]))
     for i in range(1, chain.model.njoints):
         place, body = chain.model.jointPlacements[i], chain.model.inertias[i]

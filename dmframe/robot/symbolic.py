@@ -125,7 +125,7 @@ class SymbolicRobot:
         return other
 
     def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
-        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; and these as columns, those
+        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; these as columns, those
         of the joints and that of the tool.
         """
         other = copy.copy(self)
