@@ -50,9 +50,9 @@ class PoseTracking(AbstractBlock):
     Notes
     -----
     Almost global: with D for the output R_apart, 8 times the square of the sine of half the angle between R and
-    :math:`R_d`, :math:`|e_R|^2 = D (8 - D)/4`. So where :math:`e_R` goes to zero, the tool comes to its orientation, or to
-    half a turn from it, where D is 8. V holds half of :math:`\mathrm{lever}^2 D` and does not grow: from
-    :math:`V(0) < 4\, \mathrm{lever}^2` it never gets there. From beyond it may, but does not stay but by chance: D is
+    :math:`R_d`, :math:`|e_R|^2 = D (8 - D)/4`. So where :math:`e_R` goes to zero, the tool comes to its orientation, or
+    to half a turn from it, where D is 8. V holds half of :math:`\mathrm{lever}^2 D` and does not grow: from
+    :math:`V(0) < 4\, \mathrm{lever}^2` it never gets there. From beyond it may, but stays there by chance alone: D is
     largest there, and the reference leads away from it.
 
     Not for: a singular Jacobian, or kinematics that are uncertain: `observed_pose_tracking`.

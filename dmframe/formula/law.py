@@ -150,8 +150,7 @@ class Energy:
     def __init__(self, certificate: Certificate, scalars: Certificate, reader: Reader, vectors: Reader) -> None:
         self._reader, self._vectors = reader, vectors
         self._pairs = {
-            role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True))
-            for role in ROLES
+            role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True)) for role in ROLES
         }
         self._certificate, self._scalars = certificate, scalars
         self._nodes = {role: [self._term(*pair) for pair in pairs] for role, pairs in self._pairs.items()}
