@@ -22,7 +22,7 @@ class Turning(AbstractBlock):
 
     .. math::
 
-        a = \mathrm{speed}\, t + \mathrm{amplitude} \sin(\mathrm{rate}\, t + \mathrm{phase})   \tag{1}
+        a = \mathrm{spin}\, t + \mathrm{amplitude} \sin(\mathrm{rate}\, t + \mathrm{phase})   \tag{1}
 
     and its quaternion :math:`p_d` that of the turn by a, times that of the orientation from which it turns.
 
@@ -38,7 +38,7 @@ class Turning(AbstractBlock):
         Angular frequency of the swing.
     phase : scalar, rad
         Where in the swing it begins.
-    speed : scalar, rad/s
+    spin : scalar, rad/s
         At which it goes round beside the swing.
     """
 
@@ -51,7 +51,7 @@ class Turning(AbstractBlock):
     amplitude: Scalar = Real("", "rad", default=0.0)
     rate: Scalar = Real("", "rad/s", default=0.0)
     phase: Scalar = Real("", "rad", default=0.0)
-    speed: Scalar = Real("", "rad/s", default=0.0)
+    spin: Scalar = Real("", "rad/s", default=0.0)
 
     @model_validator(mode="after")
     def _an_axis(self) -> Turning:
@@ -61,5 +61,5 @@ class Turning(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        a: Any = named("a", p.speed * u.t + p.amplitude * ca.sin(p.rate * u.t + p.phase))
+        a: Any = named("a", p.spin * u.t + p.amplitude * ca.sin(p.rate * u.t + p.phase))
         return Equations(outputs={"p_d": turned(about(p.axis, a), quaternion(p.orientation))})

@@ -114,9 +114,9 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
                 step = f"{whole} {made}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
         if R.shape[0] > goal.vector.shape[0]:
-            for item in vanishing:
-                if _made_of(own, symbols, goal.vector, list(_parts(item, R, goal.vector.numel()))) is not None:
-                    step = f"it is part of what {name}' takes to {item.of}, and {name} has full row rank"
+            for gone in vanishing:
+                if _made_of(own, symbols, goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
+                    step = f"it is part of what {name}' takes to {gone.of}, and {name} has full row rank"
                     return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
 
