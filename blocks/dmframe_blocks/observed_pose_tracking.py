@@ -18,11 +18,11 @@ from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, righ
 
 @final
 class ObservedPoseTracking(AbstractBlock):
-    r"""`pose_tracking` from the observed instead of the measured position.
+    r"""Joint reference for position and orientation, from the observed instead of the measured position.
 
     Only the rows of the position are uncertain: no length is in an orientation, so that R and the lower rows of
     :math:`J_{pose}` are known, and its upper ones are :math:`\hat J`, as the observer has it. With E and G of
-    :math:`p_d` as there,
+    :math:`p_d` as in `pose_tracking`,
 
     .. math::
 
@@ -56,7 +56,7 @@ class ObservedPoseTracking(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eqs. (20), (22), (30), (31), for a pose; [Siciliano2009]_ section 3.7.3 for errors of an orientation.
+    [WangTAC2020]_ eqs. (30), (31), for a pose; [Siciliano2009]_ section 3.7.3 for errors of an orientation.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (

@@ -14,7 +14,7 @@ import xarray
 from dmframe.config import load_experiment
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
-EXTRAS = {"divergence", "interrupted", "notices", "rank"}
+EXTRAS = {"divergence", "interrupted", "notices", "rank", "turn"}
 FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
 SHORT = ("--until", "0.5 s", "--no-plots")
 UNBOXED = ("--set", "dynamics.a_d_hat_box=null", "--set", "inverse.w_box=null")
