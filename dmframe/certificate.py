@@ -167,6 +167,9 @@ class Certificate:
         Signals that stay bounded although V does not weigh them.
     estimates
         The block's states that are estimates, with what they estimate. Their squares are added to the storage.
+    errors
+        Errors that the block is there to take away, where its storage holds them in another form; V does not count
+        them. That they go to zero is concluded if what is dissipated says so.
     """
 
     storage: tuple[Stored, ...] = ()
@@ -179,6 +182,7 @@ class Certificate:
     excess: tuple[Bounded, ...] = ()
     driven: tuple[Driven, ...] = ()
     estimates: Mapping[str, TrueValue] = field(default_factory=dict)
+    errors: tuple[Square, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -186,7 +190,7 @@ class Certificate:
     @property
     def pieces(self) -> list[SX]:
         """All its expressions."""
-        terms = (*self.storage, *self.dissipation, *self.excess, *self.driven, *self.estimates.values())
+        terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
         consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
         pieces = (piece for term in terms for piece in term.pieces)
         return [ca.SX(piece) for piece in (*pieces, self.supply, *consumed, *self.pays)]
@@ -202,6 +206,7 @@ class Certificate:
             storage=tuple(rebuilt(term) for term in self.storage),
             dissipation=tuple(rebuilt(term) for term in self.dissipation),
             excess=tuple(rebuilt(term) for term in self.excess),
+            errors=tuple(rebuilt(term) for term in self.errors),
             driven=tuple(rebuilt(term) for term in self.driven),
             estimates={name: rebuilt(term) for name, term in self.estimates.items()},
             supply=next(done),

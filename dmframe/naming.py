@@ -169,7 +169,7 @@ RESERVED: Final = frozenset(
     "sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh exp log log10 log1p expm1 sqrt abs fabs sgn sign min "
     "max fmin fmax atan2 floor ceil mod fmod pow erf sum vec hadamard diag diagonal norm dot cross det inv trace "
     "transpose derivative solve solve_spd clip beyond and or not if else "
-    "f J Y_k W_k Y_inertia Y_momentum Y_kinetic Y_gravity Y_d M C g g_full phi I d".split()
+    "f J R_tool J_turn Y_k W_k Y_inertia Y_momentum Y_kinetic Y_gravity Y_d M C g g_full phi I d".split()
 )
 """Names under which formulas print functions of the framework, of the robot and of mathematics."""
 

@@ -9,11 +9,12 @@ from pydantic import model_validator
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.parameter import Real, Vector
 from dmframe.port import Port, Side
+from dmframe_blocks._quaternions import quaternion
 
 
 @final
 class Setpoint(AbstractBlock):
-    """A constant goal, in the task or at the joints.
+    """A constant goal, in the task or at the joints; of a tool, with its orientation.
 
     Parameters
     ----------
@@ -21,6 +22,8 @@ class Setpoint(AbstractBlock):
         The goal of the tool. Give this one or `q_d`.
     q_d : (n,), rad
         The goal of the joints.
+    orientation : (3,), rad
+        Of the tool in the base's frame, a rotation vector: axis times angle. Absent unless given.
 
     Notes
     -----
@@ -28,10 +31,15 @@ class Setpoint(AbstractBlock):
     """
 
     side: ClassVar[Side] = Side.SOURCE
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("x_d", "m", "m", optional=True),
+        Port("q_d", "n", "rad", optional=True),
+        Port("p_d", "4", optional=True),
+    )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)
     q_d: Vector | None = Real("n", "rad", default=None, spread=False)
+    orientation: Vector | None = Real("3", "rad", default=None, spread=False)
 
     @model_validator(mode="after")
     def _one_goal(self) -> Setpoint:
@@ -41,4 +49,5 @@ class Setpoint(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The goal that is given."""
-        return Equations(outputs={name: getattr(p, name) for name in ("x_d", "q_d") if name in p})
+        outputs = {name: getattr(p, name) for name in ("x_d", "q_d") if name in p}
+        return Equations(outputs=outputs | ({"p_d": quaternion(p.orientation)} if "orientation" in p else {}))

@@ -12,6 +12,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.naming import operation
 from dmframe.parameter import Real, Rows, Table, Vector
 from dmframe.port import TIME, Port, Side
+from dmframe_blocks._quaternions import partly, quaternion, turned
 
 
 @final
@@ -21,7 +22,8 @@ class Waypoints(AbstractBlock):
     Of each leg the share :math:`s(\tau) = 10 \tau^3 - 15 \tau^4 + 6 \tau^5` is behind, :math:`\tau` being the share of
     its time that has passed: 0 before it begins, 1 after it ends.
 
-    Twice continuously differentiable; it stays at the last point.
+    Twice continuously differentiable; it stays at the last point. With `orientations` the tool turns on each leg about
+    one axis, on the shortest way, and the same share of that turn is behind.
 
     Parameters
     ----------
@@ -31,19 +33,26 @@ class Waypoints(AbstractBlock):
         Points of the tool. Give these or `q_d`.
     q_d : one row a time, (n,), rad
         Points of the joints.
+    orientations : one row a time, (3,), rad
+        Of the tool in the base's frame, rotation vectors: axis times angle. Absent unless given.
 
     References
     ----------
-    [Flash1985]_ for s.
+    [Flash1985]_ for s; [Shoemake1985]_ for turns on the shortest way.
     """
 
     side: ClassVar[Side] = Side.SOURCE
     inputs: ClassVar[tuple[Port, ...]] = (TIME,)
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("x_d", "m", "m", optional=True),
+        Port("q_d", "n", "rad", optional=True),
+        Port("p_d", "4", optional=True),
+    )
 
     times: Vector = Real("*", "s", spread=False)
     x_d: Table | None = Rows("m", "m", default=None)
     q_d: Table | None = Rows("n", "rad", default=None)
+    orientations: Table | None = Rows("3", "rad", default=None)
 
     @model_validator(mode="after")
     def _one_path(self) -> Waypoints:
@@ -52,18 +61,26 @@ class Waypoints(AbstractBlock):
         rows = len(self.x_d or self.q_d or ())
         if rows != len(self.times) or rows < 2:
             raise ValueError(f"expected as many points as times and at least 2, found {rows} and {len(self.times)}")
+        if self.orientations is not None and len(self.orientations) != rows:
+            raise ValueError(f"expected as many orientations as times, found {len(self.orientations)} and {rows}")
         if any(later <= earlier for earlier, later in pairwise(self.times)):
             raise ValueError(f"expected increasing times, found {list(self.times)}")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """A sum over the legs."""
+        """A sum over the legs, and a product of their turns."""
         name = "x_d" if "x_d" in p else "q_d"
         points, times = ca.vertsplit(getattr(p, name)), ca.vertsplit(p.times)
         desired = points[0].T
         for (start, end), (begins, ends) in zip(pairwise(points), pairwise(times), strict=True):
             desired += (end - start).T * behind(u.t, begins, ends)
-        return Equations(outputs={name: desired})
+        if "orientations" not in p:
+            return Equations(outputs={name: desired})
+        ends_of_legs = [quaternion(row.T) for row in ca.vertsplit(p.orientations)]
+        p_d = ends_of_legs[0]
+        for (start, end), (begins, ends) in zip(pairwise(ends_of_legs), pairwise(times), strict=True):
+            p_d = turned(p_d, partly(start, end, behind(u.t, begins, ends)))
+        return Equations(outputs={name: desired, "p_d": p_d})
 
 
 @operation

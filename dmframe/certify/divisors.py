@@ -25,6 +25,10 @@ SHOWN = 60
 
 def written(divisor: SX) -> str:
     """A divisor's text; of a long one, what it is made of."""
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(divisor))
+    names = {symbol.name().rpartition("_")[0] for symbol in ca.symvar(divisor)}
+    if len(names) == 1 < symbols.numel() and ca.is_equal(divisor, ca.sumsqr(symbols), symbols.numel() + 2):
+        return f"|{names.pop()}|^2"
     text = str(divisor)
     if len(text) <= SHOWN:
         return text

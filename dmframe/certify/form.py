@@ -20,6 +20,7 @@ from dmframe.certificate import (
     Square,
 )
 from dmframe.errors import DmframeError, nearest
+from dmframe.formula.law import ROLES
 
 STORED: Final = (Square, Gathered)
 DISSIPATED: Final = (Square, NormSquare, Lemma, Gathered)
@@ -46,10 +47,12 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if not all(type(term) in BOUNDED for term in certificate.excess):
         yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
+    if not all(type(term) is Square for term in certificate.errors):
+        yield "expected each of the errors to be a Square"
     for what, pieces in _stated(certificate):
         if any(isinstance(piece, ca.MX) for piece in pieces):
             yield f"{what}: expected expressions of its u, x, p and truth, found an MX; write constants as ca.DM"
-    for term in (*certificate.storage, *terms, *certificate.excess):
+    for term in (*certificate.storage, *terms, *certificate.excess, *certificate.errors):
         pieces, where = [ca.SX(piece) for piece in term.pieces], term.of or f"a {type(term).__name__}"
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
             yield f"{where}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
@@ -77,7 +80,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     """All expressions of a certificate, by its fields."""
-    for role in ("storage", "dissipation", "excess", "driven"):
+    for role in (*ROLES, "driven"):
         yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
     consumed = certificate.consumes
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]

@@ -12,7 +12,7 @@ import casadi as ca
 from dmframe.certificate import SX, Certificate, Clipped, Lemma, NormSquare
 from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
-from dmframe.formula.law import PrintedLaw, PrintedTerm
+from dmframe.formula.law import ROLES, PrintedLaw, PrintedTerm
 
 _DEEP: Final = 1000
 
@@ -49,7 +49,7 @@ def _alike(stated: Mapping[str, Certificate], laws: Mapping[str, PrintedLaw]) ->
 
 def _written(certificate: Certificate, law: PrintedLaw) -> Iterator[tuple[str, SX]]:
     """Each vector of a certificate, with how it prints."""
-    for role in ("storage", "dissipation", "excess"):
+    for role in ROLES:
         for term, line in zip(getattr(certificate, role), getattr(law, role), strict=True):
             yield line.vector.text, _vector(term)
             if isinstance(term, NormSquare) and line.by is not None:
@@ -85,6 +85,7 @@ def _named(name: str, certificate: Certificate, law: PrintedLaw, alike: Mapping[
         storage=told(certificate.storage, law.storage),
         dissipation=told(certificate.dissipation, law.dissipation),
         excess=told(certificate.excess, law.excess),
+        errors=told(certificate.errors, law.errors),
         driven=driven,
     )
 

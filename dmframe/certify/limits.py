@@ -4,9 +4,10 @@ Let every :math:`z_k \to 0`. A vector w goes to zero if it is, identically and e
 
 .. math:: w = \sum_k c_k z_k \quad\text{or}\quad R^\top w = \sum_k c_k z_k
 
-with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. The constants are
-not guessed: they are solved for at random points of a prime field, more points than there are constants, with the
-parameters at the graph's own numbers.
+with constants :math:`c_k`, and R of full row rank, uniformly: then :math:`|R^\top w|^2 \ge c |w|^2`. With such an R,
+:math:`(R R^\top)^{-1} R z_k` goes to zero too, which :math:`R^\top` takes to :math:`z_k` or next to it, and so does
+what is made of its parts. The constants are not guessed: they are solved for at random points of a prime field, more
+points than there are constants, with the parameters at the graph's own numbers.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from dmframe.errors import listed
 from dmframe.exact import Tape
 from dmframe.exact.linear import rank
 from dmframe.exact.shift import Shift, ZeroDivision
+from dmframe.linalg import solve_spd
 
 
 @final
@@ -72,11 +74,11 @@ class Made:
 
 
 def goals(claim: Claim, closure: Closure) -> list[Goal]:
-    """The errors that V holds, and those that a stable equation drives."""
+    """The errors that V holds, those that certificates name beside it, and those that a stable equation drives."""
     found = {
         term.of: Goal(term.of, term.vector)
         for part in claim.parts
-        for term in part.certificate.storage
+        for term in (*part.certificate.storage, *part.certificate.errors)
         if isinstance(term, Square)
     }
     for item in closure.driven:
@@ -111,7 +113,20 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
                 made = "goes to zero" if used == [whole] else f"is made of {listed(used)}"
                 step = f"{whole} {made}, and {name} has full row rank"
                 return Made(step, (f"{name} keeps full row rank, uniformly",))
+        if R.shape[0] > goal.vector.shape[0]:
+            for gone in vanishing:
+                if _made_of(own, symbols, goal.vector, list(_parts(gone, R, goal.vector.numel()))) is not None:
+                    step = f"it is part of what {name}' takes to {gone.of}, and {name} has full row rank"
+                    return Made(step, (f"{name} keeps full row rank, uniformly",))
     return None
+
+
+def _parts(item: Vanishing, R: SX, size: int) -> Iterator[Vanishing]:
+    """The parts, of a length, of the vectors that R' takes to what vanishes, or next to it."""
+    width = R.shape[1]
+    for first in range(0, item.vector.numel() - width + 1, width):
+        whole = solve_spd(R @ R.T, R @ item.vector[first : first + width])
+        yield from (Vanishing(item.of, whole[k : k + size], item.proved) for k in range(whole.numel() - size + 1))
 
 
 def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:

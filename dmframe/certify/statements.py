@@ -142,7 +142,7 @@ def _vectors(claim: Claim) -> dict[str, SX]:
     found = dict[str, SX]()
     for part in claim.parts:
         certificate = part.certificate
-        for term in (*certificate.storage, *certificate.dissipation, *certificate.excess):
+        for term in (*certificate.storage, *certificate.dissipation, *certificate.excess, *certificate.errors):
             if isinstance(term, Lemma):
                 found[term.of] = term.first - term.second
             else:
@@ -208,6 +208,7 @@ def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing])
 def _wanted(claim: Claim, closure: Closure) -> set[str]:
     """Errors for whose sake the loop is built: of the task level or driven by it, and about the robot."""
     task = {term.of: term.vector for part, term in _stored(claim) if part.cascade}
+    task |= {term.of: term.vector for part in claim.parts for term in part.certificate.errors}
     pairs = [pair for item in closure.driven for pair in zip(item.of, item.bounded, strict=True)]
     plant = symbols_in(variable.symbol for variable in claim.loop.plant)
     desired = symbols_in(leaf.symbol for leaf in claim.loop.trajectories)

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, Final, final
 
+import casadi as ca
 import numpy as np
 
 from dmframe.block.model import BlockModel, Recalled, same_expression, signals_of, stated_by, symbols_in
@@ -35,6 +36,7 @@ WORDS: Final[Mapping[str, str]] = {
     "lengths": "the link lengths",
     "axes": "the joint axes",
     "tool": "the tool offset",
+    "tool_rotation": "the tool's orientation on the last link",
     "gravity": "gravity",
     "friction_velocity": "the friction velocity v_0",
     "inertia": "the masses and inertias",
@@ -128,11 +130,12 @@ def _of_robot(diagram: Diagram, model: BlockModel) -> Iterator[tuple[str, str]]:
     stated = _signals(model)
     for group, symbols in _groups(model.robot).items():
         yield from ((group, signal) for signal, expression in stated.items() if symbols_in([expression]) & symbols)
-    pointed, axes = model.robot.with_free_axes()
+    pointed, axes, tool = model.robot.with_free_axes()
     restated = _restated(diagram, model, pointed)
-    for signal in stated:
-        if signal not in restated or symbols_in([restated[signal]]) & symbols_in([axes]):
-            yield "axes", signal
+    for group, turned in (("axes", symbols_in([axes])), ("tool_rotation", symbols_in([tool]))):
+        for signal in stated:
+            if (signal not in restated and group == "axes") or symbols_in([restated.get(signal, ca.SX())]) & turned:
+                yield group, signal
     others = _others(model.robot)
     if not list(_changed(diagram, model, others.pop("all"))):
         return
@@ -158,7 +161,11 @@ def _groups(robot: Any) -> dict[str, set[int]]:
     links = robot.k - 3
     lengths = columns.pop("a_k")
     found = {"lengths": symbols_in([lengths[:links]]), "tool": symbols_in([lengths[links:]])}
-    return found | {{"rotations": "axes"}.get(key, key): symbols_in([symbol]) for key, symbol in columns.items()}
+    if "rotations" in columns:  # the tool's stand last
+        turns = columns.pop("rotations")
+        own = turns.numel() - sum(x not in (0, 1, -1) for row in robot.chain.tool_rotation for x in row)
+        found |= {"axes": symbols_in([turns[:own]]), "tool_rotation": symbols_in([turns[own:]])}
+    return found | {key: symbols_in([symbol]) for key, symbol in columns.items()}
 
 
 def _restated(diagram: Diagram, model: BlockModel, robot: Any) -> dict[str, SX]:
@@ -178,7 +185,8 @@ def _others(robot: Any) -> dict[str, Any]:
     import pinocchio as pin
 
     chain = robot.chain
-    models = {group: chain.model.copy() for group in ("lengths", "axes", "tool", "gravity", "inertia", "all")}
+    groups = ("lengths", "axes", "tool", "tool_rotation", "gravity", "inertia", "all")
+    models = {group: chain.model.copy() for group in groups}
     turn = pin.exp3(np.array([0.1, 0.2, 0.3]))
     for i in range(1, chain.model.njoints):
         place, body = chain.model.jointPlacements[i], chain.model.inertias[i]
@@ -189,8 +197,10 @@ def _others(robot: Any) -> dict[str, Any]:
         for group in ("inertia", "all"):
             models[group].inertias[i] = pin.Inertia(body.mass * 1.5 + 0.1, body.lever + 0.1, body.inertia * 1.5)
     tool = chain.model.frames[chain.model_tool].placement
-    for group in ("tool", "all"):
-        models[group].frames[chain.model_tool].placement = pin.SE3(tool.rotation, tool.translation * 1.5 + 0.1)
+    moved, turned = tool.translation * 1.5 + 0.1, tool.rotation @ turn
+    models["tool"].frames[chain.model_tool].placement = pin.SE3(tool.rotation, moved)
+    models["tool_rotation"].frames[chain.model_tool].placement = pin.SE3(turned, tool.translation)
+    models["all"].frames[chain.model_tool].placement = pin.SE3(turned, moved)
     for group in ("gravity", "all"):
         models[group].gravity.linear = chain.model.gravity.linear * 1.5 + 0.1
     moves = {"translation": lambda joint: _other(joint.translation)}
@@ -203,6 +213,7 @@ def _others(robot: Any) -> dict[str, Any]:
         "lengths": {"joints": joints(moves)},
         "axes": {"joints": joints(turns)},
         "tool": {"tool": _other(chain.tool)},
+        "tool_rotation": {"tool_rotation": tuple(map(_other, chain.tool_rotation))},
         "gravity": {"gravity": _other(chain.gravity)},
         "friction_velocity": {"friction_velocity": chain.friction_velocity * math.pi},
         "inertia": {"inertia": tuple(map(_other, chain.inertia))},

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, final
+from typing import Any, Final, final
 
 from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square, beyond, clip
 from dmframe.formula import tree
@@ -69,8 +69,8 @@ class PrintedLaw:
     outputs, rates
         Its equations; an output that is a state or a parameter as it stands is left out. Rates come first, then the
         sampled states one sample later.
-    storage, dissipation, excess
-        Terms of the certificate, in its order; S is half the sum of the first.
+    storage, dissipation, excess, errors
+        Terms of the certificate, in its order; S is half the sum of the first, and the last are in no sum.
     driven
         Of each `Driven` of the certificate, in its order, what is bounded.
     estimates
@@ -93,6 +93,7 @@ class PrintedLaw:
     storage: tuple[PrintedTerm, ...] = ()
     dissipation: tuple[PrintedTerm, ...] = ()
     excess: tuple[PrintedTerm, ...] = ()
+    errors: tuple[PrintedTerm, ...] = ()
     driven: tuple[tuple[Formula, ...], ...] = ()
     estimates: tuple[Line, ...] = ()
     truths: tuple[Line, ...] = ()
@@ -109,6 +110,9 @@ class PrintedLaw:
         energy = [line for line in (self.S, self.dS) if line is not None]
         return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
 
+
+ROLES: Final = ("storage", "dissipation", "excess", "errors")
+"""The fields of a certificate that hold terms."""
 
 Reader = Callable[[Any, Any], Node]
 """The tree of an expression, given as it was read and as scalars."""
@@ -146,8 +150,7 @@ class Energy:
     def __init__(self, certificate: Certificate, scalars: Certificate, reader: Reader, vectors: Reader) -> None:
         self._reader, self._vectors = reader, vectors
         self._pairs = {
-            role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True))
-            for role in ("storage", "dissipation", "excess")
+            role: list(zip(getattr(certificate, role), getattr(scalars, role), strict=True)) for role in ROLES
         }
         self._certificate, self._scalars = certificate, scalars
         self._nodes = {role: [self._term(*pair) for pair in pairs] for role, pairs in self._pairs.items()}

@@ -18,7 +18,7 @@ from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
-from dmframe.formula.law import Energy, Line, PrintedLaw, line, lines, rate_of
+from dmframe.formula.law import ROLES, Energy, Line, PrintedLaw, line, lines, rate_of
 from dmframe.formula.points import MOST, NEAR, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
 from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
@@ -335,6 +335,7 @@ class ReadBlock:
             storage=energy.terms("storage"),
             dissipation=energy.terms("dissipation"),
             excess=energy.terms("excess"),
+            errors=energy.terms("errors"),
             driven=energy.driven(),
             estimates=energy.estimates(),
             truths=energy.truths(),
@@ -381,7 +382,7 @@ class ReadBlock:
 def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
     """All expressions of a certificate, with what they are."""
     found = list[tuple[str, Any]]()
-    for role in ("storage", "dissipation", "excess"):
+    for role in ROLES:
         for place, term in enumerate(getattr(certificate, role), start=1):
             kind = type(term).__name__
             found += [(f"{kind} {place} of its {role}", piece) for piece in term.pieces]

@@ -16,6 +16,8 @@ from dmframe.robot.symbolic import SymbolicRobot
 SIGNS: Final[Mapping[str, str]] = {
     "position": "f",
     "jacobian": "J",
+    "rotation": "R_tool",
+    "angular_jacobian": "J_turn",
     "kinematic_regressor": "Y_k",
     "position_regressor": "W_k",
     "regressor": "Y_inertia",
@@ -183,6 +185,14 @@ class ReadRobot:
     def jacobian(self, q: Any, a_k: Any = None) -> Any:
         """The Jacobian of the tool's position; of other translations where a second argument gives them."""
         return self._call("jacobian", q=q, a_k=a_k)
+
+    def rotation(self, q: Any) -> Any:
+        """The orientation of the tool, its frame's axes in those of the base."""
+        return self._call("rotation", q=q)
+
+    def angular_jacobian(self, q: Any) -> Any:
+        """The Jacobian of the tool's angular velocity, in the axes of the base."""
+        return self._call("angular_jacobian", q=q)
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
         """The kinematic regressor: J(`q`) `psi` is Y_k(`q`, `psi`) `a_k`, but for sliding joints."""

@@ -44,12 +44,15 @@ class Runs(Sequence[Run]):
 
     @property
     def table(self) -> pandas.DataFrame:
-        """A row a run: what was set, clock and duration [s], did it diverge, the error's RMS in each eighth."""
+        """A row a run: what was set, clock and duration [s], did it diverge; the error's RMS in each eighth, and that
+        of a tool's turn [deg].
+        """
         import pandas
 
         rows = list[dict[str, Any]]()
         for run in self.runs:
             told, error = run.summary, run.error
+            turned = run.turn.rms_by_eighth if run.turn is not None else ()
             eighths = error.rms_by_eighth if error is not None else ()
             clock = None if told["clock"] == "continuous" else told["clock"]
             rows.append(
@@ -57,6 +60,7 @@ class Runs(Sequence[Run]):
                 | {"diverged": told["diverged"], "wall_time": told["wall_time"]}
                 | {"error": error.signal if error else None, "unit": error.unit if error else None}
                 | {f"rms_{k}": value for k, value in enumerate(eighths, start=1)}
+                | {f"turn_{k}": value for k, value in enumerate(turned, start=1)}
             )
         return pandas.DataFrame(rows, columns=None if rows else ["run"]).set_index("run")
 

@@ -141,6 +141,7 @@ class Explanation:
                 "the proof and for the results."
             )
         known = {word for block in self.blocks for word in block.knows}
+        known |= {WORDS["tool_rotation"]}  # the plant's equations do not hold it
         if self.diagram.robot is not None and (unknown := [word for word in WORDS.values() if word not in known]):
             yield f"No block of the controller holds these numbers of the robot: {', '.join(unknown)}."
 

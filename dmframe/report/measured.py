@@ -16,7 +16,7 @@ from dmframe.errors import DmframeError
 from dmframe.exact.rational import as_float
 from dmframe.plotting import figure_svg
 from dmframe.report.notation import latex
-from dmframe.results.metrics import tracking_error
+from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.results.storage_figure import storage_picture
 from dmframe.simulate import Log, Recording
 from dmframe.units import plain
@@ -114,7 +114,7 @@ def _judged(found: Along, clock: float | None) -> str:
 
 
 def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
-    told, error = "reached its end", tracking_error(run)
+    told, error, turn = "reached its end", tracking_error(run), turn_error(run)
     if run.divergence is not None:
         told = f"diverged: `{run.divergence.block}.{run.divergence.state}` {run.divergence.how}"
     facts = [("simulated time", f"{plain(float(run.time[-1]), 's')} of {plain(run.duration, 's')}; the run {told}")]
@@ -123,6 +123,11 @@ def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
         rms = [f"{value:.3g}" if value is not None else "-" for value in error.rms_by_eighth]
         facts.append((f"RMS of $|{latex(error.signal)}|$ over each eighth of the run, {error.unit}", ", ".join(rms)))
         numbers["rms_by_eighth"] = list(error.rms_by_eighth)
+    if turn is not None:
+        rms = [f"{value:.3g}" if value is not None else "-" for value in turn.rms_by_eighth]
+        about = f"RMS of the angle between $R$ and $R_d$ over each eighth of the run, {turn.unit}"
+        facts.append((about, ", ".join(rms)))
+        numbers["turn_rms_by_eighth"] = list(turn.rms_by_eighth)
     facts += [("notice", notice) for notice in run.notices]
     return facts, numbers
 

@@ -1,9 +1,9 @@
 """What a run leaves behind: metrics, labelled data, a folder of results, figures."""
 
 from dmframe.results.folder import write_run
-from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.place import reserved
 from dmframe.results.run import Run
 from dmframe.results.summary import summary
 
-__all__ = ["Run", "TrackingError", "reserved", "summary", "tracking_error", "write_run"]
+__all__ = ["Run", "TrackingError", "TurnError", "reserved", "summary", "tracking_error", "turn_error", "write_run"]

@@ -31,21 +31,24 @@ from dmframe.results.drawn_runs import (
     told,
     why_not_with,
 )
-from dmframe.results.metrics import TrackingError
+from dmframe.results.metrics import turn_error
 from dmframe.simulate import Recording
 
 
 def error_figure(runs: Runs) -> Any:
-    """Tracking error against time, a panel a coordinate, and its norm on a logarithmic scale; None without a goal."""
+    """Tracking error against time, a panel a coordinate, and its norm on a logarithmic scale, with the angle by which a
+    tool is turned from its orientation; None without a goal.
+    """
     same = errors_of(runs)
     if not same:
         return None
     first = next(iter(same))
     labels = coordinate_labels(runs[first], same[first])
-    with page(COLUMN, 0.75 + 0.85 * len(labels) + 1.25) as figure:
-        panels = figure.subplots(
-            len(labels) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.0] * len(labels) + [1.4]
-        )[:, 0]
+    turns = {name: turn for name in same if (turn := turn_error(runs[name])) is not None}
+    below = [1.4, 1.4] if turns else [1.4]
+    with page(COLUMN, 0.75 + 0.85 * len(labels) + 1.25 * len(below)) as figure:
+        heights = [1.0] * len(labels) + below
+        panels = figure.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
         most = max(200, min(2000, POINTS // (len(same) * len(panels))))
         for row, (label, unit, scale) in enumerate(labels):
             for place, (name, error) in enumerate(same.items()):
@@ -55,7 +58,13 @@ def error_figure(runs: Runs) -> Any:
             curves = [(tame(e.values[:, row]) * scale, runs[name].divergence is not None) for name, e in same.items()]
             frame(panels[row], curves, zero=True)
             panels[row].set_ylabel(f"{label} [{unit_text(unit)}]")
-        _norms(panels[-1], same, runs, labels, most)
+        kinds = {name: _kind(place, name, runs[name]) for place, name in enumerate(same)}
+        units = list(dict.fromkeys(unit for _, unit, _ in labels))
+        norms = {name: (error.times, tame(error.norm) * labels[0][2]) for name, error in same.items()}
+        _norms(panels[len(labels)], norms, runs, kinds, f"norm [{', '.join(units)}]", most)
+        if turns:
+            angles = {name: (turn.times, tame(turn.angle)) for name, turn in turns.items()}
+            _norms(panels[-1], angles, runs, kinds, "turn [deg]", most)
         mark_divergence(panels, {name: runs[name] for name in same})
         set_times(panels[-1], [runs[name] for name in same])
         names_above(figure, panels[0], COLUMN)
@@ -64,18 +73,21 @@ def error_figure(runs: Runs) -> Any:
 
 
 def _norms(
-    axes: Any, errors: Mapping[str, TrackingError], runs: Runs, labels: list[tuple[str, str, float]], most: int
+    axes: Any,
+    norms: Mapping[str, tuple[np.ndarray, np.ndarray]],
+    runs: Runs,
+    kinds: Mapping[str, Mapping[str, Any]],
+    label: str,
+    most: int,
 ) -> None:
-    units, scale = list(dict.fromkeys(unit for _, unit, _ in labels)), labels[0][2]
     tops, bottoms = list[float](), list[float]()
-    for place, (name, error) in enumerate(errors.items()):
-        norm = tame(error.norm) * scale
+    for name, (times, norm) in norms.items():
         positive = norm[norm > 0]
-        draw_curve(axes, error.times, norm, most, **_kind(place, name, runs[name]))
+        draw_curve(axes, times, norm, most, **kinds[name])
         if positive.size:
             tops.append(span(positive, runs[name].divergence is not None)[1])
             bottoms.append(float(np.quantile(positive, 0.02)))
-    axes.set_ylabel(f"norm [{', '.join(units)}]")
+    axes.set_ylabel(label)
     top = max(tops, default=0.0)
     if top < VANISHING:
         frame(axes, [(np.zeros(1), False)], zero=True)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import numpy as np
 
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.simulate import Recording
+from dmframe.simulate.keep import apart_of
 from dmframe.units import plain
 
 EIGHTHS = 8
 _PREFERRED = ("x", "q")
+FARTHEST = 8.0
+"""The square of the distance of two rotation matrices that are half a turn from one another."""
 _ROUNDING = 1e-9  # an instant k T that should open an eighth may lie this much of an eighth before it
 
 
@@ -56,6 +59,50 @@ class TrackingError:
     def __repr__(self) -> str:
         first, last = ("-" if rms is None else plain(rms, self.unit) for rms in self.rms_by_eighth[:: EIGHTHS - 1])
         return f"<TrackingError {self.signal}: {first} in the first eighth, {last} in the last>"
+
+
+@final
+@dataclass(frozen=True, repr=False)
+class TurnError:
+    r"""The angle by which a tool is turned from its desired orientation, :math:`2 \arcsin(|R - R_d| / \sqrt 8)`.
+
+    Parameters
+    ----------
+    signal
+        The label ``block.R_apart`` of :math:`|R - R_d|^2`.
+    times
+        (N,) [s].
+    angle
+        (N,), from 0 to 180 [deg].
+    rms_by_eighth
+        Its root mean square over each eighth of the planned duration [deg]; None where the run never came.
+    """
+
+    signal: str
+    times: np.ndarray
+    angle: np.ndarray
+    rms_by_eighth: tuple[float | None, ...]
+
+    unit: ClassVar[str] = "deg"
+
+    @property
+    def rms_final(self) -> float | None:
+        """Over the last eighth [deg]; None where the run did not reach it."""
+        return self.rms_by_eighth[-1]
+
+    def __repr__(self) -> str:
+        first, last = ("-" if rms is None else plain(rms, self.unit) for rms in self.rms_by_eighth[:: EIGHTHS - 1])
+        return f"<TurnError: {first} in the first eighth, {last} in the last>"
+
+
+def turn_error(run: Recording) -> TurnError | None:
+    """The error of a tool's orientation in a run; None for a task without one."""
+    label = apart_of(run.diagram.loop)
+    if label is None:
+        return None
+    with np.errstate(invalid="ignore"):  # before a divergence
+        angle = np.degrees(2 * np.arcsin(np.sqrt(np.minimum(run[label][:, 0] / FARTHEST, 1.0))))
+    return TurnError(label, run.time, angle, rms_by_eighth(run.time, angle, run.duration))
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:

@@ -17,7 +17,7 @@ from dmframe.errors import UnknownNameError, ValueFault
 from dmframe.files import expanded
 from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
-from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.summary import summary
 from dmframe.simulate import Divergence, Recording
 from dmframe.units import plain
@@ -82,6 +82,11 @@ class Run:
     def error(self) -> TrackingError | None:
         """The tracking error, actual minus desired; None for a graph without a goal."""
         return tracking_error(self.recording)
+
+    @cached_property
+    def turn(self) -> TurnError | None:
+        """The angle between the tool's orientation and the desired one; None for a task without one."""
+        return turn_error(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -171,7 +176,8 @@ class Run:
         error = self.error
         if error is None or error.rms_final is None:
             return ""
-        return f", |{error.signal}| {plain(error.rms_final, error.unit)} RMS in the last eighth"
+        turned = "" if self.turn is None else f" and turned by {_shown(self.turn.rms_final, self.turn.unit)}"
+        return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
 def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figures:
@@ -195,18 +201,21 @@ def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, formats: Sequ
 def row(run: Run) -> tuple[str, ...]:
     """A run under `HEADS`."""
     told = run.summary
-    error = told["error"]
+    error, turn = told["error"], told["turn"]
     clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
-    first, last = (_rms(error, index) for index in (0, -1))
+    first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))
+    signal = (error["signal"] if error else "-") + (", turn" if turn else "")
     factor = told["real_time_factor"]
     speed = "-" if factor is None else f"{factor:.0f} x"
-    return run.name, clock, error["signal"] if error else "-", first, last, speed, told["engine"]
+    return run.name, clock, signal, first, last, speed, told["engine"]
 
 
-def _rms(error: Mapping[str, Any] | None, index: int) -> str:
-    if error is None or error["rms_by_eighth"][index] is None:
-        return "-"
-    return plain(error["rms_by_eighth"][index], error["unit"])
+def _rms(error: Mapping[str, Any], index: int) -> str:
+    return _shown(error["rms_by_eighth"][index], error["unit"])
+
+
+def _shown(value: float | None, unit: str) -> str:
+    return "-" if value is None else plain(value, unit)
 
 
 def ended(run: Run) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dmframe.results.metrics import tracking_error
+from dmframe.results.metrics import tracking_error, turn_error
 from dmframe.simulate import Recording
 
 
@@ -19,7 +19,7 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
     out
         The folder that holds the run's files, where there is one.
     """
-    error = tracking_error(run)
+    error, turn = tracking_error(run), turn_error(run)
     return {
         "graph": name,
         "duration": _number(run.duration),
@@ -34,6 +34,14 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
             "unit": error.unit,
             "rms_by_eighth": [_number(value) for value in error.rms_by_eighth],
             "rms_final": _number(error.rms_final),
+        },
+        "turn": None
+        if turn is None
+        else {
+            "signal": turn.signal,
+            "unit": turn.unit,
+            "rms_by_eighth": [_number(value) for value in turn.rms_by_eighth],
+            "rms_final": _number(turn.rms_final),
         },
         "rank": [
             {"signal": rank.signal, "unit": rank.unit}

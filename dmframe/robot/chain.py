@@ -53,6 +53,8 @@ class SerialChain:
     joints : n joints, from the base to the tool
     tool : (3,), m
         The tool point in the last joint's frame.
+    tool_rotation : (3, 3)
+        The tool's frame in the last joint's: it carries coordinates of the tool to the joint's.
     inertia : n rows of 10
         The elements of `dmframe.robot.parameters.Inertial`, link by link.
     gravity : (3,), m/s^2
@@ -67,6 +69,7 @@ class SerialChain:
     name: str
     joints: tuple[Joint, ...]
     tool: Vector
+    tool_rotation: Matrix
     inertia: tuple[Vector, ...]
     gravity: Vector
     axes: str
@@ -181,14 +184,17 @@ class SerialChain:
         reduced, tool_frame = reduce_model(model, name, free=free, hold=hold or {}, tool=tool, mimics=mimics)
         check_inertia(reduced, name)
         built = [_joint(reduced, i) for i in range(1, reduced.njoints)]
+        tool_placement = reduced.frames[tool_frame].placement
+        tool_rotation, tool_change = _rotation(tool_placement)
         return cls(
             name=name,
             joints=tuple(joint for joint, _ in built),
-            tool=_translation(reduced.frames[tool_frame].placement),
+            tool=_translation(tool_placement),
+            tool_rotation=tool_rotation,
             inertia=tuple(_decimals(body.toDynamicParameters()) for body in list(reduced.inertias)[1:]),
             gravity=_decimals(reduced.gravity.linear),
             axes=axes,
-            rotation_change=max(change for _, change in built),
+            rotation_change=max(tool_change, *(change for _, change in built)),
             friction_velocity=float(friction_velocity),
             model=reduced,
             model_tool=tool_frame,
@@ -218,11 +224,8 @@ def _joint(model: Any, index: int) -> tuple[Joint, float]:
     subspace = motion_subspace(joint)
     revolute = bool(np.any(subspace[3:]))
     axis = subspace[3:] if revolute else subspace[:3]
-    exact_axis, exact_rotation = rational_axis(axis), rational_rotation(placement.rotation)
-    change = max(
-        float(np.max(np.abs(np.array(exact_axis, dtype=float) - axis))),
-        float(np.max(np.abs(np.array(exact_rotation, dtype=float) - placement.rotation))),
-    )
+    exact_axis, (exact_rotation, turned) = rational_axis(axis), _rotation(placement)
+    change = max(float(np.max(np.abs(np.array(exact_axis, dtype=float) - axis))), turned)
     bounded = joint.nq == 1
     return Joint(
         name=model.names[index],
@@ -235,6 +238,12 @@ def _joint(model: Any, index: int) -> tuple[Joint, float]:
         velocity=_limit(model.velocityLimit[joint.idx_v]),
         effort=_limit(model.effortLimit[joint.idx_v]),
     ), change
+
+
+def _rotation(placement: Any) -> tuple[Matrix, float]:
+    """A placement's rotation made rational, and the largest change of an entry."""
+    exact = rational_rotation(placement.rotation)
+    return exact, float(np.max(np.abs(np.array(exact, dtype=float) - placement.rotation)))
 
 
 def _limit(value: float) -> float:

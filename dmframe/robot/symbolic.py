@@ -98,6 +98,7 @@ class SymbolicRobot:
             rotation = [[_entry(x, symbols) for x in row] for row in joint.rotation]
             axis = [_entry(x, symbols) for x in joint.axis]
             self._placements.append((_matrix(rotation), ca.vertcat(*axis)))
+        self._tool_rotation = _matrix([[_entry(x, symbols) for x in row] for row in chain.tool_rotation])
         symbols = iter(ca.vertsplit(self._gravity.symbol) if self._gravity.values else [])
         self.gravity = ca.vertcat(*(ca.SX(0) if x == 0 else next(symbols) for x in chain.gravity))
         pairs = zip(ca.vertsplit(self._a_k.symbol), kinematic, strict=True)
@@ -123,11 +124,15 @@ class SymbolicRobot:
         other.constants = tuple(replace(c, values=values[c.name.rpartition(".")[2]]) for c in self.constants)
         return other
 
-    def with_free_axes(self) -> tuple[SymbolicRobot, Any]:
-        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; and these, as a column."""
+    def with_free_axes(self) -> tuple[SymbolicRobot, Any, Any]:
+        """The same robot with all axes and rotations as symbols, even where they are 0 or 1; these as columns, those
+        of the joints and that of the tool.
+        """
         other = copy.copy(self)
         other._placements = [(ca.SX.sym("rotation", 3, 3), ca.SX.sym("axis", 3)) for _ in self._placements]
-        return other, ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
+        other._tool_rotation = ca.SX.sym("tool_rotation", 3, 3)
+        axes = ca.vertcat(*(ca.vertcat(ca.vec(R), a) for R, a in other._placements))
+        return other, axes, ca.vec(other._tool_rotation)
 
     def values(self) -> dict[str, NDArray[np.float64]]:
         """The numeric value of each constant, by name."""
@@ -158,6 +163,28 @@ class SymbolicRobot:
             for joint, axis, origin in zip(self.chain.joints, axes, origins, strict=True)
         ]
         return self._task(ca.horzcat(*columns))
+
+    def rotation(self, q: Any) -> Any:
+        r"""The tool's orientation R(q), SX (3, 3): it carries coordinates of the tool's frame to the base's.
+
+        Exactly orthogonal where sine and cosine are those of angles. Of a tool given as an offset alone, the last
+        joint's frame is that of the tool.
+        """
+        R = ca.SX.eye(3)
+        for link in self.links(q):
+            R = R @ link.rotation
+        return ca.densify(R @ self._tool_rotation)
+
+    def angular_jacobian(self, q: Any) -> Any:
+        r"""J_w(q) of the tool's angular velocity in the base's axes, :math:`\omega = J_w(q) \dot q`, SX (3, n).
+
+        :math:`\dot R = [\omega]_\times R`. Columns :math:`z_i`, of a prismatic joint zero; no length is in it.
+        """
+        R, axes = ca.SX.eye(3), []
+        for link in self.links(q):
+            R = R @ link.rotation
+            axes.append(R @ link.axis if link.revolute else ca.SX(3, 1))
+        return ca.densify(ca.horzcat(*axes))
 
     def kinematic_regressor(self, q: Any, psi: Any) -> Any:
         r"""Y_k(q, psi) of :math:`J(q)\psi = Y_k(q, \psi) a_k + J_p(q)\psi`, eq. (4), SX (m, k).
@@ -421,8 +448,10 @@ def _kinematic(chain: SerialChain) -> Vector:
 
 
 def _turns(chain: SerialChain) -> Vector:
-    """Rotation and axis of each joint, entry by entry."""
-    return tuple(x for joint in chain.joints for x in (*itertools.chain.from_iterable(joint.rotation), *joint.axis))
+    """Rotation and axis of each joint, and the tool's rotation, entry by entry."""
+    flatten = itertools.chain.from_iterable
+    joints = (x for joint in chain.joints for x in (*flatten(joint.rotation), *joint.axis))
+    return (*joints, *flatten(chain.tool_rotation))
 
 
 def _constant(name: str, values: Vector, unit: str) -> Constant:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 import numpy as np
 
 from dmframe.diagram import Diagram, Variable
-from dmframe.diagram.closed_loop import Signal
+from dmframe.diagram.closed_loop import ClosedLoop, Signal
 from dmframe.errors import EngineError, UnknownNameError, ValueFault, raise_all
 from dmframe.simulate.told import telling
 
@@ -19,6 +19,10 @@ MOST_NUMBERS = 500_000_000
 
 PLENTY = 20_000_000
 """Where nothing says how often to keep, a longer run keeps fewer instants, so that this many numbers do: 160 MB."""
+
+
+APART: Final = "R_apart"
+"""What blocks call the square of the distance between a tool's orientation and the desired one."""
 
 
 @final
@@ -33,7 +37,7 @@ class Log:
         than `PLENTY` numbers, as often as these allow.
     signals
         Labels ``block.signal`` of states and outputs; None for all but states that are not `recorded`. A trajectory and
-        what should follow it are kept always, for the error.
+        what should follow it are kept always, for the error, and so is how far the tool is turned from its orientation.
     """
 
     every: float | None = None
@@ -86,6 +90,7 @@ def keeping(
         path = ("log", "signals")
         raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
         wanted = {*log.signals, *(label for pair in diagram.loop.followed for label in pair[:2])}
+        wanted |= {label for label in [apart_of(diagram.loop)] if label is not None}
     wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in telling(diagram)}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0
     for item in items:
@@ -97,6 +102,11 @@ def keeping(
         first += size
     every, notices = _every(log, period, ticks, max(width, 1))
     return Keeping(every, np.concatenate([np.zeros(0, np.int64), *kept]), tuple(columns), notices)
+
+
+def apart_of(loop: ClosedLoop) -> str | None:
+    """The output that says how far a tool's orientation is from the desired one, as |R - R_d|^2; None without one."""
+    return next((signal.label for signal in loop.outputs if signal.name == APART and not signal.shape), None)
 
 
 def _every(log: Log, period: float, ticks: int, width: int) -> tuple[int, tuple[str, ...]]:

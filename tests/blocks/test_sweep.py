@@ -20,7 +20,7 @@ from dmframe.units import compatible
 
 BLOCKS = block_types()
 GRAPHS = sorted(graphs())
-LETTERS = set("nmpkhcdWANG")
+LETTERS = set("nmpkhcdrWANG")
 
 # blocks that no packaged graph uses run in one of these
 EXAMPLES = {
@@ -54,6 +54,9 @@ BETWEEN = """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
+EXAMPLES["turning"] = (
+    EXAMPLES["setpoint"] + "  attitude: {type: turning, orientation: [0, 90 deg, 0], axis: [1, 0, 0]}\n"
+)
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot

@@ -4,10 +4,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from dmframe.results import summary, tracking_error
-from dmframe.results.metrics import euclidean, rms_by_eighth
+import dmframe as dm
+from dmframe.results import summary, tracking_error, turn_error
+from dmframe.results.metrics import eighth_of, euclidean, rms_by_eighth
 
 
 def test_rms_of_a_staircase_is_each_of_its_steps():
@@ -56,12 +58,27 @@ def test_a_synthetic_constant_error_has_its_length_as_rms(arm2):
 def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up):
     told = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
     assert list(told) == [
-        "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "rank", "engine", "wall_time",
-        "real_time_factor", "notices", "out",
+        "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "turn", "rank", "engine",
+        "wall_time", "real_time_factor", "notices", "out",
     ]  # fmt: skip
     assert list(told["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
     assert (told["diverged"], told["clock"], told["error"]["rms_final"]) == (True, 0.008, None)
     assert "arm.q[0] is no longer finite" in told["divergence"]
+
+
+def test_a_tools_turn_is_told_in_degrees_beside_its_error(ur10):
+    count = len(ur10.recording.time)
+    angle = np.linspace(0, np.pi, count)  # to half a turn
+    turns = np.array([pin.exp3(a * np.array([0.6, 0, 0.8])) for a in angle])
+    outputs = {**ur10.recording.outputs, "task.R_apart": np.sum((turns - np.eye(3)) ** 2, axis=(1, 2))[:, None]}
+    assert turn_error(ur10.recording) is None
+    assert summary("a", ur10.recording)["turn"] is None
+    turned = replace(ur10.recording, outputs=outputs, diagram=dm.load("ur10_pose").diagram)
+    found = turn_error(turned)
+    np.testing.assert_allclose(found.angle, np.degrees(angle), atol=1e-5)
+    last = np.degrees(angle)[eighth_of(found.times, turned.duration) == 7]
+    assert found.rms_final == pytest.approx(np.sqrt(np.mean(last**2)))
+    assert "deg" in repr(found)
 
 
 def test_a_summary_of_a_run_that_took_no_time_has_no_factor(pendulum):

@@ -79,6 +79,15 @@ def oracle_jacobian(chain, q):
     return tool[rows], J[rows]
 
 
+def oracle_turn(chain, q):
+    """Orientation of the tool's frame, and the Jacobian of its angular velocity, in the base's axes."""
+    data, configuration = chain.model.createData(), pin_configuration(chain, q)
+    pin.framesForwardKinematics(chain.model, data, configuration)
+    frame = pin.LOCAL_WORLD_ALIGNED
+    J = pin.computeFrameJacobian(chain.model, data, configuration, chain.model_tool, frame)
+    return data.oMf[chain.model_tool].rotation.copy(), J[3:]
+
+
 def oracle_mass(chain, q):
     data = chain.model.createData()
     pin.crba(chain.model, data, pin_configuration(chain, q))
@@ -97,6 +106,9 @@ def check_against_pinocchio(chain, seed=0):
 
     close(evaluate(robot, robot.position, q), tool)
     close(evaluate(robot, robot.jacobian, q), J)
+    R, J_w = oracle_turn(chain, q)
+    close(evaluate(robot, robot.rotation, q), R)
+    close(evaluate(robot, robot.angular_jacobian, q), J_w)
     close(evaluate(robot, robot.regressor, q, dq, dq_ref, ddq_ref), Y)
     close(evaluate(robot, robot.inverse_dynamics, q, dq, dq_ref, ddq_ref), Y @ a_d)
     close(evaluate(robot, lambda q, dq, _, ddq: robot.inverse_dynamics(q, dq, dq, ddq), q, dq, zero, ddq_ref),
@@ -271,6 +283,32 @@ def test_the_jacobian_is_exactly_the_derivative_of_the_position():
     assert identically_zero(robot, ca.jacobian(robot.position(q), q) - robot.jacobian(q), q)
 
 
+@pytest.mark.parametrize("name", ["xarm7", "panda"])
+def test_the_tools_rotation_is_exactly_orthogonal_and_turns_by_the_angular_jacobian(name):
+    robot = SymbolicRobot(load(name))
+    q, dq = (ca.SX.sym(name, robot.n) for name in ("q", "dq"))
+    R, omega = robot.rotation(q), robot.angular_jacobian(q) @ dq
+    assert identically_zero(robot, R.T @ R - ca.SX.eye(3), q)
+    assert identically_zero(robot, ca.jtimes(R, q, dq) - ca.skew(omega) @ R, q, dq)
+    assert not identically_zero(robot, ca.jtimes(R, q, dq) + ca.skew(omega) @ R, q, dq), "the body's axes"
+
+
+def test_the_tools_rotation_moves_by_a_small_turn_as_pinocchios_logarithm_says():
+    chain, step = load("panda"), 1e-6
+    robot = SymbolicRobot(chain)
+    q, dq = points(chain.n, 7, 2)
+    ends = [evaluate(robot, robot.rotation, q + sign * step * dq) for sign in (1, -1)]
+    omega = pin.log3(ends[0] @ ends[1].T) / (2 * step)
+    close(evaluate(robot, robot.angular_jacobian, q) @ dq, omega, 1e-8)
+
+
+def test_a_tool_that_is_an_offset_alone_has_the_last_joints_frame():
+    robot, q = SymbolicRobot(load("ur5", tool=[0.1, 0.0, 0.25])), points(6)[0]
+    data = robot.chain.model.createData()
+    pin.forwardKinematics(robot.chain.model, data, pin_configuration(robot.chain, q))
+    close(evaluate(robot, robot.rotation, q), data.oMi[6].rotation)
+
+
 def test_the_mass_matrix_is_symmetric_entry_by_entry(chain):
     robot = SymbolicRobot(chain)
     q = ca.SX.sym("q", robot.n)
@@ -294,6 +332,8 @@ def test_no_number_of_the_robot_is_folded_into_an_expression(chain):
         robot.coriolis(q, dq),
         robot.regressor(*names),
         robot.kinematic_regressor(q, dq),
+        robot.rotation(q),
+        robot.angular_jacobian(q),
     ]
     f = ca.Function("f", [*names, *(c.symbol for c in robot.constants)], everything)
     assert literals(f) <= {0.0, 1.0, -1.0, 0.5, 2.0}

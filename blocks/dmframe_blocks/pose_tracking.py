@@ -1,0 +1,116 @@
+"""Reference for tracking with the tool's position and orientation, kinematics known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Condition, Consumed, Square
+from dmframe.linalg import solve_spd
+from dmframe.naming import named
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port
+from dmframe_blocks._quaternions import LESS_THAN_HALF_A_TURN, apart, left, right, turn_from
+
+
+@final
+class PoseTracking(AbstractBlock):
+    r"""Joint reference that leads the tool onto its path, and turns it as it should be.
+
+    The desired orientation comes as a quaternion :math:`p_d` of any length but zero. Of it are made the matrices E and
+    G, 3 x 4, with which :math:`R_d` is orthogonal identically:
+
+    .. math::
+
+        R_d &= E G^\top / |p_d|^2, \quad \omega_d = 2 E \dot p_d / |p_d|^2, \quad
+        R_{apart} = |\operatorname{vec}(R - R_d)|^2                                                \tag{1} \\
+        \dot q_r &= J_{pose}^+ v_d - \gamma J_{pose}^\top e + (I - J_{pose}^+ J_{pose})\, \dot q_{null}, \quad
+        J_{pose}^+ = J_{pose}^\top (J_{pose} J_{pose}^\top)^{-1}                                   \tag{2}
+
+    with :math:`v_d = (\dot x_d, \mathrm{lever}\, \omega_d)` and :math:`e = (x - x_d, \mathrm{lever}\, e_R)`.
+    :math:`e_R` is the vector of :math:`R R_d^\top - R_d R^\top`: the axis of the turn from :math:`R_d` to R, times
+    twice the sine of its angle.
+
+    With :math:`b = J_{pose}^\top e` and :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it
+    consumes :math:`|s|^2 / \gamma`, as `task_tracking`:
+
+    .. math::
+
+        S &= \tfrac12 |x - x_d|^2 + \tfrac12 \mathrm{lever}^2 |\operatorname{vec}(R - R_d)|^2   \tag{3} \\
+        \dot S &= - \tfrac34 \gamma |b|^2 - \gamma |\tfrac12 b - s / \gamma|^2 + \tfrac1\gamma |s|^2 \tag{4}
+
+    Parameters
+    ----------
+    gamma : scalar, rad^2/(m^2 s), > 0
+        Task gain. Larger closes the error faster and asks more of the servo and of the sampling period.
+
+    Notes
+    -----
+    Almost global: with D for the output R_apart, 8 times the square of the sine of half the angle between R and
+    :math:`R_d`, :math:`|e_R|^2 = D (8 - D)/4`. So where :math:`e_R` goes to zero, the tool comes to its orientation, or
+    to half a turn from it, where D is 8. V holds half of :math:`\mathrm{lever}^2 D` and does not grow: from
+    :math:`V(0) < 4\, \mathrm{lever}^2` it never gets there. From beyond it may, but stays there by chance alone: D is
+    largest there, and the reference leads away from it.
+
+    Not for: a singular Jacobian, or kinematics that are uncertain: `observed_pose_tracking`.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (30), for a pose; [Siciliano2009]_ section 3.7.3 for errors of an orientation.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("x", "m", "m"),
+        Port("x_d", "m", "m"),
+        Port("dx_d", "m", "m/s", derivative_of="x_d"),
+        Port("R", "3 3"),
+        Port("p_d", "4"),
+        Port("dp_d", "4", "1/s", derivative_of="p_d"),
+        Port("J_pose", "r n", "m/rad"),
+        Port("lever", "", "m/rad"),
+        Port("dq_null", "n", "rad/s", optional=True),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_r", "n", "rad/s"),
+        Port("R_d", "3 3"),
+        Port("R_apart"),
+    )
+    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+
+    gamma: Scalar = Positive("", "rad^2/(m^2 s)")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        E, G, length = named("E", left(u.p_d)), named("G", right(u.p_d)), ca.sumsqr(u.p_d)
+        R_d, omega_d = E @ G.T / length, named("omega_d", 2 * (E @ u.dp_d) / length)
+        v_d, e_R = ca.vertcat(u.dx_d, u.lever * omega_d), named("e_R", turn_from(u.R, R_d))
+        forward = solve_spd(u.J_pose @ u.J_pose.T, v_d - u.J_pose @ u.dq_null)
+        dq_r = u.J_pose.T @ (forward - p.gamma * _error(u, e_R)) + u.dq_null
+        return Equations(outputs={"dq_r": dq_r, "R_d": R_d, "R_apart": apart(u.R, R_d)})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4)."""
+        outputs = self.equations(u, x, p).outputs
+        R_d, s = outputs["R_d"], named("s", truth.dq - outputs["dq_r"])
+        e_R = named("e_R", turn_from(u.R, R_d))
+        b = u.J_pose.T @ _error(u, e_R)
+        return Certificate(
+            storage=(Square(u.x - u.x_d), Square(ca.vec(u.R - R_d), u.lever**2)),
+            dissipation=(
+                Square(b, 3 * p.gamma / 4),
+                Square(b / 2 - s / p.gamma, p.gamma),
+            ),
+            consumes=Consumed(s, 1 / p.gamma),
+            errors=(Square(e_R),),
+        )
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """Half a turn from its orientation the tool feels no error."""
+        return (LESS_THAN_HALF_A_TURN,)
+
+
+def _error(u: Signals, e_R: SX) -> SX:
+    return named("e", ca.vertcat(u.x - u.x_d, u.lever * e_R))
