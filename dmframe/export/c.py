@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +24,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, OutputError
 from dmframe.export.program import Member, Program, program_of
-from dmframe.files import expanded, write_text, writing
+from dmframe.files import expanded, write_bytes, writing
 from dmframe.results.folder import provenance
 from dmframe.results.resolved import resolved_text
 from dmframe.runtime.controller import Controller
@@ -238,11 +239,26 @@ def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> li
         "graph.yaml": resolved_text(experiment),
         "provenance.json": json.dumps(provenance(experiment, resolved_text(experiment)), indent=2) + "\n",
     }
+    return written_all(place, {name: text.encode() for name, text in wanted.items()})
+
+
+def written_all(place: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Write files into a folder, all or none: half a controller would look like one. Raises `OutputError`."""
+    made = [folder for folder in (place, *place.parents) if not folder.exists()]
     with writing(place, "folder"):
-        place.mkdir(parents=True)
-    for name, text in wanted.items():
-        write_text(place / name, text)
-    return [place / name for name in wanted]
+        place.mkdir(parents=True, exist_ok=True)
+    done = [place / name for name in files]
+    try:
+        for file, content in zip(done, files.values(), strict=True):
+            write_bytes(file, content)
+    except BaseException:
+        for file in done:
+            file.unlink(missing_ok=True)
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+        raise
+    return done
 
 
 @final

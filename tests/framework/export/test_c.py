@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.errors import DmframeError, OutputError, ValueFault
+from dmframe.export import c
 from dmframe.export.program import identifier
 from dmframe.port import Side
 
@@ -286,3 +287,23 @@ def test_it_is_not_compiled_where_what_is_not_finite_would_not_be_seen(word: str
     done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "compile without -ffast-math" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["c", "fmi3"])
+def test_where_one_file_cannot_be_written_none_is_left(
+    kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, count = c.write_bytes, list[Path]()
+
+    def full(file: Path, content: bytes) -> None:
+        count.append(file)
+        if len(count) == 2:
+            raise OutputError(f"{file}: cannot be written: no space left on device")
+        write(file, content)
+
+    monkeypatch.setattr(c, "write_bytes", full)
+    graph = dm.load("ur10_fast_kinematic").set({"duration": 0.05})
+    with pytest.raises(OutputError, match="no space left"):
+        graph.export(tmp_path / "new" / "out", kind)
+    assert list(tmp_path.iterdir()) == []
+    graph.export(tmp_path / "new" / "out", kind)
