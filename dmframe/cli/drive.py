@@ -13,7 +13,7 @@ from dmframe.cli.run import placed_folder
 from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.drive.robots import kind_of
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.graph import seconds as time_of
 from dmframe.results.folder import drawing, write_data
@@ -52,15 +52,21 @@ def drive_graph(
     with ExitStack() as stack:
         place = stack.enter_context(placed_folder(out, [graph], force=force))
         with held_off() as came:
-            run = graph.drive(
-                robot,
-                limits=limits,
-                ramp=gathers,
-                patience=waits,
-                shadow=shadow,
-                rehearsed=rehearsed,
-                asked=lambda: _named(came[0]) if came else "",
-            )
+            try:
+                run = graph.drive(
+                    robot,
+                    limits=limits,
+                    ramp=gathers,
+                    patience=waits,
+                    shadow=shadow,
+                    rehearsed=rehearsed,
+                    asked=lambda: _named(came[0]) if came else "",
+                )
+            except DriveError as error:  # nothing was recorded
+                if not came:
+                    raise
+                tell(f"dmframe: {error}", aside=True)
+                return STOPPED
             draw = stack.enter_context(drawing([run] if formats else (), formats))
             summaries = write_data(place, [run])
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")

@@ -20,19 +20,34 @@ from dmframe.runtime.gate import Limits
 from dmframe.units import plain, to_unit
 
 LIMITS: Final = Kind("limits", "dmframe-limits: 1")
+BRAKING: Final = (0.1, 1000.0)
+"""What a stop may be told [rad/s^2]."""
+
+
+def _read(value: Any, unit: str) -> float:
+    try:
+        return to_unit(value, unit)
+    except DmframeError as error:
+        raise ValueError(error.text) from None
 
 
 def _number(unit: str) -> BeforeValidator:
     def read(value: Any) -> float:
-        try:
-            number = to_unit(value, unit)
-        except DmframeError as error:
-            raise ValueError(error.text) from None
+        number = _read(value, unit)
         if number <= 0:
             raise ValueError(f"expected a positive number in {unit}, found {shown(value)}")
         return number
 
     return BeforeValidator(read)
+
+
+def _braking(value: Any) -> float:
+    """Of a stop, which must come to an end: from 6.3 rad/s after a minute at most."""
+    number = _read(value, "rad/s^2")
+    if not BRAKING[0] <= number <= BRAKING[1]:
+        least, most = (plain(end, "rad/s^2") for end in BRAKING)
+        raise ValueError(f"expected {least} to {most}, found {shown(value)}")
+    return number
 
 
 def _count(value: Any) -> int:
@@ -50,10 +65,10 @@ class LimitsFile(Section):
     acceleration: Any = Field(None, description="of commands [rad/s^2]: one number, or by joint")
     position: dict[str, Any] = Field({}, description="of joints [rad], {joint: [least, most]}")
     box: dict[str, Any] = Field({}, description="of the tool's coordinates [m], {x: [least, most]}")
-    deceleration: Annotated[float, _number("rad/s^2")] = Field(
+    deceleration: Annotated[float, BeforeValidator(_braking)] = Field(
         2.0, description="at the end, of a stop that was asked for, and before joints' limits"
     )
-    halt: Annotated[float, _number("rad/s^2")] = Field(20.0, description="of a stop after a fault")
+    halt: Annotated[float, BeforeValidator(_braking)] = Field(20.0, description="of a stop after a fault")
     deviation: Annotated[float, _number("rad")] = Field(0.2, description="between measured and target angles")
     lost: Annotated[int, BeforeValidator(_count)] = Field(5, description="samples in a row that may be lost")
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, final
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from dmframe.simulate.engine import Choice
 from dmframe.units import plain
 
 SIGNALS = "signals.nc"
+APART: Final = 0.4
+"""How far from a whole number of periods samples may be apart, in periods."""
 
 
 @final
@@ -107,12 +109,14 @@ def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engin
     Raises
     ------
     MissingError
-        There is no such file, or it lacks what this controller measures.
+        There is no such file, it is damaged, or it lacks what this controller measures, or samples.
     """
     steered = steered_controller(experiment, diagram, engine)
     held = _read(Path(log), [*steered.fields, steered.label])
     time, count = held["time"].ravel(), held["time"].size
+    _check_sizes(held, {**steered.controller.measured, steered.label: steered.command}, count, str(log))
     scale, missed = (held.get(f"robot.{name}", np.full(count, usual)).ravel() for name, usual in _USUAL)
+    _check_whole(held.get("robot.time", time).ravel(), missed, steered.controller.clock, str(log))
     then, now = held[steered.label], np.full((count, steered.command.size), np.nan)
     refused = 0
     for k in range(count):
@@ -131,6 +135,33 @@ def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engin
 
 _USUAL = (("scale", 1.0), ("missed", 0.0))
 """Of a record without them, a simulation's."""
+
+
+def _check_sizes(held: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray], count: int, log: str) -> None:
+    """A record of another robot may have the same names."""
+    if not count:
+        raise MissingError("expected a record with samples, found none", location=log)
+    for label, values in expected.items():
+        if held[label].shape != (count, values.size):
+            found = " x ".join(map(str, held[label].shape))
+            raise MissingError(
+                f"{label}: expected {count} x {values.size} numbers, as this controller has, found {found}; it is a "
+                "record of another robot",
+                location=log,
+            )
+
+
+def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -> None:
+    """Between two samples each state goes on: without one of them the next commands are others, and say nothing."""
+    steps = np.diff(time)
+    odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= APART * clock))
+    if odd.size:
+        k = int(odd[0])
+        raise MissingError(
+            f"expected a sample each {plain(clock, 's')}, the graph's clock, found {plain(float(steps[k]), 's')} "
+            f"after t = {plain(float(time[k]), 's')}; it is of another clock, or a run that log.every has thinned out",
+            location=log,
+        )
 
 
 def _sample(steered: Steered, held: Mapping[str, np.ndarray], k: int, missed: int) -> Sample:
@@ -160,7 +191,11 @@ def _read(path: Path, needed: list[str]) -> dict[str, np.ndarray]:
             if lacking:
                 text = f"expected a record with {lacking[0]}, which this controller needs, found none"
                 raise MissingError(text, location=str(file))
-            beside = [f"robot.{name}" for name, _ in _USUAL if f"robot.{name}" in opened.variables]
+            beside = [
+                name for name in ("robot.time", *(f"robot.{word}" for word, _ in _USUAL)) if name in opened.variables
+            ]
             return {name: np.array(opened.variables[name][...]) for name in ("time", *needed, *beside)}
-    except OSError:
+    except MissingError:
+        raise
+    except Exception:
         raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,7 +24,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import EngineError, OutputError
 from dmframe.export.program import Member, Program, program_of
-from dmframe.files import expanded, write_text, writing
+from dmframe.files import encoded, expanded, write_bytes, writing
 from dmframe.results.folder import provenance
 from dmframe.results.resolved import resolved_text
 from dmframe.runtime.controller import Controller
@@ -256,14 +257,28 @@ def new_folder(folder: str | Path) -> Path:
     return place
 
 
-def write_all(place: Path, texts: Mapping[str, str]) -> list[Path]:
-    """Files by their paths in a new folder. Raises `OutputError`."""
-    with writing(place, "folder"):
-        for name in texts:
-            (place / name).parent.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        write_text(place / name, text)
-    return [place / name for name in texts]
+def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
+    """Files by their paths below a new folder, all or none: half a controller would look like one.
+
+    Raises `OutputError`.
+    """
+    done = [place / name for name in contents]
+    folders = {folder for file in done for folder in file.parents if not folder.exists()}
+    made = sorted(folders, key=lambda folder: len(folder.parts), reverse=True)
+    try:
+        with writing(place, "folder"):
+            for file in done:
+                file.parent.mkdir(parents=True, exist_ok=True)
+        for file, content in zip(done, contents.values(), strict=True):
+            write_bytes(file, content if isinstance(content, bytes) else encoded(content))
+    except BaseException:
+        for file in done:
+            file.unlink(missing_ok=True)
+        with suppress(OSError):
+            for folder in made:
+                folder.rmdir()
+        raise
+    return done
 
 
 def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:

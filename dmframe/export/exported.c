@@ -1,6 +1,11 @@
 /* Over the functions that the graph's equations became, the controller as others call it. No memory is asked for, nothing
    is read or written but what is handed over, and a call's way depends on no number but those of its switches. */
 
+/* Samples that are not finite must be seen; with -ffast-math compilers take it that there are none. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
+#error "compile without -ffast-math and -ffinite-math-only"
+#endif
+
 typedef char dm_measured_is_packed[sizeof(DM_NAMED(measured)) == DM_M * sizeof(double) ? 1 : -1];
 typedef char dm_commanded_is_packed[sizeof(DM_NAMED(commanded)) == DM_U * sizeof(double) ? 1 : -1];
 typedef char dm_path_is_packed[sizeof(DM_NAMED(path)) >= DM_W * sizeof(double) ? 1 : -1];

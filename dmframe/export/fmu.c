@@ -4,6 +4,11 @@
    Numbers lie in the order inputs, outputs, parameters, states. Memory is asked for where an instance or a saved state is
    made, and nowhere else. */
 
+/* Samples that are not finite must be seen; with -ffast-math compilers take it that there are none. */
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ > 0) || defined(_M_FP_FAST)
+#error "compile without -ffast-math and -ffinite-math-only"
+#endif
+
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -109,8 +114,10 @@ static int dm_read(dm_instance *it, size_t first, size_t count, double *values) 
 static int dm_do_step(dm_instance *it, double t, double h) {
   const double ticks = round(t / DM_PERIOD);
   if (it->now.mode != DM_STEPPING) return dm_fail(it, "expected to be initialised before the first step");
-  if (fabs(h - DM_PERIOD) > 1e-9 * DM_PERIOD || fabs(t - ticks * DM_PERIOD) > 1e-6 * DM_PERIOD)
+  if (!(fabs(h - DM_PERIOD) <= 1e-9 * DM_PERIOD && fabs(t - ticks * DM_PERIOD) <= 1e-6 * DM_PERIOD)) /* NaN, too */
     return dm_fail(it, "expected steps of one sampling period each, from time 0 on: " DM_PERIOD_TEXT " s");
+  if (!(fabs(t - it->now.time) <= 1e-6 * DM_PERIOD))
+    return dm_fail(it, "expected a step from where the last one ended, or a saved state to begin from");
   /* the time of a sample is its number times the period: sums of periods would drift */
   if (!dm_started(it, ticks * DM_PERIOD) || !dm_advance(&it->now, ticks * DM_PERIOD))
     return dm_fail(it, "a sample is not finite, or leads to numbers that are not");

@@ -26,10 +26,10 @@ from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
-from dmframe.export.c import functions_of, own_file, spelled
+from dmframe.export.c import functions_of, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
-from dmframe.files import expanded, write_bytes
+from dmframe.files import expanded
 from dmframe.results.folder import provenance
 from dmframe.results.resolved import resolved_text
 from dmframe.units import base_units
@@ -95,10 +95,7 @@ def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fm
             raise OutputError(f"{file}: is there already; name a new folder")
     text = resolved_text(experiment)
     made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text))}
-    for unit, file in zip(units, files, strict=True):
-        place.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, packed(unit, fmi, made))
-    return files
+    return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
 
 
 def _json(data: Mapping[str, Any]) -> str:

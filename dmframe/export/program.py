@@ -23,8 +23,22 @@ from dmframe.runtime.controller import control_function, path_function, start_fu
 _WORDS: Final = frozenset(
     "auto bool break case char const continue default do double else enum extern float for goto if inline int long "
     "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile "
-    "while".split()
+    "while "
+    # later versions of C, and C++, which may include the header
+    "alignas alignof asm catch concept constexpr delete explicit export false friend mutable namespace new noexcept "
+    "nullptr operator private protected public requires static_assert template this thread_local throw true try "
+    "typeid typename typeof using virtual xor".split()
 )
+_FILES: Final = frozenset(
+    # beside the controller, and the prefix of its own functions
+    "example replay samples dm "
+    # headers of C, which an own one of this name would hide
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
+    "stdint stdio stdlib string tgmath threads time uchar wchar wctype memory strings unistd features "
+    # targets of CMake
+    "all clean depend edit_cache help install package package_source rebuild_cache test".split()
+)
+"""Names that no controller may have: its files would be others'."""
 
 
 @final
@@ -123,7 +137,7 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
     return Program(
-        name=identifier(experiment.name),
+        name=own_name(experiment.name),
         title=experiment.file.title or "",
         period=clock,
         measured=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.measured),
@@ -171,6 +185,12 @@ def members(items: Iterable[Sequence[Any]]) -> tuple[Member, ...]:
         Member(item[0], word, item[1].numel(), item[2], tuple(item[3]) if len(item) > 3 else ())
         for item, word in zip(found, words, strict=True)
     )
+
+
+def own_name(name: str) -> str:
+    """A graph's name as that of functions, files and targets: ``replay`` is ``replay_controller``."""
+    word = identifier(name)
+    return f"{word}_controller" if word.casefold() in _FILES else word
 
 
 def identifier(name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, final
 
 import numpy as np
@@ -141,10 +141,13 @@ def _run(
     _check(steered, robot, sample)
     if stop := gate.admit(sample):
         return stop
+    if stop := gate.begins(sample.q if plan.start is None else plan.start):
+        return stop
     if plan.start is not None and np.max(np.abs(sample.q - plan.start)) > AT_START:
         if plan.shadow:
             return Stop("start", "the robot is not where the graph starts, and in shadow nothing moves it there")
-        robot.move(plan.start, APPROACH, gate.limits.deceleration / 2)
+        if stop := _way(robot, gate, plan.start, asked):
+            return stop
         sample = robot.read()
         if stop := gate.admit(sample):
             return stop
@@ -159,10 +162,26 @@ def _run(
     return _loop(steered, robot, gate, plan, asked, journal, sample)
 
 
+def _way(robot: Robot, gate: Gate, start: np.ndarray, asked: Callable[[], str]) -> Stop | None:
+    """To the start, under the rules of the gate for samples; None, or why it ended on the way."""
+    if text := asked():  # before anything moves, too
+        return Stop("asked", text)
+    found = list[Stop]()
+
+    def watched(sample: Sample) -> bool:
+        # the robot finds its way by itself: a sample that is lost loses no command
+        ended = Stop("asked", text) if (text := asked()) else gate.admit(replace(sample, missed=0))
+        found.extend([ended] if ended else [])
+        return bool(found)
+
+    robot.move(start, APPROACH, gate.limits.deceleration / 2, watched)
+    return found[0] if found else None
+
+
 def _loop(
     steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str], journal: Journal, sample: Sample
 ) -> Stop | None:
-    T, first, behind, lost = robot.period, sample.time, 0.0, 0
+    T, first, behind = robot.period, sample.time, 0.0
     sent = np.zeros(steered.command.size)
     while True:
         arrived = time.perf_counter()
@@ -187,10 +206,10 @@ def _loop(
             robot.command(sent)
         journal.answer.append(time.perf_counter() - arrived)
         before, sample = sample, robot.read()
-        lost = lost + 1 if sample.time <= before.time else 0  # the same one again, or an older
+        lost = int(sample.time <= before.time)  # the same one again, or an older
         while 0 < lost <= gate.limits.lost and sample.time <= before.time:
             sample = robot.read()
-            lost += 1
+            lost = lost + 1 if sample.time <= before.time else 0
         if lost > gate.limits.lost:
             return Stop("lost samples", f"its clock stands at {before.time:g} s")
         if stop := gate.admit(sample):

@@ -135,6 +135,17 @@ class Gate:
         self._near = (np.minimum(sample.q, q_c), np.maximum(sample.q, q_c))
         return None
 
+    def begins(self, q: np.ndarray) -> Stop | None:
+        """None where a drive may begin at q: rule 9 only slows down what is beyond a limit already."""
+        for name, angle, least, most in zip(self.limits.joints, q, self.limits.lower, self.limits.upper, strict=True):
+            if not least <= angle <= most:
+                return Stop(
+                    "joint limit",
+                    f"{name} would start at {plain(angle, 'rad')}, its limits are {plain(least, 'rad')} to "
+                    f"{plain(most, 'rad')}",
+                )
+        return None
+
     def limited(self, command: np.ndarray, out: np.ndarray, missed: int = 0) -> Stop | None:
         """Rules 6 to 11; what may be sent is written to `out`. None, or why nothing may."""
         limits, T = self.limits, self.period

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol, final
 
@@ -70,8 +71,11 @@ class Robot(Protocol):
     def command(self, dq: np.ndarray) -> None:
         """Move with these velocities [rad/s] for one period."""
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
-        """Go to a pose [rad] and come to rest there, no joint above the speed [rad/s]."""
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
+        """Go to a pose [rad] and come to rest there, no joint above the speed [rad/s].
+
+        What the robot shows on its way is handed to `watched`; at its first True return at once: `stop` comes next.
+        """
 
     def stop(self, deceleration: float) -> None:
         """Come to rest [rad/s^2]. It is called after faults, too, and may be called twice."""

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Mapping
 from typing import Any, Final, Protocol, final
 
 from dmframe.errors import DriveError, LostError
@@ -80,19 +81,26 @@ class Rtde:
 
     Parameters
     ----------
+    outputs, inputs
+        Names, each with the type that it must have.
     patience
         How long an answer may take [s].
 
     Raises
     ------
     DriveError
-        The robot does not know a name, or another client writes it.
+        The robot does not know a name, has another type for it, or another client writes it.
     LostError
         It does not answer.
     """
 
     def __init__(
-        self, link: Link, frequency: float, outputs: Sequence[str], inputs: Sequence[str], patience: float = 2.0
+        self,
+        link: Link,
+        frequency: float,
+        outputs: Mapping[str, str],
+        inputs: Mapping[str, str],
+        patience: float = 2.0,
     ) -> None:
         self._link, self._buffer, self._patience = link, b"", patience
         if self._asked("V", struct.pack(">H", 2)) != b"\x01":
@@ -102,20 +110,20 @@ class Rtde:
         self._in, self._inputs = 0, struct.Struct(">")
         if inputs:
             answer = self._asked("I", ",".join(inputs).encode())
-            self._in, self._inputs = answer[0], _recipe(answer, inputs)
+            self._inputs, self._in = _recipe(answer, inputs), answer[0]
         if self._asked("S") != b"\x01":
             raise DriveError("RTDE: expected samples, and the robot does not begin")
 
     def read(self, patience: float) -> Mapping[str, Any]:
         """The newest sample, after at most so many seconds. Raises `LostError` where none comes."""
-        newest = None
+        newest, until = self._waiting(), time.monotonic() + patience
         while newest is None:
+            data = self._link.receive(patience)
+            self._buffer += data
             newest = self._waiting()
-            if newest is None:
-                data = self._link.receive(patience)
-                if not data:
-                    raise LostError(f"no sample for {patience * 1e3:.0f} ms")
-                self._buffer += data
+            # what comes may be anything but samples, for ever
+            if newest is None and (not data or time.monotonic() > until):
+                raise LostError(f"no sample for {patience * 1e3:.0f} ms")
         self._buffer += self._link.receive(0.0)
         later = self._waiting()
         values = list(self._outputs.unpack((later or newest)[1:]))
@@ -154,12 +162,13 @@ class Rtde:
 
     def _asked(self, kind: str, payload: bytes = b"") -> bytes:
         self._link.send(_message(kind, payload))
+        until = time.monotonic() + self._patience
         while True:
             while (message := self._next()) is not None:
                 if message[0] == kind:
                     return message[1]
             data = self._link.receive(self._patience)
-            if not data:
+            if not data or time.monotonic() > until:
                 raise LostError(f"RTDE: no answer for {self._patience:g} s")
             self._buffer += data
 
@@ -168,7 +177,7 @@ def _message(kind: str, payload: bytes) -> bytes:
     return _HEAD.pack(_HEAD.size + len(payload), ord(kind)) + payload
 
 
-def _recipe(answer: bytes, names: Sequence[str]) -> struct.Struct:
+def _recipe(answer: bytes, names: Mapping[str, str]) -> struct.Struct:
     kinds = answer[1:].decode(errors="replace").split(",")
     taken = [name for name, kind in zip(names, kinds, strict=False) if kind == "IN_USE"]
     if taken:
@@ -176,9 +185,11 @@ def _recipe(answer: bytes, names: Sequence[str]) -> struct.Struct:
             f"RTDE: expected registers that no other client writes, found {taken[0]} and {len(taken) - 1} more in use; "
             "end the other client"
         )
-    wrong = [f"{name}: {kind}" for name, kind in zip(names, kinds, strict=False) if kind not in FORMATS]
-    if wrong or len(kinds) != len(names):
-        raise DriveError(f"RTDE: expected a robot that knows {len(names)} names, found {', '.join(wrong) or kinds}")
+    if len(kinds) != len(names):
+        raise DriveError(f"RTDE: expected a robot that knows {len(names)} names, found {len(kinds)}")
+    wrong = [f"{name}: {found}" for (name, kind), found in zip(names.items(), kinds, strict=True) if found != kind]
+    if wrong:
+        raise DriveError(f"RTDE: expected names and types of the maker's guide, found {', '.join(wrong)}")
     return struct.Struct(">" + "".join(FORMATS[kind] for kind in kinds))
 
 

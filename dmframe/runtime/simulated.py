@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final, final
 
@@ -139,12 +139,15 @@ class SimulatedRobot:
         """See `Robot`."""
         self._held = np.array(dq, dtype=float)
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
         """Its servo's target goes there; it does not wait for what is delayed."""
         queue, self._queue = self._queue, deque()
         last, T = np.zeros(self._size), self.period
         for _ in range(round(600 / T)):
             now = self._sample(0)
+            if watched(now):
+                self._queue = queue
+                return
             left = q - (now.q_c if now.q_c is not None else now.q)
             if np.max(np.abs(left)) < ARRIVED and not last.any():
                 break

@@ -16,7 +16,7 @@ import numpy as np
 from dmframe.errors import LostError
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.rtde import PORT, Link, Rtde, Wire
-from dmframe.runtime.ur_arm import ANSWER, MODES, PATIENCE, PLAYING, SAFE, UrArm, way_time
+from dmframe.runtime.ur_arm import ANSWER, PATIENCE, PLAYING, UrArm, way_time
 
 SCRIPTS: Final = 30002
 FIRST: Final = 1.0
@@ -25,24 +25,23 @@ FASTEST: Final = 6.3
 """No joint of these arms is faster [rad/s]; how long a stop may take follows from it."""
 MOST_BEATS: Final = 1 << 30
 """Heartbeats begin anew above this, half of what a register holds."""
-OUTPUTS: Final = (
-    "timestamp",
-    "actual_q",
-    "actual_qd",
-    "target_q",
-    "speed_scaling",
-    "target_speed_fraction",
-    "robot_mode",
-    "safety_mode",
-    "runtime_state",
-    "output_int_register_24",
-)
-INPUTS: Final = (
-    "input_int_register_24",
-    "input_int_register_25",
-    *(f"input_double_register_{24 + k}" for k in range(6)),
-    "input_double_register_30",
-)
+OUTPUTS: Final = {
+    "timestamp": "DOUBLE",
+    "actual_q": "VECTOR6D",
+    "actual_qd": "VECTOR6D",
+    "target_q": "VECTOR6D",
+    "speed_scaling": "DOUBLE",
+    "target_speed_fraction": "DOUBLE",
+    "robot_mode": "INT32",
+    "safety_mode": "INT32",
+    "runtime_state": "UINT32",
+    "output_int_register_24": "INT32",
+}
+INPUTS: Final = {
+    "input_int_register_24": "INT32",
+    "input_int_register_25": "INT32",
+    **{f"input_double_register_{24 + k}": "DOUBLE" for k in range(7)},
+}
 
 FOLLOW: Final = """def dmframe_follow():
   global dm_wanted = [0, 0, 0, 0, 0, 0]
@@ -193,7 +192,7 @@ class UniversalRobot:
         """See `Robot`."""
         self._write(self._arm.speeds(dq), 1)
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
         """By the maker's own `movej`."""
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         text = ", ".join(f"{angle:.9f}" for angle in goal)
@@ -201,8 +200,8 @@ class UniversalRobot:
         most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             told = self._newest(self._answer)
-            if told["safety_mode"] not in SAFE:
-                raise LostError(f"{self.name}: on its way to the start: {MODES.get(told['safety_mode'], 'a stop')}")
+            if watched(self._told(told)):
+                return
             arrived = np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4
             if arrived and told["runtime_state"] != PLAYING:
                 self._arm.begin()

@@ -119,7 +119,7 @@ class UrArm:
             fault = "its script has ended"
         q = np.array(told["actual_q"])[self._places]
         steps = (stamp - self._last) / self.period
-        self._last = stamp
+        self._last = stamp if np.isnan(self._last) else max(self._last, stamp)
         return Sample(
             time=stamp,
             q=q,

@@ -21,7 +21,7 @@ import numpy as np
 
 from dmframe.errors import DriveError, LostError, MissingError
 from dmframe.runtime.robot import Sample
-from dmframe.runtime.ur_arm import ANSWER, MODES, PATIENCE, SAFE, UrArm, way_time
+from dmframe.runtime.ur_arm import ANSWER, PATIENCE, UrArm, way_time
 
 CALLS: Final = {
     "timestamp": "getTimestamp",
@@ -108,15 +108,15 @@ class UrRtde:
         if not self._asked(control.speedJ, self._arm.speeds(dq).tolist(), self._acceleration, self.period):
             raise LostError(f"{self.name}: its script takes no speeds any more")
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
         """By the package's own `moveJ`, which returns at once; samples tell when it is over."""
         now, goal = np.array(self._newest(self._answer)["actual_q"]), self._arm.pose(q)
         self._asked(self._controlled().moveJ, goal.tolist(), speed, acceleration, True)
         most = way_time(now, goal, speed, acceleration)
         for _ in range(round(most / self.period)):
             told = self._newest(self._answer)
-            if told["safety_mode"] not in SAFE:
-                raise LostError(f"{self.name}: on its way to the start: {MODES.get(told['safety_mode'], 'a stop')}")
+            if watched(self._arm.sample(told, following=False, age=None)):
+                return
             if np.max(np.abs(np.array(told["target_q"]) - goal)) < 1e-4:
                 self._arm.begin()
                 return
@@ -124,11 +124,12 @@ class UrRtde:
 
     def stop(self, deceleration: float) -> None:
         """See `Robot`; then the package's script is ended."""
-        control, self._following = self._control, False
+        control, following = self._control, self._following
+        self._following = False
         if control is None:  # nothing of ours runs there
             return
         if self._asked(control.isProgramRunning):
-            self._asked(control.speedStop, deceleration)
+            self._asked(control.speedStop if following else control.stopJ, deceleration)
             self._asked(control.stopScript)
 
     def close(self) -> None:

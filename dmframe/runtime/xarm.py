@@ -183,8 +183,8 @@ class XArm:
         wanted[self._places] = dq
         self._send(wanted)
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
-        """By the maker's own motion to joint angles."""
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
+        """By the maker's own motion to joint angles; its stop state ends it."""
         now = self._newest(2.0).q
         goal = now.copy()
         goal[self._places] = q
@@ -200,8 +200,8 @@ class XArm:
         most = float(np.max(np.abs(goal - now))) / speed + 2 * speed / acceleration + 5
         for _ in range(round(most / self.period)):
             told = self._newest(2.0)
-            if fault := self._fault(told):
-                raise LostError(f"{self.name}: on its way to the start: {fault}")
+            if watched(self._told(told)):
+                return
             apart = np.max(np.abs(told.q_c[: self._axes] - goal))
             if apart < 1e-4 and np.max(np.abs(told.dq[: self._axes])) < 1e-2:
                 self._last = float("nan")

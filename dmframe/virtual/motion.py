@@ -51,9 +51,10 @@ class Motion(ABC):
 
 def ramped(now: np.ndarray, wanted: np.ndarray, most: float) -> np.ndarray:
     """From one velocity towards another in a straight line, no component by more than `most`."""
-    change = wanted - now
-    largest = float(np.max(np.abs(change)))
-    return wanted.copy() if largest <= most else now + change * (most / largest)
+    with np.errstate(invalid="ignore"):  # what is not a number is a protective stop, and no warning
+        change = wanted - now
+        largest = float(np.max(np.abs(change)))
+        return wanted.copy() if largest <= most else now + change * (most / largest)
 
 
 def cycles(time: float, dt: float) -> int:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 MOST_TURNS: Final = 100_000
 """Of loops and calls within a cycle: a script that waits for nothing would stop the robot's clock."""
+MOST_INTEGER: Final = (1 << 31) - 1
 FILE: Final = "<script>"
 
 _SIGNS: Final[dict[str, Callable[[Any, Any], Any]]] = {
@@ -231,7 +232,10 @@ def _arithmetic(sign: str, left: Any, right: Any) -> Any:
             raise ScriptError(f"{sign}: expected numbers, found {value!r}")
     if sign in "/%" and right == 0:
         raise ScriptError(f"{sign}: division by zero")
-    return _SIGNS[sign](left, right)
+    found = _SIGNS[sign](left, right)
+    if isinstance(found, int) and not -MOST_INTEGER - 1 <= found <= MOST_INTEGER:  # Python's would grow without end
+        raise ScriptError(f"{sign}: expected an integer of 32 bits, found a longer one")
+    return found
 
 
 def _compare(sign: str, left: Any, right: Any) -> bool:

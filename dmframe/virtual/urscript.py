@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import final
+from typing import Final, final
 
 from dmframe.virtual.words import OPENING, ScriptError, Token, tokens
 
@@ -320,7 +320,7 @@ class _Reader:
     def _primary(self) -> str:
         token = self._take()
         if token.kind == "number":
-            return str(int(token.text, 16)) if token.text.startswith("0x") else _number(token.text)
+            return _number(token)
         if token.kind == "text":
             return repr(token.text[1:-1])
         if token.kind == "word" and token.text in ("True", "False"):
@@ -379,8 +379,19 @@ class _Reader:
                 self._expect(",")
 
 
-def _number(text: str) -> str:
-    return str(int(text)) if text.isdigit() else repr(float(text))
+def _number(token: Token) -> str:
+    text = token.text
+    if not (text.isdigit() or text.startswith("0x")):
+        return repr(float(text))
+    # Python reads a decimal of thousands of digits slowly, or not at all
+    digits = text[2:] if text.startswith("0x") else text
+    if len(digits.lstrip("0")) > DIGITS:
+        raise ScriptError(f"line {token.line}: expected an integer of 32 bits, found one of {len(digits)} digits")
+    return str(int(digits, 16 if text.startswith("0x") else 10))
+
+
+DIGITS: Final = 10
+"""Of an integer, which has 32 bits."""
 
 
 def transpiled(text: str, known: frozenset[str], waiting: frozenset[str]) -> Transpiled:

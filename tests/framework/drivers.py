@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -69,7 +69,7 @@ class Script:
     def command(self, dq: np.ndarray) -> None:
         self.told.append(dq.copy())
 
-    def move(self, q: np.ndarray, speed: float, acceleration: float) -> None:
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
         self.told.append(("move", q.tolist()))
 
     def stop(self, deceleration: float) -> None:

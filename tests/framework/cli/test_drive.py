@@ -8,6 +8,7 @@ import signal
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dmframe.runtime.simulated import SimulatedRobot
@@ -61,6 +62,23 @@ def test_a_signal_brings_the_robot_to_rest_and_what_was_done_is_kept(
     name = "Ctrl-C" if number is signal.SIGINT else "SIGTERM"
     assert f"the robot was stopped: asked: {name}" in said.out
     assert json.loads(Path("log/summary.json").read_text())["interrupted"] is True
+
+
+def test_a_signal_before_the_way_to_the_start_moves_nothing(dmframe: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dmframe.drive import drive
+
+    started, moved, begin = np.array([1.0, -1.0, 1.0]), list[Any](), drive._start
+
+    def signalled(*given: Any) -> Any:  # while the controller is compiled
+        os.kill(os.getpid(), signal.SIGINT)
+        return begin(*given) + started
+
+    monkeypatch.setattr(drive, "_start", signalled)
+    monkeypatch.setattr(SimulatedRobot, "move", lambda *given: moved.append(given))
+    said = dmframe("drive", "ur10_fast", "--robot", "sim", "--seconds", "1 s", "--out", "log", "--no-plots")
+    assert (said.status, moved) == (130, [])
+    assert "sim: the robot was stopped before its first command: asked: Ctrl-C\n" in said.err
+    assert not Path("log").exists()
 
 
 def test_a_stop_by_the_gate_has_another_status_and_its_reason(dmframe: Any) -> None:

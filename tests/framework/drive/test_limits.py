@@ -82,7 +82,7 @@ def test_all_faults_are_told_at_once_with_their_places(tmp_path: Path) -> None:
             "7:7: box.w: unknown coordinate; choose from x, y, z",
             "7:21: box.x: expected the least and the most, [0.1, 0.8], found 3",
             "8:15: deceleration: expected a quantity in rad/s^2, found '2 m/s^2'",
-            "9:7: halt: expected a positive number in rad/s^2, found 0",
+            "9:7: halt: expected 100 mrad/s^2 to 1000 rad/s^2, found 0",
             "10:7: lost: expected a whole number from 0 to 1000, found -1",
             "11:1: sped: unknown key; did you mean speed?",
         ],
@@ -96,3 +96,12 @@ def test_a_graph_without_a_robot_has_no_limits() -> None:
         DriveError, match="expected a graph with a robot, whose limits commands are held to, found none"
     ):
         own_limits(None)
+
+
+@pytest.mark.parametrize("number", ["1e-300", "0.01 rad/s^2", "1e300", "-2"])
+@pytest.mark.parametrize("key", ["halt", "deceleration"])
+def test_a_stop_that_would_not_end_or_that_no_arm_can_do_is_refused(key: str, number: str, tmp_path: Path) -> None:
+    file = tmp_path / "arm.yaml"
+    file.write_text(f"dmframe-limits: 1\n{key}: {number}\n")
+    with pytest.raises(DmframeError, match=f"{key}: expected 100 mrad/s.2 to 1000 rad/s.2, found"):
+        load_limits(file, ROBOT)

@@ -110,6 +110,35 @@ def test_what_is_no_record_or_lacks_a_signal_is_told(tmp_path: Path) -> None:
         graph().reality({"encoder": {"step": 5e-5}}).replay(tmp_path / "arm", engine="interpreted")
 
 
+def test_a_record_of_another_robot_clock_or_of_some_samples_is_told(tmp_path: Path) -> None:
+    each = "expected a sample each 8 ms, the graph's clock, found"
+    for k, (name, changed, told) in enumerate(
+        (
+            ("panda_full", {}, "expected 6 x 3 numbers, as this controller has, found 6 x 7; it is a record of"),
+            ("ur10_fast", {"clock": "4 ms"}, f"{each} 4 ms after t = 0 s; it is of another clock"),
+            ("ur10_fast", {"log.every": "16 ms"}, f"{each} 16 ms after t = 0 s; it is of another clock, or a run"),
+        )
+    ):
+        run = dm.load(name).set(changed).run(5 * 0.008, engine="interpreted", progress=False)
+        run.save(tmp_path / str(k), plots=False)
+        with pytest.raises(MissingError, match=told):
+            graph().replay(tmp_path / str(k))
+
+
+def test_a_damaged_record_is_told(tmp_path: Path) -> None:
+    drive().save(tmp_path / "whole", plots=False)
+    content = (tmp_path / "whole" / "signals.nc").read_bytes()
+    file = tmp_path / "signals.nc"
+    damaged = [content[: len(content) // share] for share in (2, 10, 100)]
+    # in the names of the signals: HDF5 finds the checksum wrong
+    place = content.index(b"inverse.dq_c")
+    damaged.append(content[:place] + b"#" + content[place + 1 :])
+    for held in damaged:
+        file.write_bytes(held)
+        with pytest.raises(MissingError, match="expected a record as dmframe writes it, found another file"):
+            graph().replay(file)
+
+
 def test_a_robot_that_is_not_ready_gives_no_record() -> None:
     with pytest.raises(DriveError, match="the robot was stopped before its first command: deviation: "):
         graph().set({"start": {"arm.q": [1.4, -1.0, 1.0], "servo.q_c": [1.4, -0.7, 1.0]}}).drive(

@@ -60,7 +60,7 @@ class Package:
         def noted(name: str, answer: Any = True) -> Any:
             return lambda *words: (self.called.append((name, *words)), answer() if callable(answer) else answer)[1]
 
-        names = ("setWatchdog", "speedStop", "stopScript", "isProgramRunning", "disconnect", "kickWatchdog")
+        names = ("setWatchdog", "speedStop", "stopJ", "stopScript", "isProgramRunning", "disconnect", "kickWatchdog")
         return SimpleNamespace(
             **{name: noted(name) for name in names}, speedJ=noted("speedJ", lambda: self.takes), moveJ=self.moved
         )
@@ -161,9 +161,18 @@ def test_another_period_and_a_held_joint_elsewhere_are_refused_and_a_way_is_gone
     with pytest.raises(DriveError, match="expected wrist_2_joint at"):
         at.begin()
     assert "control" not in names(package)
-    at.move(np.array([1.0, -1.0, 1.0]), 0.25, 1.0)
+    at.move(np.array([1.0, -1.0, 1.0]), 0.25, 1.0, lambda _: False)
     assert package.called[-1] == ("moveJ", pytest.approx([1, -1, 1, 0, -np.pi / 2, 0]), 0.25, 1.0, True)
     at.begin()
+
+
+def test_a_way_that_is_ended_is_stopped_as_a_way(package: Package) -> None:
+    at = driver()
+    package.values["target_q"] = package.values["actual_q"] = [0.0] * 6
+    at.connect()
+    at.move(np.array([1.0, -1.0, 1.0]), 0.25, 1.0, lambda _: True)
+    at.stop(3.0)
+    assert package.called[-3:] == [("isProgramRunning",), ("stopJ", 3.0), ("stopScript",)]
 
 
 def test_without_the_package_one_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

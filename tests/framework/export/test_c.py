@@ -17,7 +17,8 @@ from typer.testing import CliRunner
 
 import dmframe as dm
 from dmframe.cli.app import app
-from dmframe.errors import DmframeError, ValueFault
+from dmframe.errors import DmframeError, OutputError, ValueFault
+from dmframe.export import c
 from dmframe.export.program import identifier
 from dmframe.port import Side
 
@@ -244,7 +245,10 @@ def test_what_cannot_be_exported_is_said(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("name", "word"), [("arm.q", "arm_q"), ("2 arms", "_2_arms"), ("int", "int_"), ("α.q", "q")])
+@pytest.mark.parametrize(
+    ("name", "word"),
+    [("arm.q", "arm_q"), ("2 arms", "_2_arms"), ("int", "int_"), ("class", "class_"), ("new", "new_"), ("α.q", "q")],
+)
 def test_names_are_words_of_c(name: str, word: str) -> None:
     assert identifier(name) == word
 
@@ -261,3 +265,45 @@ def test_without_a_compiler_it_is_written_all_the_same(tmp_path: Path, monkeypat
     assert "to rounding: no compiler worked" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")
     if GCC is not None:
         assert said(compiled(tmp_path / "out", *STRICT, *PLAIN)).returncode == 0
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", ["replay", "Example", "samples", "string", "dm", "test"])
+def test_a_name_that_is_another_files_is_changed(name: str, tmp_path: Path) -> None:
+    file = tmp_path / f"{name}.yaml"
+    file.write_text(dm.load("ur10_fast_kinematic").text, encoding="utf-8")
+    dm.load(file).set({"duration": 0.05}).export(tmp_path / "out")
+    assert (tmp_path / "out" / f"{name}_controller.c").is_file()
+    done = said(compiled(tmp_path / "out", *STRICT, *PLAIN, "-I."))
+    assert done.returncode == 0
+    assert done.stdout.startswith(f"{name}_controller: ")
+
+
+@needs_gcc
+@pytest.mark.parametrize("word", ["-Ofast", "-ffast-math", "-ffinite-math-only"])
+def test_it_is_not_compiled_where_what_is_not_finite_would_not_be_seen(word: str) -> None:
+    folder = exported("ur10_fast")
+    words = [str(GCC), "-std=c99", word, "-fsyntax-only", "ur10_fast.c"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "compile without -ffast-math" in done.stderr
+
+
+@pytest.mark.parametrize("kind", ["c", "fmi3"])
+def test_where_one_file_cannot_be_written_none_is_left(
+    kind: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write, count = c.write_bytes, list[Path]()
+
+    def full(file: Path, content: bytes) -> None:
+        count.append(file)
+        if len(count) == 2:
+            raise OutputError(f"{file}: cannot be written: no space left on device")
+        write(file, content)
+
+    monkeypatch.setattr(c, "write_bytes", full)
+    graph = dm.load("ur10_fast_kinematic").set({"duration": 0.05})
+    with pytest.raises(OutputError, match="no space left"):
+        graph.export(tmp_path / "new" / "out", kind)
+    assert list(tmp_path.iterdir()) == []
+    graph.export(tmp_path / "new" / "out", kind)

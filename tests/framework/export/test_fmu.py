@@ -164,7 +164,13 @@ def test_a_saved_state_is_returned_to(kind: Kind) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("change", "value"),
-    [("step", 0.004), ("step", 0.016), ("time", 0.003), ("input", np.nan), ("parameter", 1.0), ("output", 1.0)],
+    [
+        *(("step", value) for value in (0.004, 0.016, 0.0, -0.008, np.nan)),
+        *(("time", value) for value in (0.003, 0.8, -0.8, 1e300, np.nan, np.inf)),
+        ("input", np.nan),
+        ("parameter", 1.0),
+        ("output", 1.0),
+    ],
 )
 def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> None:
     from fmpy.fmi1 import FMICallException
@@ -180,6 +186,22 @@ def test_what_it_cannot_do_it_refuses(kind: Kind, change: str, value: float) -> 
     }
     with pytest.raises(FMICallException):
         asked[change]()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_step_is_neither_taken_twice_nor_left_out(kind: Kind) -> None:
+    from fmpy.fmi1 import FMICallException
+
+    unit = Unit(exported("ur10_fast", kind)[1], kind)
+    unit.initialise()
+    unit.fmu.exitInitializationMode()
+    unit.step(0.0, 0.008)
+    before = unit.get("arm.q")
+    for t in (0.0, 0.016):
+        with pytest.raises(FMICallException):
+            unit.step(t, 0.008)
+    np.testing.assert_array_equal(unit.get("arm.q"), before)
+    unit.step(0.008, 0.008)
 
 
 @pytest.mark.parametrize("kind", KINDS)

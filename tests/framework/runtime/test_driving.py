@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -216,3 +217,80 @@ def test_a_robot_that_stands_still_is_waited_for() -> None:
     assert reference[15] == pytest.approx(reference[5])
     assert not np.any(robot.told[6:16])
     assert found.journal.scale[5:15] == [0.0] * 10
+
+
+class Walker(Script):
+    """Goes to its start in ten samples of its own, and stops there where it is told to."""
+
+    def __init__(self, samples: list[Any], way: list[Sample]) -> None:
+        super().__init__(samples)
+        self.way = way
+
+    def move(self, q: np.ndarray, speed: float, acceleration: float, watched: Callable[[Sample], bool]) -> None:
+        for sample in self.way:
+            self.told.append("way")
+            if watched(sample):
+                return
+
+
+AWAY = Q + np.array([0.1, 0, 0])
+
+
+def walked(way: list[Sample], **plan: Any) -> tuple[Driven, Walker]:
+    robot = Walker([Sample(0.0, AWAY, np.zeros(3), AWAY, X), *standing(21)], way)
+    return driven(graph(), robot, 20, start=Q, **plan), robot
+
+
+def test_a_stop_that_is_asked_for_before_or_on_the_way_to_the_start_ends_the_way() -> None:
+    for after in (0, 3):
+        calls = []
+
+        def asked(calls: list[int] = calls, after: int = after) -> str:
+            calls.append(1)
+            return "Ctrl-C" if len(calls) > after else ""
+
+        found, robot = walked(standing(10), asked=asked)
+        assert str(found.stop) == "asked: Ctrl-C"
+        assert robot.told == ["connect", *["way"] * after, ("stop", 2.0), "close"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"fault": "protective stop"}, "robot: protective stop"),
+        (
+            {"q_c": Q + np.array([1.0, 0, 0])},
+            "deviation: shoulder_pan_joint is 1 rad from its target, at most 200 mrad may be",
+        ),
+        ({"x": X + 9.0}, "workspace: coordinate 1 of the tool is at 9.08 m, its box is -1 m to 1 m"),
+        ({"q": np.full(3, np.nan)}, "not finite: the robot tells q = [nan, nan, nan]"),
+    ],
+)
+def test_the_gate_watches_the_way_to_the_start(changed: dict[str, Any], told: str) -> None:
+    held = limits(graph(), box=np.array([[-1.0] * 3, [1.0] * 3]))
+    way = [*standing(3), *standing(1, **changed), *standing(6)]
+    found, robot = walked(way, held=held)
+    assert str(found.stop) == told
+    assert robot.told == ["connect", *["way"] * 4, ("stop", 20.0), "close"]
+    found, robot = walked(standing(10, missed=99), held=held)  # the robot goes by itself
+    assert found.stop is None
+
+
+@pytest.mark.parametrize("start", [Q, None])
+def test_a_drive_does_not_begin_beyond_a_limit(start: np.ndarray | None) -> None:
+    own = limits(graph())
+    held = replace(own, upper=np.array([*own.upper[:2], 0.5]))
+    robot = Script(standing(21))
+    found = driven(graph(), robot, 20, start=start, held=held)
+    assert str(found.stop) == ("joint limit: elbow_joint would start at 978 mrad, its limits are -3.14 rad to 500 mrad")
+    assert robot.told == ["connect", ("stop", 20.0), "close"]
+
+
+def test_a_clock_that_goes_on_after_it_stood_has_lost_nothing() -> None:
+    samples = standing(21)
+    twice = [sample for sample in samples[:20] for _ in range(2)]
+    found, robot = ended([*twice, samples[20]])  # each sample twice
+    assert found.stop is None
+    assert len(robot.told) == 20 + 3
+    found, _ = ended([*samples[:4], *[samples[3]] * 5, *samples[4:]])  # as often as may be
+    assert found.stop is None

@@ -11,6 +11,7 @@ from drivers import driven, simulated
 import dmframe as dm
 from dmframe.errors import DriveError
 from dmframe.runtime.driving import Driven
+from dmframe.runtime.robot import Sample
 from dmframe.runtime.signals import measured_as
 from dmframe.simulate import Recording
 
@@ -99,7 +100,7 @@ def test_a_move_comes_to_rest_at_the_pose_and_keeps_its_limits() -> None:
     robot = simulated(graph)
     begin = robot.read()
     goal = begin.q + np.array([0.3, -0.2, 0.05])
-    robot.move(goal, 0.25, 1.0)
+    robot.move(goal, 0.25, 1.0, lambda _: False)
     there = robot.read()
     np.testing.assert_allclose(there.q_c, goal, atol=2e-6)
     assert 0.3 / 0.25 < there.time - begin.time < 0.3 / 0.25 + 2
@@ -117,3 +118,15 @@ def test_graphs_that_command_something_else_are_refused(name: str, text: str) ->
     with pytest.raises(DriveError) as raised:
         simulated(graph)
     assert text in str(raised.value)
+
+
+def test_on_its_way_to_a_pose_it_stops_where_what_watches_says_so() -> None:
+    robot = simulated(dm.load("ur10_fast"))
+    first, seen = robot.read(), list[Sample]()
+    robot.move(first.q + 1.0, 0.25, 1.0, lambda sample: seen.append(sample) is None and len(seen) == 100)
+    assert np.all(robot.read().q < first.q + 0.25 * 100 * robot.period)
+    robot.stop(2.0)
+    for _ in range(200):
+        last = robot.read()
+    assert np.abs(last.dq).max() < 1e-3
+    assert np.all(last.q < first.q + 0.5)

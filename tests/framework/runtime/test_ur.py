@@ -273,3 +273,73 @@ def test_addresses_and_arms_are_checked() -> None:
         kind_of("ur")[0].make("", panda.experiment, panda.diagram, Options(1.0))
     with pytest.raises(DriveError, match="expected the joints of a UR in their order, found panda_joint1"):
         kind_of("ur:x")[0].make("x", panda.experiment, panda.diagram, Options(1.0))
+
+
+@pytest.mark.parametrize("kind", ["M", "U"])
+def test_what_comes_without_a_sample_is_not_read_for_ever(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("dmframe.runtime.rtde.time.monotonic", lambda: clock[0])
+
+    class Babbling(Main):
+        def receive(self, patience: float) -> bytes:
+            if not self.arm.silent:
+                return super().receive(patience)
+            clock[0] += 0.001
+            return message(kind, b"another payload than was agreed")
+
+    arm = Arm()
+    held = Rtde(Babbling(arm), 125.0, OUTPUTS, INPUTS)
+    arm.silent = True
+    with pytest.raises(LostError, match="no sample for 40 ms"):
+        held.read(0.04)
+    with pytest.raises(LostError, match="RTDE: no answer for 2 s"):
+        Rtde(Babbling(arm), 125.0, OUTPUTS, INPUTS)
+    assert clock[0] < 3
+
+
+@pytest.mark.parametrize("kind", ["O", "I"])
+def test_another_type_and_too_few_of_them_are_told(kind: str) -> None:
+    names = OUTPUTS if kind == "O" else INPUTS
+    for kinds, told in (
+        ([*["DOUBLE"] * 2, *list(names.values())[2:]], "types of the maker's guide, found "),
+        (["DOUBLE"], f"expected a robot that knows {len(names)} names, found 1"),
+    ):
+        arm = Arm()
+        arm.answers[kind] = b"\x01" + ",".join(kinds).encode()
+        with pytest.raises(DriveError, match=told):
+            driver(arm).connect()
+    arm = Arm()
+    arm.answers[kind] = b""
+    with pytest.raises(DriveError, match="found 1"):
+        driver(arm).connect()
+
+
+def test_samples_out_of_order_count_none_as_lost_that_came() -> None:
+    robot = driver(Arm())
+    robot.connect()
+    told = robot._newest(1.0)
+    missed = []
+    for tick in (0, 2, 1, 3, 4):
+        at = {**told, "timestamp": 200 + 0.008 * tick}
+        missed.append(robot._told(at).missed)
+    assert missed == [0, 1, 0, 0, 0]
+
+
+def test_on_its_way_it_ends_where_what_watches_says_so() -> None:
+    arm, seen = Arm(), list[Any]()
+    arm.values["target_q"] = arm.values["actual_q"] = Q + 0.1
+    at = driver(arm)
+    at.connect()
+    monitored = at._upload
+
+    def upload(script: str) -> None:  # an arm that stays where it is
+        held = arm.values["target_q"], arm.values["actual_q"]
+        monitored(script)
+        arm.values["target_q"], arm.values["actual_q"] = held
+
+    at._upload = upload  # type: ignore[method-assign]
+    at.move(Q[:3], 0.25, 1.0, lambda sample: seen.append(sample) or len(seen) == 4)  # type: ignore[func-returns-value]
+    assert len(seen) == 4
+    np.testing.assert_allclose(seen[0].q, Q[:3] + 0.1)
+    at.stop(3.0)
+    assert arm.scripts[-1] == "def dmframe_stop():\n  stopj(3.0)\nend\n"

@@ -250,3 +250,22 @@ def test_calls_without_end_end_it() -> None:
 
 def test_halt_ends_it() -> None:
     assert fault('def test():\n  halt\n  textmsg("not reached")\nend\n').endswith("test ends: halt")
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0x" + "f" * 5000, "1" + "0" * 10])
+def test_an_integer_that_no_register_holds_is_a_fault_of_the_script(number: str) -> None:
+    with pytest.raises(ScriptError, match="line 2: expected an integer of 32 bits, found one of"):
+        held().load_script(f"def test():\n  x = {number}\nend\n")
+
+
+def test_an_integer_that_grows_without_end_ends_the_script() -> None:
+    told = fault("def test():\n  x = 3\n  while True:\n    x = x * x\n    sync()\n  end\nend\n")
+    assert told.endswith("line 4: *: expected an integer of 32 bits, found a longer one")
+    assert value("  found = 2147483647") == 2147483647
+
+
+def test_a_speed_that_is_not_a_number_is_a_stop_without_a_warning() -> None:
+    at = robot()
+    at.load_script("def test():\n  speedj([1e300 * 1e300, 0, 0, 0, 0, 0], 1, 1)\nend\n")
+    at.advance(2)
+    assert at.safety.reason.startswith("protective stop: a target speed is not a number")
