@@ -78,12 +78,9 @@ def recording_of(
 
 
 def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """What the controller was given."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return {
-            label: rows if steered.fields[label] != "dq" else np.where(scale[:, None] == 1, rows, rows / scale[:, None])
-            for label, rows in measured.items()
-        }
+    """What the controller was given; nan where it waited, so that what would follow from it is nan, too."""
+    share = np.where(scale > 0, scale, np.nan)[:, None]
+    return {label: rows if steered.fields[label] != "dq" else rows / share for label, rows in measured.items()}
 
 
 def _plain(diagram: Diagram, names: set[str]) -> dict[str, str]:
