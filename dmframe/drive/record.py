@@ -136,7 +136,7 @@ def _notices(
     if taken.size:
         half, most, worst = (plain(float(value), "s") for value in np.percentile(taken, [50, 99, 100]))
         found.append(f"a command took {half} to compute and send; of a hundred one took {most}, the longest {worst}")
-    if "robot.age" in beside:
+    if "robot.age" in beside and not shadow:
         ages = beside["robot.age"].values
         half, worst = (plain(float(value), "s") for value in np.percentile(ages, [50, 100]))
         found.append(f"measured latency: the robot acted on commands {half} old, {worst} at most")

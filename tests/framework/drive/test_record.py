@@ -84,6 +84,20 @@ def test_where_the_controller_waited_its_signals_are_no_numbers_and_figures_leav
         assert all(np.isfinite(line.get_ydata()).all() for line in axes.lines)
 
 
+def test_beside_what_a_slow_robot_did_stands_what_it_was_sent() -> None:
+    found = graph().drive(until="0.1 s", ramp="4 s", engine="interpreted")
+    axes = found.plot()["commands"].axes[0]
+    _, commanded = (line.get_ydata() for line in axes.lines)
+    np.testing.assert_allclose(commanded, found.recording["robot.sent"][:, 0])
+    assert np.abs(commanded).max() < 0.3 * np.abs(found.recording["inverse.dq_c"][:, 0]).max()
+
+
+def test_in_shadow_no_latency_is_told() -> None:
+    found = graph().drive(until="0.1 s", shadow=True, engine="interpreted")
+    assert any("nothing was sent" in notice for notice in found.notices)
+    assert not any("latency" in notice for notice in found.notices)
+
+
 def test_what_the_graph_takes_for_true_is_not_called_true_of_a_robot_that_was_driven() -> None:
     texts = [text.get_text() for axes in drive().plot()["estimates"].axes for text in axes.get_legend().texts]
     assert any("(in the graph " in text for text in texts)
