@@ -66,7 +66,8 @@ def command_figure(runs: Runs) -> Any:
 def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
     """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels.
 
-    Of a robot that was driven the velocity that it was sent stands for the command, which is one of the controller's time.
+    Of a robot that was driven the velocity that it was sent stands for the command, which is one of the controller's
+    own time.
     """
     measured, wanted = dict[str, str](), dict[str, str]()
     for name, block in run.diagram.blocks.items():
