@@ -197,8 +197,9 @@ def tame(values: np.ndarray) -> np.ndarray:
 
 
 def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 2000, **kind: Any) -> None:
-    """A thinned curve."""
-    values = tame(values)
+    """A thinned curve; it leaves out what is no number."""
+    known = ~np.isnan(values)
+    times, values = times[known], tame(values[known])
     kept = thin(values, most)
     if kept.size < 8:
         kind["marker"] = "o"  # a line of one point is nothing that one sees, and of a few nothing sure
@@ -209,9 +210,10 @@ def draw_curve(axes: Any, times: np.ndarray, values: np.ndarray, most: int = 200
 def frame(axes: Any, curves: Sequence[tuple[np.ndarray, bool]], *, zero: bool = False) -> None:
     """Limits that show every curve in full, and a diverged one up to its last stretch, which would dwarf the rest.
 
-    With `zero` they hold zero, and what vanishes is drawn as zero.
+    With `zero` they hold zero, and what vanishes is drawn as zero. What is no number counts for nothing.
     """
-    ends = [span(values, diverged) for values, diverged in curves if len(values)]
+    known = [(values[~np.isnan(values)], diverged) for values, diverged in curves]
+    ends = [span(values, diverged) for values, diverged in known if len(values)]
     if not ends:
         return
     low, high = min(end[0] for end in ends), max(end[1] for end in ends)

@@ -101,8 +101,8 @@ def _check_real(experiment: Experiment, limits: Limits, rehearsed: bool) -> None
         )
     if rehearsed and not passed(experiment):
         raise DriveError(
-            f"{experiment.name}: expected a graph whose rehearsal was passed, found none of exactly this graph; run: "
-            f"dmframe rehearse {experiment.name}"
+            f"{experiment.name}: expected a graph whose rehearsal was passed, found none of exactly this graph; run "
+            "dmframe rehearse with the same graph and --set"
         )
 
 

@@ -78,12 +78,9 @@ def recording_of(
 
 
 def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
-    """What the controller was given."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return {
-            label: rows if steered.fields[label] != "dq" else np.where(scale[:, None] == 1, rows, rows / scale[:, None])
-            for label, rows in measured.items()
-        }
+    """What the controller was given; nan where it waited, so that what would follow from it is nan, too."""
+    share = np.where(scale > 0, scale, np.nan)[:, None]
+    return {label: rows if steered.fields[label] != "dq" else rows / share for label, rows in measured.items()}
 
 
 def _plain(diagram: Diagram, names: set[str]) -> dict[str, str]:
@@ -139,7 +136,7 @@ def _notices(
     if taken.size:
         half, most, worst = (plain(float(value), "s") for value in np.percentile(taken, [50, 99, 100]))
         found.append(f"a command took {half} to compute and send; of a hundred one took {most}, the longest {worst}")
-    if "robot.age" in beside:
+    if "robot.age" in beside and not shadow:
         ages = beside["robot.age"].values
         half, worst = (plain(float(value), "s") for value in np.percentile(ages, [50, 100]))
         found.append(f"measured latency: the robot acted on commands {half} old, {worst} at most")

@@ -105,7 +105,7 @@ static int dm_started(dm_instance *it, double t) {
 
 static int dm_read(dm_instance *it, size_t first, size_t count, double *values) {
   if (first + count > DM_V) return dm_fail(it, "expected a reference of modelDescription.xml");
-  if (DM_SHOWS && it->now.mode == DM_INITIALISING && !dm_started(it, it->now.time))
+  if (DM_SHOWS && it->now.mode != DM_MADE && !dm_started(it, it->now.time))
     return dm_fail(it, "the start leads to numbers that are not finite");
   memcpy(values, it->now.v + first, count * sizeof *values);
   return DM_OK;

@@ -64,7 +64,11 @@ def command_figure(runs: Runs) -> Any:
 
 
 def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
-    """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels."""
+    """Signals ``s`` of the plant that something commands or reports as ``s_c``: their two labels.
+
+    Of a robot that was driven the velocity that it was sent stands for the command, which is one of the controller's
+    own time.
+    """
     measured, wanted = dict[str, str](), dict[str, str]()
     for name, block in run.diagram.blocks.items():
         for port in block.outputs:
@@ -75,6 +79,8 @@ def command_pairs(run: Recording) -> dict[str, tuple[str, str]]:
                 measured[port.name] = label
             if port.access in (Access.COMMANDED, Access.MEASURED) and port.name.endswith("_c"):
                 wanted[port.name.removesuffix("_c")] = label
+    if "dq" in wanted and "robot.sent" in run.beside:
+        wanted["dq"] = "robot.sent"
     return {
         name: (wanted[name], measured[name]) for name in ("dq", "q", *wanted) if name in wanted and name in measured
     }

@@ -37,6 +37,7 @@ def estimate_figure(name: str, run: Recording) -> Any:
 
     Of many elements those that move most are named, the others stay grey, and those that never move are left out. The
     true values, which the controller does not know, stand beside the names, and as marks where a panel reaches them.
+    Of a robot that was driven they are told as the graph's own, for its true ones may be others.
     """
     truths = estimates_of(run.diagram)
     shown = [item for item in run.diagram.loop.controller if item.label in truths and item.label in run.states]
@@ -73,7 +74,9 @@ def _panel(axes: Any, run: Recording, variable: Variable, most: int, truth: np.n
         label = f"{len(grey)} more" if place == 0 else None
         draw_curve(axes, run.time, values[:, row], most, color=GREY, linewidth=0.6, label=label, zorder=1.5)
     for place, row in enumerate(named):
-        label = element(counted[row], letter, variable.unit) + ("" if truth is None else f"  (true {truth[row]:.3g})")
+        label = element(counted[row], letter, variable.unit)
+        if truth is not None:
+            label += f"  ({'in the graph' if run.beside else 'true'} {truth[row]:.3g})"
         draw_curve(axes, run.time, values[:, row], most, label=label, **look(place))
     frame(axes, [(values[:, row], diverged) for row in (*named, *grey)])
     if truth is not None:

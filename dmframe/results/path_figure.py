@@ -33,6 +33,8 @@ def last_lap(times: np.ndarray, path: np.ndarray) -> int:
 
     It comes back where it also moves as it does in the end: one that only crosses that point begins no lap.
     """
+    times, kept = np.unique(times, return_index=True)  # the path's time stands still while a robot is kept waiting
+    path = path[kept]
     if len(path) < 3:
         return 0
     rate = np.gradient(path, times, axis=0, edge_order=2)
@@ -48,7 +50,7 @@ def last_lap(times: np.ndarray, path: np.ndarray) -> int:
     last = back[-1]
     while last > 0 and distance[last - 1] < distance[last]:  # on to the nearest sample
         last -= 1
-    return int(last)
+    return int(kept[last])
 
 
 def magnification(extent: float, deviation: float) -> float:

@@ -20,6 +20,7 @@ using controller_interface::return_type;
 
 constexpr double PERIOD = DM_PERIOD;  // s
 constexpr double STILL = 0.01;  // below this share of its pace it stands
+constexpr bool NEEDS_TARGET = DM_NEEDS_TARGET;  // the law measures where the servo is told to be
 
 struct Row
 {
@@ -154,7 +155,7 @@ CallbackReturn Controller::on_activate(const rclcpp_lifecycle::State &)
     RCLCPP_ERROR(get_node()->get_logger(), "expected %zu command and %zu state interfaces", n, states);
     return CallbackReturn::FAILURE;
   }
-  if (target_.empty() && DM_NEEDS_TARGET) {
+  if (NEEDS_TARGET && target_.empty()) {
     RCLCPP_WARN(
       get_node()->get_logger(),
       "interfaces.target is empty: the servo's target is taken as the measured start plus all that is commanded");

@@ -69,6 +69,41 @@ def test_every_figure_is_drawn_that_needs_no_hidden_signal() -> None:
     assert {"error", "path", "commands", "estimates"} <= set(drive().plot())
 
 
+def test_where_the_controller_waited_its_signals_are_no_numbers_and_figures_leave_them_out() -> None:
+    found = graph().drive(until="0.1 s", ramp="4 s", engine="interpreted")
+    waited = found.recording["robot.scale"][:, 0] == 0
+    assert 0 < waited.sum() < len(waited)
+    velocity = found.recording["geometry.dx"]
+    assert np.isnan(velocity[waited]).all()
+    assert np.isfinite(velocity[~waited]).all()
+    assert not np.isinf(found.recording["dynamics.tau_dc"]).any()  # of a slow joint at a pace of zero
+    drawn = found.plot()["effort"]
+    for axes in drawn.axes:
+        assert np.isfinite(axes.get_ylim()).all()
+        assert np.abs(axes.get_ylim()).max() < 1e6
+        assert all(np.isfinite(line.get_ydata()).all() for line in axes.lines)
+
+
+def test_beside_what_a_slow_robot_did_stands_what_it_was_sent() -> None:
+    found = graph().drive(until="0.1 s", ramp="4 s", engine="interpreted")
+    axes = found.plot()["commands"].axes[0]
+    _, commanded = (line.get_ydata() for line in axes.lines)
+    np.testing.assert_allclose(commanded, found.recording["robot.sent"][:, 0])
+    assert np.abs(commanded).max() < 0.3 * np.abs(found.recording["inverse.dq_c"][:, 0]).max()
+
+
+def test_in_shadow_no_latency_is_told() -> None:
+    found = graph().drive(until="0.1 s", shadow=True, engine="interpreted")
+    assert any("nothing was sent" in notice for notice in found.notices)
+    assert not any("latency" in notice for notice in found.notices)
+
+
+def test_what_the_graph_takes_for_true_is_not_called_true_of_a_robot_that_was_driven() -> None:
+    texts = [text.get_text() for axes in drive().plot()["estimates"].axes for text in axes.get_legend().texts]
+    assert any("(in the graph " in text for text in texts)
+    assert not any("(true " in text for text in texts)
+
+
 def test_a_record_played_again_is_identical_and_with_another_gain_it_is_not(tmp_path: Path) -> None:
     late = graph().drive("sim:1", until="0.4 s", ramp="0.1 s", engine="interpreted")
     late.save(tmp_path / "log", plots=False)

@@ -142,7 +142,7 @@ def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleratio
 
     with pytest.raises(DriveError, match="expected limits with an acceleration for a real robot"):
         go(rehearsed=False)
-    with pytest.raises(DriveError, match="found none of exactly this graph; run: dmframe rehearse ur10_fast"):
+    with pytest.raises(DriveError, match="found none of exactly this graph; run dmframe rehearse with the same graph"):
         go(limits=file)
     assert go(limits=file, rehearsed=False).recording.time.size > 1
     kept.keep(graph.experiment, {"passed": True})

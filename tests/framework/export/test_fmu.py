@@ -141,6 +141,16 @@ def test_a_robot_that_starts_elsewhere_is_met_where_it_is(kind: Kind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_robot_shows_where_it_starts_to_one_who_looks_only_when_it_is_initialised(kind: Kind) -> None:
+    robot = Unit(exported("joint_tracking_pi", kind)[1], kind)
+    robot.initialise()
+    robot.fmu.exitInitializationMode()
+    q = robot.get("arm.q")
+    assert np.abs(q).max() > 0.1
+    assert q.tolist() == robot.get("state.arm.q").tolist()
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_saved_state_is_returned_to(kind: Kind) -> None:
     robot = Unit(exported("ur10_fast", kind)[1], kind)
     robot.initialise()

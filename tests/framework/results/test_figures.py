@@ -157,6 +157,8 @@ def test_the_last_lap_of_a_circle_is_one_period_and_an_open_path_is_whole():
     assert times[-1] - times[begin] == pytest.approx(2 * np.pi, abs=0.02)
     assert last_lap(times, np.stack([times, times], axis=1)) == 0
     assert last_lap(times, np.ones((times.size, 2))) == 0
+    waited = np.repeat(np.arange(times.size), np.where(np.arange(times.size) % 700 == 0, 5, 1))  # time stood still
+    assert times[waited][last_lap(times[waited], circle[waited])] == times[begin]
 
 
 def test_a_path_that_only_crosses_the_point_where_it_ends_begins_no_lap_there(make_result):
