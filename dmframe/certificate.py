@@ -27,13 +27,16 @@ from dmframe.terms import (
     Dissipated,
     Gathered,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
     Stored,
     beyond,
     clip,
     gathered,
     norm,
+    soft_clip,
 )
 
 
@@ -337,8 +340,10 @@ __all__ = [
     "Kept",
     "LeastSquaresSteps",
     "Lemma",
+    "LogDet",
     "NormSquare",
     "NormalisedSteps",
+    "Potential",
     "Relation",
     "SampledCertificate",
     "Square",
@@ -349,4 +354,5 @@ __all__ = [
     "clip",
     "gathered",
     "norm",
+    "soft_clip",
 ]

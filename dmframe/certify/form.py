@@ -16,12 +16,14 @@ from dmframe.certificate import (
     Driven,
     Gathered,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
 )
 from dmframe.errors import DmframeError, nearest
 
-STORED: Final = (Square, Gathered)
+STORED: Final = (Square, Gathered, Potential, LogDet)
 DISSIPATED: Final = (Square, NormSquare, Lemma, Gathered)
 BOUNDED: Final = (Square, NormSquare, Clipped)
 """Terms by what they may be; exactly these types, since a subclass could say anything of itself."""
@@ -41,7 +43,10 @@ def check_form(name: str, certificate: Certificate) -> None:
 def _ill_formed(certificate: Certificate) -> Iterator[str]:
     terms = certificate.dissipation
     if not all(type(term) in STORED for term in certificate.storage):
-        yield "expected each term of the storage to be a Square or Gathered; nothing else is known to be positive"
+        yield (
+            "expected each term of the storage to be a Square, Gathered, a Potential or a LogDet; nothing else is "
+            "known to be positive"
+        )
     if not all(type(term) in DISSIPATED for term in terms):
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if not all(type(term) in BOUNDED for term in certificate.excess):
@@ -114,6 +119,9 @@ def _fits(term: object, pieces: Sequence[SX]) -> bool:
         rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
         fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
         return bool(scalars and fits)
+    if isinstance(term, LogDet):
+        matrix, true, weight = pieces
+        return bool(matrix.shape == true.shape and matrix.is_square() and weight.is_scalar())
     if isinstance(term, Square | NormSquare):
         if not all(piece.is_column() for piece in pieces[2:]):
             return False
