@@ -10,6 +10,7 @@ import casadi as ca
 from dmframe.certificate import (
     MONOTONE,
     SX,
+    Barrier,
     Certificate,
     Clipped,
     Consumed,
@@ -69,6 +70,11 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         rows, columns = ca.SX(certificate.supply).shape
         yield f"expected a scalar supply, found {rows} x {columns}"
     yield from _ill_driven(certificate.driven)
+    for barrier in certificate.barriers:
+        if type(barrier) is not Barrier:
+            yield f"expected each of barriers to be a Barrier, found {type(barrier).__name__}"
+        elif not _columns([ca.SX(piece) for piece in barrier.pieces]):
+            yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
     if certificate.pays:
         if consumed is not None:
             yield "a cascade consumes and cannot pay; expected one of consumes and pays"
@@ -82,7 +88,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     """All expressions of a certificate, by its fields."""
-    for role in ("storage", "dissipation", "excess", "driven"):
+    for role in ("storage", "dissipation", "excess", "driven", "barriers"):
         yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
     consumed = certificate.consumes
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
 
@@ -121,6 +121,22 @@ class PrintedLaw:
         """All equations in the order in which they are read."""
         energy = [line for line in (self.S, self.dS) if line is not None]
         return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
+
+    @property
+    def silent(self) -> PrintedLaw:
+        """The same without its energy."""
+        return replace(
+            self,
+            storage=(),
+            dissipation=(),
+            excess=(),
+            driven=(),
+            estimates=(),
+            supply=None,
+            consumption=None,
+            S=None,
+            dS=None,
+        )
 
 
 Reader = Callable[[Any, Any], Node]

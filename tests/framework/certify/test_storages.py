@@ -1,4 +1,4 @@
-"""Storages that are no squares: springs that give way, and the divergence of one matrix from another; and lies of both."""
+"""Storages that are no squares: springs that give way, and the divergence of matrices; and lies of both."""
 
 from __future__ import annotations
 
