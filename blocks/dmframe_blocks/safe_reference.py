@@ -41,10 +41,10 @@ class SafeReference(AbstractBlock):
     :math:`v_{max}` are those of the robot's URDF, unless `lower`, `upper` and `speed` say others.
 
     The servo level of the proof falls for any reference velocity whose derivative the controller knows: so it is the
-    reference that is limited, never the command. A joint's room shrinks no faster than approach times itself and the error
-    s with which the reference is followed, on which V has no more than V(0) to spend: `verify` says by how much each
-    joint may pass the limits that the reference keeps, from where the loop starts and from the intervals of
-    `uncertain`. A `margin` of so much keeps the true limits.
+    reference that is limited, never the command. A joint's room shrinks no faster than approach times itself and the
+    error s of following the reference, on which V has no more than V(0) to spend: `verify` says by how much each joint
+    may pass the limits that the reference keeps, from where the loop starts and from the intervals of `uncertain`. A
+    `margin` of so much keeps the true limits.
 
     The limits go before the path: while one is active the tool waits or leaves its path, and nothing is proved of the
     task. What the generator stores is no part of V.
