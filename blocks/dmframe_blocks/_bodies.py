@@ -1,4 +1,4 @@
-"""Estimated bodies that stay bodies: the law on the cone of positive definite pseudo-inertias, its step and its storage."""
+"""Estimated bodies that stay bodies: the law on positive definite pseudo-inertias, its step and its storage."""
 
 from __future__ import annotations
 

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from typing import Any, ClassVar, final
 
 import casadi as ca
-from dmframe_blocks._bodies import moved, storage
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port, State
+from dmframe_blocks._bodies import moved, storage
 
 
 @final
@@ -34,8 +34,8 @@ class ConsistentCompensator(AbstractBlock):
 
     So it takes the gradient's place in every proof. As V does not grow, :math:`\hat P` stays in a compact set of
     positive definite matrices: masses above zero, centres of mass inside, and an estimated mass matrix that can be
-    inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top` with :math:`A = 1 - \tfrac12 c T \hat P Q`,
-    which no step, however long, takes out of the set.
+    inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
+    :math:`A = 1 - \tfrac12 c T \hat P Q`: however long the step, no eigenvalue falls below zero.
 
     Parameters
     ----------

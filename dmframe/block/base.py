@@ -60,8 +60,8 @@ def owner_of(signals: Signals) -> str:
 class Equations:
     """What a block's equations say: its outputs, the rates of its states, and the next values of its sampled ones.
 
-    On a clock a controller's state in continuous time takes a step of the sampling period T, x + T rate, and + T^2 times
-    what `second` says of it, such as keeps a matrix positive definite that a plain step would not.
+    On a clock a controller's state in continuous time takes a step of the sampling period T: x + T rate, and T^2 times
+    what `second` says of it, if it does, such as keeps a matrix positive definite that a plain step would not.
     """
 
     outputs: Mapping[str, SX] = field(default_factory=dict)
