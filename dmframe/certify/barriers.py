@@ -38,6 +38,8 @@ class Tube:
     ----------
     of, unit, position
         The position: its name, its unit, and itself.
+    tube
+        (n,) by how much the room before them may be less than it would be if they were followed exactly.
     reach
         (n,) the most by which it passes them at any time.
     margin
@@ -51,6 +53,7 @@ class Tube:
     of: str
     unit: str
     position: SX
+    tube: np.ndarray
     reach: np.ndarray
     margin: np.ndarray
     ends: np.ndarray
@@ -65,14 +68,14 @@ class Tube:
 def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
-        reach = f"it passes what its reference keeps by at most {_told(tube.reach, tube.unit)}, joint by joint"
+        room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
         if tube.inside:
             says, then = "stays within its limits at all times", "and the margin is no less"
         else:
             says = f"passes its limits by at most {_told(np.maximum(tube.reach - tube.margin, 0), tube.unit)}"
-            then = "which as a margin would keep the limits"
-        spends = f"dV/dt spends of that error a square, and V has no more than V(0) <= {tube.spent:.4g} to spend"
-        step = f"{reach}, {then}: its room shrinks no faster than the reference lets it and the error adds; {spends}"
+            then = f"which takes a margin of {_told(tube.reach, tube.unit)}"
+        spends = "dV/dt spends a square of the error with which the reference is followed"
+        step = f"{room}, joint by joint, {then}; {spends}, and V has no more than V(0) <= {tube.spent:.4g} to spend"
         yield Statement(tube.of, says, step, concludes=True)
 
 
@@ -97,11 +100,12 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
         a, v, w, margin, low, high = (_column(numbers, item, len(share)) for item in _constants(barrier))
         q = np.asarray([_most(claim, numbers, begin, element) for element in ca.vertsplit(barrier.position)])
         outside = np.maximum(0.0, np.maximum(q - high, low - q))
-        reach = OUTWARD * (outside + np.sqrt(share * spent / (2 * a)))
+        tube = OUTWARD * np.sqrt(share * spent / (2 * a))
+        reach = OUTWARD * outside + tube
         room = high - low
         if np.all(_soft_min(v, -a * reach, w) + _soft_min(v, a * (room + reach), w) >= 0):  # upper >= lower inside
             ends = np.array([low - margin, high + margin])
-            yield Tube(*_named(claim, barrier), reach, margin, ends, spent)
+            yield Tube(*_named(claim, barrier), tube, reach, margin, ends, spent)
 
 
 def _named(claim: Claim, barrier: Barrier) -> tuple[str, str, SX]:

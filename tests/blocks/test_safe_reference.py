@@ -104,6 +104,7 @@ def test_the_tube_of_an_arm_on_its_way_to_a_limit_is_that_by_hand_and_holds() ->
     np.testing.assert_allclose(tube.spent, spent, rtol=1e-9)
     by_hand = np.sqrt(spent / (2 * 4 * np.array([61.0, 30.5])))
     np.testing.assert_allclose(tube.reach, by_hand, rtol=1e-6)
+    np.testing.assert_allclose(tube.tube, tube.reach)  # it starts inside
     assert not tube.inside
     run = graph.run()
     passed = np.max(run.data["arm.q"].values, axis=0) - [1.2, 2.0]
