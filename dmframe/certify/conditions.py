@@ -30,7 +30,7 @@ from dmframe.certificate import (
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import Number, body_pivots, is_mass_matrix, least_body_pivot, least_sampled, pivots
-from dmframe.certify.memories import matrix_start, memory_starts
+from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
@@ -173,7 +173,8 @@ def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[l
             assumed.append(Assumption(f"{part.block}: {term.of} starts positive definite", SIGNS))
         else:
             name, least = f"{part.block}: {term.of} starts positive definite", min(pivots(first))
-            checked.append(Checked(name, "least pivot at the start", as_float(least), least > 0, SIGNS))
+            margin = pivots_at_start(claim, numbers, start, term.matrix)
+            checked.append(Checked(name, "least pivot at the start", as_float(least), least > 0, SIGNS, margin=margin))
         if rising:
             text = f"{part.block}: {term.of} stays positive definite, although V may rise by a residual"
             assumed.append(Assumption(text, SIGNS))

@@ -13,8 +13,9 @@ from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number, is_semidefinite
-from dmframe.certify.starts import start_of
+from dmframe.certify.starts import start_expression, start_of
 from dmframe.exact.rational import Interval, evaluate
+from dmframe.linalg import ldl
 
 
 def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> list[Checked]:
@@ -80,3 +81,15 @@ def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matri
     (found,) = evaluate(function, [values])
     rows = matrix.shape[0]
     return [[found[column * rows + row] for column in range(rows)] for row in range(rows)]
+
+
+def pivots_at_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> SX | None:
+    """The pivots of a matrix of states where it starts, as expressions; None of a start that is a fault."""
+    used = symbols_in([matrix])
+    for variable in claim.loop.variables:
+        if used & symbols_in([variable.symbol]):
+            begin = start_expression(variable.label, numbers, given)
+            if begin is None:
+                return None
+            (matrix,) = ca.substitute([matrix], [ca.vec(variable.symbol)], [begin])
+    return ca.vertcat(*ldl(matrix)[1])

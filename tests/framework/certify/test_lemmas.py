@@ -203,5 +203,7 @@ def test_an_ill_formed_certificate_is_not_applicable_and_says_why(text: str) -> 
 def test_a_subclass_of_a_term_is_none() -> None:
     """It could say anything of itself."""
     kind = type("Liar", (Square,), {"value": property(lambda self: -1)})
-    with pytest.raises(TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Liar"):
+    with pytest.raises(
+        TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Liar"
+    ):
         Certificate((kind(ca.SX.sym("x")),))
