@@ -69,10 +69,13 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
         room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
+        low, high = (", ".join(f"{value:.6g}" for value in end) for end in tube.ends)
+        limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
-            says, then = "stays within its limits at all times", "and the margin is no less"
+            says, then = f"stays between {limits} at all times", "and the margin is no less"
         else:
-            says = f"passes its limits by at most {_told(np.maximum(tube.reach - tube.margin, 0), tube.unit)}"
+            beyond = _told(np.maximum(tube.reach - tube.margin, 0), tube.unit)
+            says = f"stays between {limits}, but for at most {beyond} beyond"
             then = f"which takes a margin of {_told(tube.reach, tube.unit)}"
         spends = "dV/dt spends a square of the error with which the reference is followed"
         step = f"{room}, joint by joint, {then}; {spends}, and V has no more than V(0) <= {tube.spent:.4g} to spend"
@@ -97,7 +100,12 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
         share = _share(claim, numbers, symbols, barrier)
         if share is None or not math.isfinite(spent):
             continue
-        a, v, w, margin, low, high = (_column(numbers, item, len(share)) for item in _constants(barrier))
+        try:
+            a, v, w, margin, low, high = (_column(numbers, item, len(share)) for item in _constants(barrier))
+        except (ValueFault, ZeroDivisionError):  # of something that moves
+            continue
+        if min(map(np.min, (a, v, w))) <= 0:
+            continue
         q = np.asarray([_most(claim, numbers, begin, element) for element in ca.vertsplit(barrier.position)])
         outside = np.maximum(0.0, np.maximum(q - high, low - q))
         tube = OUTWARD * np.sqrt(share * spent / (2 * a))
@@ -128,13 +136,19 @@ def _column(numbers: Numbers, expression: SX, size: int) -> np.ndarray:
     return np.broadcast_to(np.asarray(values), (size,))
 
 
+def _largest(numbers: Numbers, expression: SX, size: int) -> np.ndarray:
+    """The largest absolute values."""
+    values = [max(abs(as_float(lower(x))), abs(as_float(upper(x)))) for x in numbers.of(ca.SX(expression))]
+    return np.broadcast_to(np.asarray(values), (size,))
+
+
 def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier) -> np.ndarray | None:
     """C of s_i^2 <= c_i times what is spent, of the block that spends the error of following the reference."""
     error = Field(claim.diagram).derivative(barrier.position) - barrier.reference
     for part in claim.parts:
         if part.certificate.pays and _same(part, error, symbols):
             size = error.numel()
-            shares = [_column(numbers, share, size) for share in part.certificate.pays]
+            shares = [_largest(numbers, share, size) for share in part.certificate.pays]
             weights = [_column(numbers, term.weight, size) for term in part.paying if isinstance(term, Square)]
             if len(weights) == len(shares) and all(np.all(weight > 0) for weight in weights):
                 return np.asarray(sum(c**2 / weight for c, weight in zip(shares, weights, strict=True)))

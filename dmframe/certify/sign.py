@@ -18,6 +18,15 @@ class Sign(Enum):
     ABOVE = 2
 
 
+TELLING = frozenset(
+    {
+        ca.OP_CONST, ca.OP_EXP, ca.OP_COSH, ca.OP_FMAX, ca.OP_ADD, ca.OP_MUL, ca.OP_DIV, ca.OP_INV, ca.OP_SQRT,
+        ca.OP_TWICE, ca.OP_FMIN, ca.OP_SQ, ca.OP_FABS,
+    }
+)  # fmt: skip
+"""Instructions of whose values something may be known; nothing is of any other's."""
+
+
 def sign_after(code: int, operands: Sequence[Sign], *, positive: bool = False) -> Sign:
     """The sign of an instruction's value, from those of its operands; `positive`, of a constant."""
     above = [sign is Sign.ABOVE for sign in operands]

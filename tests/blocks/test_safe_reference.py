@@ -120,9 +120,11 @@ def test_a_margin_of_as_much_keeps_the_limit() -> None:
     assert tube is not None
     assert tube.inside
     assert float(np.max(graph.run().data["arm.q"].values[:, 0])) < 1.2
-    (said,) = (item for item in graph.verify().verdict.statements if "limits" in item.says)
+    (said,) = (item for item in graph.verify().verdict.statements if "stays between" in item.says)
     assert said.signal == "arm.q"
-    assert said.says == "stays within its limits at all times"
+    assert said.says == "stays between -2, -2 and 1.2, 2 rad at all times"
+    (said,) = (item for item in joint_graph().verify().verdict.statements if "stays between" in item.says)
+    assert said.says.startswith("stays between -2, -2 and 1.2, 2 rad, but for at most 0.")
 
 
 def test_intervals_widen_the_tube_to_hold_that_of_every_robot_in_them() -> None:
@@ -141,15 +143,24 @@ def test_where_v_may_rise_or_the_law_is_another_there_is_no_tube(monkeypatch: py
     kind = block_types()["safe_reference"]
     honest = kind.certificate
 
-    def other_rate(self: Any, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
-        stated = honest(self, u, x, p, truth)
-        (barrier,) = stated.barriers
-        pieces = list(barrier.pieces)
-        pieces[5] = pieces[5] / 2
-        return Certificate(barriers=(Barrier(*pieces),), filters=stated.filters)
+    def lying(place: int, changed: Any) -> None:
+        def stated(self: Any, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+            true = honest(self, u, x, p, truth)
+            pieces = list(true.barriers[0].pieces)
+            pieces[place] = changed(pieces[place], u)
+            return Certificate(barriers=(Barrier(*pieces),), filters=true.filters)
 
-    monkeypatch.setattr(kind, "certificate", other_rate)
-    assert tube_of(joint_graph()) is None
+        monkeypatch.setattr(kind, "certificate", stated)
+
+    for place, changed in (
+        (5, lambda rate, u: rate / 2),  # another rate than that of the law
+        (5, lambda rate, u: rate * (1 + u.q[0] ** 2)),  # one that moves
+        (6, lambda width, u: -width),
+        (4, lambda speed, u: 0 * speed),
+        (3, lambda upper, u: upper - 0.1),
+    ):
+        lying(place, changed)
+        assert tube_of(joint_graph()) is None
 
 
 def test_without_the_filter_the_same_arm_goes_beyond_the_tube() -> None:
@@ -163,7 +174,7 @@ def test_on_a_robot_the_circle_stops_at_the_limit_and_the_whole_loop_is_stable()
     assert found.proved
     assert found.verdict.states is not None
     assert not found.verdict.states.open  # q is bounded by its limits, and all else by q
-    assert any(item.says == "stays within its limits at all times" for item in found.conclusions)
+    assert any(item.says.endswith("at all times") for item in found.conclusions)
     tube = tube_of(graph)
     assert tube is not None
     run = graph.run(until=15)

@@ -50,7 +50,7 @@ def test_from_far_away_it_asks_for_less_than_a_linear_feedback_and_arrives() -> 
 
 def test_on_a_robot_it_is_proved_with_every_fault_refuted() -> None:
     graph = dm.load("ur10_saturated")
-    verdict = graph.verify()
+    verdict = graph.verify().verdict
     assert verdict.outcome == "proved"
     assert len(verdict.controls) == sum(control.refuted for control in verdict.controls) >= 26
     goes = {item.signal for item in verdict.statements if item.says == "goes to zero" and item.concludes}
