@@ -49,7 +49,7 @@ class ConsistentAdaptation(AbstractBlock):
 
     References
     ----------
-    [LeeKwonPark2018]_; [WangTAC2020]_ eqs. (59), (60).
+    [LeeKwonPark2018]_; [WangTAC2020]_ for the law by the tracking error.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (

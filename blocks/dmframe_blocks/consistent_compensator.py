@@ -52,7 +52,7 @@ class ConsistentCompensator(AbstractBlock):
 
     References
     ----------
-    [LeeKwonPark2018]_; [Wensing2018]_ for the pseudo-inertia; [WangTAC2020]_ eq. (12).
+    [LeeKwonPark2018]_; [Wensing2018]_ for the pseudo-inertia.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (

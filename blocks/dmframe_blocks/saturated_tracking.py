@@ -51,7 +51,7 @@ class SaturatedTracking(AbstractBlock):
 
     References
     ----------
-    [WangTAC2020]_ eq. (30), with J for its estimate; [TakegakiArimoto1981]_ for a spring as energy.
+    [WangTAC2020]_ for the reference; [TakegakiArimoto1981]_ for a spring as energy.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (
