@@ -65,8 +65,8 @@ class SafeReference(AbstractBlock):
 
     Notes
     -----
-    Not for: a generator over an observer or adaptive kinematics, whose proof is one with theirs; limits of the task space,
-    torques or accelerations. The command is not limited: a disturbance that the
+    Not for: a generator over an observer or adaptive kinematics, whose proof is one with theirs; limits of the task
+    space, torques or accelerations. The command is not limited: a disturbance that the
     servo's inverse compensates comes on top of the reference. The tube is one of continuous time.
 
     References
