@@ -16,6 +16,7 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.barrier import Barrier, soft_between, soft_min
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
 from dmframe.fields import check_fields
 from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
@@ -27,13 +28,16 @@ from dmframe.terms import (
     Dissipated,
     Gathered,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
     Stored,
     beyond,
     clip,
     gathered,
     norm,
+    soft_clip,
 )
 
 
@@ -170,6 +174,11 @@ class Certificate:
     errors
         Errors that the block is there to take away, where its storage holds them in another form; V does not count
         them. That they go to zero is concluded if what is dissipated says so.
+    filters
+        Inputs that the block changes before anybody follows them. What the block stores that gives one has no part in
+        V: its word is about a reference that is followed.
+    barriers
+        Limits that the reference velocity keeps which the block hands out; how far the robot does follows from V.
     """
 
     storage: tuple[Stored, ...] = ()
@@ -183,6 +192,8 @@ class Certificate:
     driven: tuple[Driven, ...] = ()
     estimates: Mapping[str, TrueValue] = field(default_factory=dict)
     errors: tuple[Square, ...] = ()
+    barriers: tuple[Barrier, ...] = ()
+    filters: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -191,9 +202,10 @@ class Certificate:
     def pieces(self) -> list[SX]:
         """All its expressions."""
         terms = (*self.storage, *self.dissipation, *self.excess, *self.errors, *self.driven, *self.estimates.values())
+        kept = (piece for barrier in self.barriers for piece in barrier.pieces)
         consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
         pieces = (piece for term in terms for piece in term.pieces)
-        return [ca.SX(piece) for piece in (*pieces, self.supply, *consumed, *self.pays)]
+        return [ca.SX(piece) for piece in (*pieces, *kept, self.supply, *consumed, *self.pays)]
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
@@ -209,11 +221,13 @@ class Certificate:
             errors=tuple(rebuilt(term) for term in self.errors),
             driven=tuple(rebuilt(term) for term in self.driven),
             estimates={name: rebuilt(term) for name, term in self.estimates.items()},
+            barriers=tuple(rebuilt(term) for term in self.barriers),
             supply=next(done),
             consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
             pays=tuple(done),
             task=self.task,
             truth=self.truth,
+            filters=self.filters,
         )
 
 
@@ -329,6 +343,7 @@ __all__ = [
     "SX",
     "TINY",
     "Assumption",
+    "Barrier",
     "Bounded",
     "Certificate",
     "Clipped",
@@ -342,8 +357,10 @@ __all__ = [
     "Kept",
     "LeastSquaresSteps",
     "Lemma",
+    "LogDet",
     "NormSquare",
     "NormalisedSteps",
+    "Potential",
     "Relation",
     "SampledCertificate",
     "Square",
@@ -354,4 +371,7 @@ __all__ = [
     "clip",
     "gathered",
     "norm",
+    "soft_between",
+    "soft_clip",
+    "soft_min",
 ]

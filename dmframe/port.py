@@ -96,7 +96,8 @@ class State:
     """A quantity that a block integrates, or moves from sample to sample.
 
     A parameter of the same name, if the block has one, is the state's start; else it starts at zero or where the
-    block's `start` says. On a clock, a continuous state of a controller is emulated: one explicit Euler step a sample.
+    block's `start` says. On a clock, a continuous state of a controller is emulated: one explicit Euler step a sample,
+    with the second term that `Equations.second` may say.
 
     Parameters
     ----------

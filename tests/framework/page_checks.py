@@ -22,7 +22,8 @@ from dmframe.simulate.start import start_state
 
 def functions(found: Verification) -> Functions:
     graph = found.experiment
-    return functions_of(found.diagram, graph.file.clock, graph.start, found.verdict)
+    uncertain = graph.intervals(found.diagram)
+    return functions_of(found.diagram, graph.file.clock, graph.start, found.verdict, uncertain=uncertain)
 
 
 def check_functions(found: Verification) -> None:

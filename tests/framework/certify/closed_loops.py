@@ -209,13 +209,20 @@ PERIOD = 1e-3
 def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
     """Rates of all states at (state, t), as the simulation's own functions give them, inside the boxes."""
     loop = diagram.loop
-    step = build_step(loop, PERIOD, Solver(step=PERIOD), ca.SX(0, 1))
     split = sum(variable.symbol.numel() for variable in loop.controller)
     p = _unbounded(diagram)
+    periods = [PERIOD]
+    if any(variable.second is not None for variable in loop.controller):  # what a step has over T^2 is no rate
+        periods.append(2 * PERIOD)
+    steps = [build_step(loop, period, Solver(step=period), ca.SX(0, 1)) for period in periods]
 
     def rates(state: np.ndarray, t: float) -> np.ndarray:
-        advanced = step.tick(state, [t, PERIOD], p)[0].full().ravel()
-        return np.concatenate([(advanced - state)[:split] / PERIOD, step.rate(state, t, p).full().ravel()])
+        moved = [
+            (step.tick(state, [t, period], p)[0].full().ravel() - state)[:split] / period
+            for step, period in zip(steps, periods, strict=True)
+        ]
+        own = moved[0] if len(moved) == 1 else 2 * moved[0] - moved[1]
+        return np.concatenate([own, steps[0].rate(state, t, p).full().ravel()])
 
     return rates
 

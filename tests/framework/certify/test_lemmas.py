@@ -160,7 +160,7 @@ def test_a_certificate_that_raises_is_told_with_its_line() -> None:
 
 
 FORMS = {
-    "expected storage[0] to be a Square or a Gathered, found a Lemma": lambda c, u: Certificate(
+    "expected storage[0] to be a Square, a Gathered, a Potential or a LogDet, found a Lemma": lambda c, u: Certificate(
         (Lemma(ca.SX(1), u.sigma, u.sigma, ca.SX(1)),), (), c.supply
     ),
     "expected dissipation[0] to be a Square, a NormSquare, a Lemma or a Gathered": lambda c, u: Certificate(
@@ -203,5 +203,7 @@ def test_an_ill_formed_certificate_is_not_applicable_and_says_why(text: str) -> 
 def test_a_subclass_of_a_term_is_none() -> None:
     """It could say anything of itself."""
     kind = type("Liar", (Square,), {"value": property(lambda self: -1)})
-    with pytest.raises(TypeError, match=r"expected storage\[0\] to be a Square or a Gathered, found a Liar"):
+    with pytest.raises(
+        TypeError, match=r"expected storage\[0\] to be a Square, a Gathered, a Potential or a LogDet, found a Liar"
+    ):
         Certificate((kind(ca.SX.sym("x")),))

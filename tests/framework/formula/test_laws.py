@@ -68,7 +68,7 @@ def check_symbols(law, given):
         for item in names(right, Name):
             assert item.name in known or unicode_name(item.name) in told, (line.whole.text, item.name)
         for item in functions:
-            standard = item.function in ("sin", "cos", "tanh", "abs", "exp", "min", "max")
+            standard = item.function in ("sin", "cos", "tanh", "abs", "exp", "sqrt", "min", "max")
             assert standard or any(sign.startswith(f"{unicode_name(item.function)}(") for sign in told)
 
 
