@@ -245,6 +245,18 @@ def test_it_is_moved_to_the_start_with_the_joints_that_are_held(graph: dm.Graph)
     assert not velocities(arm)
 
 
+def test_what_is_asked_on_the_way_to_the_start_ends_it(graph: dm.Graph) -> None:
+    arm = Arm()
+    arm.q = HELD + 0.5
+    texts = iter(["", "", "Ctrl-C"])
+    found = driven(graph, driver(graph, arm), 3, ramp=0.1, start=HELD[[0, 1, 3]], asked=lambda: next(texts, "Ctrl-C"))
+    assert found.stop is not None
+    assert "Ctrl-C" in str(found.stop)
+    assert arm.told[-1] == ("set_state", 4)
+    assert arm.q[0] > HELD[0] + 0.4
+    assert not velocities(arm)
+
+
 def test_in_shadow_nothing_is_told_to_it(graph: dm.Graph) -> None:
     arm = Arm()
     found = driven(graph, driver(graph, arm), 20, shadow=True)
