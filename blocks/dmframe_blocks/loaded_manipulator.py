@@ -21,10 +21,10 @@ class LoadedManipulator(AbstractBlock):
 
     .. math::
 
-        M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q)   \tag{1}
+        M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u + \tau_{ext}   \tag{1}
 
-    where a are the inertial parameters with the mass that is there now. Nobody is told of it: the maker's servo goes on
-    compensating its share of the gravity of the robot alone, and controllers adapt, or do not.
+    and :math:`x = f(q)`, where a are the inertial parameters with the mass that is there now. Nobody is told of it: the
+    maker's servo goes on compensating its share of the gravity of the robot alone, and controllers adapt, or do not.
 
     Parameters
     ----------
@@ -56,7 +56,11 @@ class LoadedManipulator(AbstractBlock):
 
     side: ClassVar[Side] = Side.PLANT
     uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), TIME)
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("u", "n", "V"),
+        Port("tau_ext", "n", "N m", optional=True),
+        TIME,
+    )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad", Access.MEASURED),
         Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
@@ -100,7 +104,7 @@ class LoadedManipulator(AbstractBlock):
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), a) - carried
         viscous = p.viscous - p.maker_viscous
         friction = viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
-        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u - friction - moving)
+        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u + u.tau_ext - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,

@@ -54,6 +54,11 @@ BETWEEN = """
 LOADED = EXAMPLES["setpoint"].replace("manipulator}", "loaded_manipulator, payload: [1], payload_at: [1]}")
 EXAMPLES |= dict.fromkeys(re.findall(r"type: (\w+)", BETWEEN), LOADED + BETWEEN[1:])
 EXAMPLES["loaded_manipulator"] = LOADED
+EXAMPLES["force_sensor"] = (
+    EXAMPLES["setpoint"]
+    + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"
+    + "  sensor:   {type: force_sensor, noise: 0.1}\n"
+)
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot

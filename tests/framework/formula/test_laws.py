@@ -136,7 +136,7 @@ PAPER = {
     "passive_filter": {"y": "K_1 (J_hat'(x - x_d) - y)"},
     "adaptive_kinematics": {"J_hat": "J(q, a_k_hat)", "a_k_hat": "Gamma_k Y_k(q, dq)' e_k"},
     "computed_torque": {"ddq_ref": "ddq_d - 2 alpha_bar (dq - dq_d) - alpha_bar^2 (q - q_d)"},
-    "manipulator": {"ddq": "M(q)^-1 (K u - (B dq + coulomb phi(dq)) - (C(q, dq) dq + g))", "x": "f(q)"},
+    "manipulator": {"ddq": "M(q)^-1 (K u + tau_ext - (B dq + coulomb phi(dq)) - (C(q, dq) dq + g))", "x": "f(q)"},
 }
 
 
