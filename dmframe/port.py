@@ -74,6 +74,9 @@ class Port:
         blocks that stand in for one signal each reads the one before it, in the order of the file.
     told
         Of an output that is zero as long as all is well, what a run says of it where it is not.
+    steps
+        Of an output of a source: it is constant but for the instants at which it steps. Its derivative is zero, and a
+        proof is one of the time between two steps.
     """
 
     name: str
@@ -88,6 +91,7 @@ class Port:
     ahead: int = 1
     instead_of: str = ""
     told: str = ""
+    steps: bool = False
 
 
 @final

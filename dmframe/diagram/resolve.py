@@ -236,9 +236,22 @@ class Resolver:
         One that jumps between constants has the derivative zero too, but is not still.
         """
         held = self.trajectory(block, port, order)
+        if self.steps(block, port) and self._only_steps(held, block):
+            return ca.SX.zeros(*held.symbol.shape)
         if not symbols_in([held.expression]) & symbols_in([self.time]):
             return ca.SX.zeros(*held.symbol.shape)
         return self.trajectory(block, port, order + 1).symbol
+
+    def steps(self, block: str, port: str) -> bool:
+        """Whether a source declares that its output is constant between steps."""
+        return any(known.name == port and known.steps for known in self.models[block].block.outputs)
+
+    def _only_steps(self, held: Leaf, block: str) -> bool:
+        if _is_zero(ca.densify(ca.jtimes(held.expression, self.time, ca.SX(1)))):
+            return True
+        text = f"{held.name}: expected a signal that is constant between steps, as it declares, found one that moves"
+        self._tell_once(DerivativeError(text, path=("blocks", block)))
+        return False
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
         """A source's output, or a time derivative of it, as a leaf; of one that is stated too, one leaf for both."""

@@ -182,7 +182,8 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
 def _some(spec: Spec) -> Any:
     """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase."""
     if spec.form == "table":
-        return tuple((float(row),) * _SIZES[spec.shape.split()[-1]] for row in range(3))
+        columns = spec.shape.split()[-1]
+        return tuple((float(row),) * (int(columns) if columns.isdigit() else _SIZES[columns]) for row in range(3))
     if spec.shape == "*":
         return (0.0, 1.0, 2.0)
     if spec.form == "vector" and spec.shape != "*":
