@@ -77,6 +77,9 @@ class Port:
     steps
         Of an output of a source: it is constant but for the instants at which it steps. Its derivative is zero, and a
         proof is one of the time between two steps.
+    shown
+        Of an output of a controller, what it is, in words: a run then tells its mean over the last eighth, and how much
+        of the estimate behind it the motion has felt.
     """
 
     name: str
@@ -92,6 +95,7 @@ class Port:
     instead_of: str = ""
     told: str = ""
     steps: bool = False
+    shown: str = ""
 
 
 @final

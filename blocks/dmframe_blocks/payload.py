@@ -19,12 +19,9 @@ from dmframe.port import TIME, Port, Side
 class Payload(AbstractBlock):
     r"""What the tool holds: bodies, one after another, each rigid and fixed to the last link.
 
-    A body of mass m, with its centre c from the tool and the inertia I about it, has the parameters
-
-    .. math:: a_{load} = (m, \; m r, \; I + m (|r|^2 1 - r r^\top)), \quad r = r_{tool} + c
-
-    about the last joint's origin, in the axes of its frame: they add to the last link's own. Wire nothing:
-    `loaded_manipulator` reads them by name, and nobody else does.
+    A body of mass m whose centre is at r, and whose inertia about its centre is I, has the ten parameters m, m r and
+    I + m (|r|^2 1 - r r') about the last joint's origin, in the axes of its frame; r is the tool's offset and `center`.
+    They add to the last link's own. `loaded_manipulator` reads them by name, without a wire, and no controller does.
 
     Parameters
     ----------
@@ -73,17 +70,22 @@ class Payload(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """One after another."""
-        count, tool = p.mass.numel(), p.robot.a_k[-3:]
-        nothing = ca.DM.zeros(10)
-        bodies = [nothing]
-        for k in range(count):
-            r = tool + (p.center[k, :].T if "center" in p else 0)
-            bodies.append(body(p.mass[k], r, p.inertia[k, :].T if "inertia" in p else ca.DM.zeros(6)))
-        a_load = sum(((new - old) * (u.t >= at) for (old, new), at in zip(pairwise(bodies), ca.vertsplit(p.at), strict=True)), nothing)
-        return Equations({"a_load": a_load})
+        count = p.mass.numel()
+        center = p.center if "center" in p else ca.DM.zeros(count, 3)
+        inertia = p.inertia if "inertia" in p else ca.DM.zeros(count, 6)
+        return Equations({"a_load": held(u.t, p.mass, p.at, center, inertia, p.robot.a_k)})
 
 
 @operation
+def held(t: Any, mass: Any, at: Any, center: Any, inertia: Any, a_k: Any) -> Any:
+    """The parameters of the last body whose time has come, nothing before the first."""
+    a_load, before = ca.SX.zeros(10), ca.SX.zeros(10)
+    for k in range(mass.numel()):
+        now = body(mass[k], a_k[-3:] + center[k, :].T, inertia[k, :].T)
+        a_load, before = a_load + (now - before) * (t >= at[k]), now
+    return a_load
+
+
 def body(mass: Any, r: Any, inertia: Any) -> Any:
     """The ten parameters of a body about the origin, its centre at r, in the order of `robot.parameters.Inertial`."""
     x, y, z = ca.vertsplit(r)

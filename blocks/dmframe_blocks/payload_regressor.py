@@ -95,5 +95,3 @@ class PayloadRegressor(AbstractBlock):
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """Whatever friction the plant has, the regressor has a column for it."""
         return columns_for(self.friction, truth)
-
-

@@ -18,6 +18,7 @@ from dmframe.files import expanded
 from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, tracking_error
+from dmframe.results.shown import Shown, shown_by
 from dmframe.results.summary import summary
 from dmframe.simulate import Divergence, Recording
 from dmframe.units import plain
@@ -82,6 +83,11 @@ class Run:
     def error(self) -> TrackingError | None:
         """The tracking error, actual minus desired; None for a graph without a goal."""
         return tracking_error(self.recording)
+
+    @cached_property
+    def shown(self) -> list[Shown]:
+        """What its blocks show of their estimates at its end, with how much of it was felt."""
+        return shown_by(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -154,7 +160,7 @@ class Run:
         from dmframe.results.figures import error_picture
 
         rows = [row(self)]
-        told = [*(f"notice: {notice}" for notice in self.notices), *ended(self)]
+        told = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
         return (
             notebook.heading(self.name, self.experiment.file.title)
             + notebook.table(rows, HEADS)
@@ -224,6 +230,7 @@ def table_of(runs: Sequence[Run]) -> str:
     lines = [columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE]
     for run in runs:
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
+        lines += [f"{run.name}: {item}" for item in run.shown]
         lines += [f"{run.name}: {text}" for text in ended(run)]
     return "\n".join(lines)
 

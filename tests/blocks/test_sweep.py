@@ -69,7 +69,6 @@ UNPROVED = {
     "sampled_tracking",
     "disturbance_observer",
     "path_pace",
-    "loaded_manipulator",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
 } - {"joint_stops"}  # which may only tell
 
