@@ -151,7 +151,7 @@ class LoadedManipulator(AbstractBlock):
     def _loaded(self, u: Signals, p: Signals) -> tuple[SX, SX]:
         """The load's mass, and the robot's inertial parameters with it."""
         inertia, load = p.robot.inertia, u.a_load[0]
-        a = ca.vertcat(inertia[:-10], inertia[-10:] + u.a_load)
+        a = with_body(inertia, u.a_load)
         if "payload" in p:
             mass = at_time(u.t, p.payload, p.payload_at)
             load, a = load + mass, with_mass(a, p.robot.a_k[-3:], mass)
@@ -168,6 +168,12 @@ def at_time(t: Any, values: Any, times: Any) -> Any:
     for k in range(values.numel()):
         now = now + (values[k] - (values[k - 1] if k else 0)) * (t >= times[k])
     return now
+
+
+@operation
+def with_body(inertia: Any, body: Any) -> Any:
+    """The inertial parameters with a body on the last link."""
+    return ca.vertcat(inertia[:-10], inertia[-10:] + body)
 
 
 @operation

@@ -27,8 +27,9 @@ from dmframe_blocks.payload_regressor import PayloadRegressor
 
 Array = NDArray[np.float64]
 V_0 = 0.005  # [rad/s] of Coulomb friction
-MASS, CENTER, INERTIA = 4.0, np.array([0.02, 0.08, -0.03]), np.diag([0.02, 0.02, 0.02])
-B, D = np.array([5, 5, 2, 0.5, 0.5, 0.5]), np.array([8, 8, 4, 1, 1, 1.0])
+MASS, CENTER, INERTIA = 4.3, np.array([0.02, 0.08, -0.03]), 0.03 * np.eye(3)
+GRIPPER = 0.3  # [kg], 40 mm before the flange
+B, D = np.array([5, 5, 2, 0.2, 0.2, 0.1]), np.array([8, 8, 4, 0.05, 0.05, 0.05])
 
 
 SMALL = """
@@ -50,11 +51,13 @@ blocks:
 
 
 @cache
-def model(loaded: bool) -> Any:
+def model(held: str = "nothing") -> Any:
     found = pin.buildModelFromUrdf(str(find_robot("ur10").urdf))
-    if loaded:
-        tool = found.frames[found.getFrameId("ee_link")].placement.translation
-        found.appendBodyToJoint(6, pin.Inertia(MASS, CENTER, INERTIA), pin.SE3(np.eye(3), tool))
+    tool = found.frames[found.getFrameId("ee_link")].placement.translation
+    gripper = pin.Inertia(GRIPPER, np.array([0, 0.04, 0]), 0.01 * np.eye(3))
+    if held != "nothing":
+        body = gripper if held == "gripper" else pin.Inertia(MASS, CENTER, INERTIA)
+        found.appendBodyToJoint(6, body, pin.SE3(np.eye(3), tool))
     return found
 
 
@@ -70,9 +73,9 @@ def signals(run: dm.Run, *names: str) -> list[Array]:
 def test_the_loaded_robot_accelerates_as_pinocchios_does() -> None:
     run = ran()
     q, dq, u, ddq = signals(run, "arm.q", "arm.dq", "servo.u", "arm.ddq")
-    bare = model(False)
-    for loaded, ticks in ((False, range(100, 3700, 700)), (True, range(3800, 11000, 700))):
-        robot = model(loaded)
+    bare = model()
+    for held, ticks in (("gripper", range(100, 3700, 700)), ("load", range(3800, 11000, 700))):
+        robot = model(held)
         data, other = robot.createData(), bare.createData()
         for k in ticks:
             carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the maker's servo knows of no load
@@ -84,7 +87,7 @@ def by_least_squares(run: dm.Run, start: float, end: float) -> Array:
     """The load's ten parameters, from the true torque of the motors by Pinocchio's regressor."""
     part = slice(*np.searchsorted(run.time, [start, end]), 10)
     rows, right = [], []
-    bare = model(False)
+    bare = model()
     data = bare.createData()
     for q, dq, ddq, u in zip(*(x[part] for x in signals(run, "arm.q", "arm.dq", "arm.ddq", "servo.u")), strict=True):
         Y = np.array(pin.computeJointTorqueRegressor(bare, data, q, dq, ddq))[:, -10:]
@@ -98,18 +101,16 @@ def by_least_squares(run: dm.Run, start: float, end: float) -> Array:
 def test_the_estimate_approaches_what_least_squares_on_the_runs_data_finds() -> None:
     run = ran()
     true = by_least_squares(run, 40, 90)
-    tool = model(False).frames[model(False).getFrameId("ee_link")].placement.translation
+    tool = model().frames[model().getFrameId("ee_link")].placement.translation
     assert true[0] == pytest.approx(MASS, rel=1e-6)
     assert true[1:4] / true[0] - tool == pytest.approx(CENTER, abs=1e-6)
     mass, center = run.shown
-    assert mass.values[0] == pytest.approx(MASS, rel=0.05)
-    assert np.abs(center.values - CENTER).max() < 0.045  # from 80 mm on, and 210 mm with no load at all
-    before = dm.load("ur10_payload").run(until=30).shown[0]
-    assert abs(before.values[0]) < 0.4
+    assert mass.values[0] == pytest.approx(MASS, rel=0.1)
+    assert center.values == pytest.approx(CENTER, abs=0.01)
 
 
-def test_put_down_the_load_is_forgotten() -> None:
-    assert ran(120.0).shown[0].values[0] < 0.2
+def test_before_it_is_there_and_once_it_is_put_down_the_gripper_is_left() -> None:
+    assert [ran(until).shown[0].values[0] for until in (30.0, 120.0)] == pytest.approx([GRIPPER] * 2, abs=0.2)
 
 
 def test_what_is_felt_is_what_no_other_column_could_do() -> None:
@@ -138,7 +139,7 @@ def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
     mass, center = ran().shown
     assert mass.felt is not None
     assert mass.felt[0] > 1.0
-    assert "mass of the load 3.8" in str(ran())
+    assert "mass of the load 3.9" in str(ran())
     assert "N m/kg" in str(ran())
     assert ran().summary["shown"][1]["signal"] == center.label == "holds.c_load_hat"
 
@@ -154,7 +155,7 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
 
 
 def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
-    graph = dm.load("ur10_payload").set({"load.at": [4.0, 8.0]})
+    graph = dm.load("ur10_payload").set({"load.at": [0.0, 4.0, 8.0]})
     run = graph.run(until=10)
     V = along(claim_of(run.recording.diagram), run.recording).V
     steps = np.abs(np.diff(V)) * (run.time[1:] > 1)  # the first second is that of the start

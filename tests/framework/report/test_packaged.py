@@ -19,7 +19,9 @@ VALIDATOR = Draft202012Validator(verdict_schema())
 LETTER = re.compile(r"\\(?:hat|bar|tilde|dot|ddot)\{[^{}]+\}|\\mathrm\{(?:[^{}\\]|\\_)+\}|\\[A-Za-z]+|[A-Za-z]")
 SIGNS = {"M", "I"}  # the inertia, printed beside the arm's equation, and the identity
 SYMBOL = re.compile(rf"((?:{LETTER.pattern})(?:_\{{(?:[^{{}}]|\{{[^{{}}]*\}})*\}})?)")
-MARKS = re.compile(r"\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]")
+MARKS = re.compile(
+    r"\\operatorname\{(?:[^{}\\]|\\.)*\}|\\(?:begin|end)\{matrix\}|\\(?:left|right|tfrac|frac|cdot|top)\b|\\[,;]"
+)
 
 
 @pytest.mark.parametrize("name", every_block())
