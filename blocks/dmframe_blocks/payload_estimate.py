@@ -18,9 +18,8 @@ class PayloadEstimate(AbstractBlock):
     r"""The mass of a load and its centre, of its estimated parameters.
 
     Of the parameters of a `payload_regressor`, the mass is the first, and the centre the next three over the mass, less
-    the tool's offset. Below the mass
-    `least` nobody can say where the centre is, and it is given as zero. A run tells the means over its last eighth, and
-    how much of them was felt.
+    the tool's offset. Below the mass `least` nobody can say where the centre is, and it is given as zero. A run tells
+    the means over its last eighth, and how much of them was felt.
 
     Parameters
     ----------
