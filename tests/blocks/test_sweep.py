@@ -68,6 +68,7 @@ UNPROVED = {
     "sampled_supervisor",
     "sampled_tracking",
     "disturbance_observer",
+    "extended_state_observer",
     "path_pace",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
 } - {"joint_stops"}  # which may only tell
