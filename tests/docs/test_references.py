@@ -12,7 +12,7 @@ NEEDED = {
     "article": {"journal", "volume", "pages"},
     "book": {"publisher"},
     "inproceedings": {"booktitle"},
-    "misc": {"note"},
+    "misc": {"howpublished"},
 }
 SOURCES = ("dmframe", "blocks/dmframe_blocks", "plants/dmframe_plants")
 
