@@ -89,6 +89,9 @@ class Driven:
         Conditions that have to take its place where it is not shown.
     of
         How a reader writes what is bounded; printed from the expressions.
+    inputs
+        What comes from where nothing is known, such as the force of an environment, one an equation: where a remainder
+        is not shown to be bounded, it has to be without its input, and `otherwise` says what is assumed of that.
     """
 
     vectors: tuple[SX, ...]
@@ -96,6 +99,7 @@ class Driven:
     bounded: tuple[SX, ...]
     otherwise: tuple[Condition, ...] = ()
     of: tuple[str, ...] = ()
+    inputs: tuple[SX, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -103,14 +107,16 @@ class Driven:
     @property
     def pieces(self) -> tuple[SX, ...]:
         """Its expressions."""
-        return (*self.vectors, *(rate for row in self.rates for rate in row), *self.bounded)
+        return (*self.vectors, *(rate for row in self.rates for rate in row), *self.bounded, *self.inputs)
 
     def with_pieces(self, pieces: Sequence[SX]) -> Driven:
         """The same equations of other expressions."""
         left, count = list(pieces), len(self.vectors)
         vectors, left = left[:count], left[count:]
         rows = tuple(tuple(left[k * count : (k + 1) * count]) for k in range(count))
-        return Driven(tuple(vectors), rows, tuple(left[count * count :]), self.otherwise, self.of)
+        left = left[count * count :]
+        bounded, inputs = left[: len(self.bounded)], left[len(self.bounded) :]
+        return Driven(tuple(vectors), rows, tuple(bounded), self.otherwise, self.of, tuple(inputs))
 
 
 @final

@@ -74,6 +74,12 @@ class Port:
         blocks that stand in for one signal each reads the one before it, in the order of the file.
     told
         Of an output that is zero as long as all is well, what a run says of it where it is not.
+    steps
+        Of an output of a source: it is constant but for the instants at which it steps. Its derivative is zero, and a
+        proof is one of the time between two steps.
+    shown
+        Of an output of a controller, what it is, in words: a run then tells its mean over the last eighth, and how much
+        of the estimate behind it the motion has felt.
     """
 
     name: str
@@ -88,6 +94,8 @@ class Port:
     ahead: int = 1
     instead_of: str = ""
     told: str = ""
+    steps: bool = False
+    shown: str = ""
 
 
 @final

@@ -86,7 +86,8 @@ def family(kind: type[AbstractBlock]) -> str:
     if kind.side is not Side.CONTROLLER:
         if any(port.instead_of or port.told for port in kind.outputs):
             return "between"
-        return "paths" if kind.side is Side.SOURCE else "plant"
+        held = any(port.steps for port in kind.outputs)
+        return "paths" if kind.side is Side.SOURCE and not held else "plant"
     if any(port.access is Access.COMMANDED for port in kind.outputs):
         return "commands"
     if issubclass(kind, AdaptingBlock) and kind.estimates:

@@ -19,10 +19,11 @@ class DynamicCompensator(AdaptingBlock):
 
     .. math::
 
-        \tau_{dc}      &= Y_d \hat a_d + \tau_{task}          \tag{1} \\
+        \tau_{dc}      &= Y_d \hat a_d + \tau_{known} + \tau_{task}          \tag{1} \\
         \dot{\hat a}_d &= -\Gamma (Y_d^\top \sigma + Y_f^\top e_f)   \tag{2}
 
-    The term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
+    :math:`\tau_{known}` is what a regressor knows of the torque without estimates, such as `payload_regressor`. The
+    term in :math:`e_f` makes it composite, with a `filtered_regressor` in the graph, and is zero without. With
     :math:`\tilde a_d = \hat a_d - a_d`, it is lossless from :math:`\sigma` to :math:`-Y_d \tilde a_d`:
 
     .. math::
@@ -51,6 +52,7 @@ class DynamicCompensator(AdaptingBlock):
         Port("Y_d", "n p", "N m"),
         Port("sigma", "n", "rad/s"),
         Port("tau_task", "n", "N m", optional=True),
+        Port("tau_known", "n", "N m", optional=True),
         Port("a_d_nominal", "p", "", optional=True),
         Port("Y_f", "n p", "N m", optional=True),
         Port("e_f", "n", "rad/s", optional=True),
@@ -67,7 +69,7 @@ class DynamicCompensator(AdaptingBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat})
+        return Equations(outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_known + u.tau_task, "a_d_hat": x.a_d_hat})
 
     def direction(self, u: Signals, x: Signals, p: Signals, sigma: SX) -> Mapping[str, SX]:
         """(2), but for the gain."""

@@ -9,6 +9,7 @@ import casadi as ca
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, Lemma, Square
 from dmframe.linalg import solve_spd
 from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
@@ -17,19 +18,23 @@ from dmframe.port import TIME, Access, Port, Side, State
 
 @final
 class LoadedManipulator(AbstractBlock):
-    r"""The robot, with a point mass at its tool that changes in steps.
+    r"""The robot, with a load at its tool that changes in steps.
 
     .. math::
 
-        M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q)   \tag{1}
+        M(q, a) \ddot q + C(q, \dot q, a) \dot q + B \dot q + D\, \phi(\dot q) + g = K u + \tau_{ext}   \tag{1}
 
-    where a are the inertial parameters with the mass that is there now. Nobody is told of it: the maker's servo goes on
-    compensating its share of the gravity of the robot alone, and controllers adapt, or do not.
+    and :math:`x = f(q)`, where a are the inertial parameters with the load that is there now: the ten of a `payload`,
+    :math:`a_{load}`, and point masses. Nobody is told of it: the maker's servo goes on compensating its share of the
+    gravity of the robot alone, and controllers adapt, or do not. :math:`\tau_{ext}` is what the environment does.
+
+    Between two steps of a `payload` it stores, loses and takes up what `manipulator` does, with the mass matrix of the
+    loaded robot; at each step V jumps.
 
     Parameters
     ----------
     payload : list, kg
-        Masses at the tool, one after another.
+        Point masses at the tool, one after another, of which nothing is proved; the block `payload` has bodies.
     payload_at : list, s
         When each of them is there, increasing; before the first there is none. With ``payload: [2, 0]`` and
         ``payload_at: [10, 20]``, 2 kg from 10 s to 20 s.
@@ -46,8 +51,7 @@ class LoadedManipulator(AbstractBlock):
 
     Notes
     -----
-    The velocity goes on as it is where the mass changes, as if it had moved along before. Nothing is proved of it. Not
-    for: a load with an extent, or one that swings.
+    The velocity goes on as it is where the load changes, as if it had moved along before. Not for: a load that swings.
 
     References
     ----------
@@ -56,7 +60,12 @@ class LoadedManipulator(AbstractBlock):
 
     side: ClassVar[Side] = Side.PLANT
     uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"), TIME)
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("u", "n", "V"),
+        Port("tau_ext", "n", "N m", optional=True),
+        Port("a_load", "10", optional=True),
+        TIME,
+    )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad", Access.MEASURED),
         Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
@@ -71,9 +80,14 @@ class LoadedManipulator(AbstractBlock):
         Port("load", "", "kg"),
     )
     states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("sigma", "n", "rad/s"),
+        Port("dq_ref", "n", "rad/s"),
+        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    )
 
-    payload: Vector = Real("*", "kg", spread=False)
-    payload_at: Vector = Real("*", "s", spread=False)
+    payload: Vector | None = Real("*", "kg", default=None, spread=False)
+    payload_at: Vector | None = Real("*", "s", default=None, spread=False)
     viscous: Diagonal = NonNegative("n", "N m s/rad", default=0.0)
     coulomb: Diagonal = NonNegative("n", "N m", default=0.0)
     K: Diagonal = Positive("n", "N m/V", default=1.0)
@@ -82,7 +96,7 @@ class LoadedManipulator(AbstractBlock):
 
     @model_validator(mode="after")
     def _one_mass_a_time(self) -> LoadedManipulator:
-        masses, times = self.payload, self.payload_at
+        masses, times = self.payload or (), self.payload_at or ()
         if len(masses) != len(times):
             raise ValueError(f"expected as many masses as payload_at has times, found {len(masses)} and {len(times)}")
         if any(mass < 0 for mass in masses):
@@ -94,13 +108,11 @@ class LoadedManipulator(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
         robot = p.robot
-        load = at_time(u.t, p.payload, p.payload_at)
-        a = named("a", with_mass(robot.inertia, robot.a_k[-3:], load))
+        load, a = self._loaded(u, p)
         carried = p.maker_gravity * robot.gravity_torque(x.q)
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), a) - carried
-        viscous = p.viscous - p.maker_viscous
-        friction = viscous * x.dq + p.coulomb * robot.coulomb(x.dq)
-        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u - friction - moving)
+        friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
+        ddq = solve_spd(robot.mass_matrix(x.q, a), p.K * u.u + u.tau_ext - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,
@@ -110,13 +122,43 @@ class LoadedManipulator(AbstractBlock):
                 "ddq": ddq,
                 "g": robot.gravity_torque(x.q, a) - carried,
                 "K": p.K,
-                "B": viscous,
+                "B": self._viscous(p),
                 "D": p.coulomb,
                 "g_share": 1 - p.maker_gravity,
                 "load": load,
             },
             rates={"q": x.dq, "dq": ddq},
         )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate | None:
+        """As of `manipulator`, the load constant; of a point mass, whose steps are no signal, nothing."""
+        if "payload" in p:
+            return None
+        robot, (_, a) = p.robot, self._loaded(u, p)
+        momentum = {"momentum": robot.mass_matrix(x.q, a) @ x.dq}
+        if "sigma" not in truth:
+            return Certificate(truth=momentum)
+        sigma, B, carried = truth.sigma, self._viscous(p), p.maker_gravity * robot.gravity_torque(x.q)
+        reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, a) - carried
+        friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
+        return Certificate(
+            storage=(Square(sigma, robot.mass_matrix(x.q, a)),),
+            dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
+            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
+            truth=momentum,
+        )
+
+    def _loaded(self, u: Signals, p: Signals) -> tuple[SX, SX]:
+        """The load's mass, and the robot's inertial parameters with it."""
+        inertia, load = p.robot.inertia, u.a_load[0]
+        a = with_body(inertia, u.a_load)
+        if "payload" in p:
+            mass = at_time(u.t, p.payload, p.payload_at)
+            load, a = load + mass, with_mass(a, p.robot.a_k[-3:], mass)
+        return load, named("a", a)
+
+    def _viscous(self, p: Signals) -> SX:
+        return p.viscous - p.maker_viscous
 
 
 @operation
@@ -126,6 +168,12 @@ def at_time(t: Any, values: Any, times: Any) -> Any:
     for k in range(values.numel()):
         now = now + (values[k] - (values[k - 1] if k else 0)) * (t >= times[k])
     return now
+
+
+@operation
+def with_body(inertia: Any, body: Any) -> Any:
+    """The inertial parameters with a body on the last link."""
+    return ca.vertcat(inertia[:-10], inertia[-10:] + body)
 
 
 @operation

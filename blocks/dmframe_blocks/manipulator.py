@@ -19,7 +19,9 @@ class Manipulator(AbstractBlock):
 
     .. math::
 
-        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g = K u, \quad x = f(q) \tag{1}
+        M(q) \ddot q + C(q, \dot q) \dot q + B \dot q + D\, \phi(\dot q) + g = K u + \tau_{ext}, \quad x = f(q) \tag{1}
+
+    :math:`\tau_{ext}` is what the environment does at the joints: see `wall`. Nobody needs to drive it.
 
     A maker's servo may already compensate a share `maker_gravity` of gravity :math:`g_{full}(q)`, and `maker_viscous`
     of the joints' own viscous friction; the outer loop is not told. What is left for it is :math:`g = (1 -
@@ -33,7 +35,7 @@ class Manipulator(AbstractBlock):
     .. math::
 
         S &= \tfrac12 |\sigma|^2_{M(q)}   \tag{2} \\
-        \dot S &= \sigma^\top (K u - B \sigma - \tau_r)
+        \dot S &= \sigma^\top (K u + \tau_{ext} - B \sigma - \tau_r)
                   - (\dot q - \dot q_{ref})^\top D (\phi(\dot q) - \phi(\dot q_{ref}))   \tag{3}
 
     The last term of (3) is not positive, since the friction does not decrease with velocity.
@@ -63,7 +65,10 @@ class Manipulator(AbstractBlock):
 
     side: ClassVar[Side] = Side.PLANT
     uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (Port("u", "n", "V"),)
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("u", "n", "V"),
+        Port("tau_ext", "n", "N m", optional=True),
+    )
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("q", "n", "rad", Access.MEASURED),
         Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
@@ -94,7 +99,7 @@ class Manipulator(AbstractBlock):
         robot = p.robot
         moving = robot.inverse_dynamics(x.q, x.dq, x.dq, ca.DM.zeros(robot.n), gravity_share=1 - p.maker_gravity)
         friction = self._viscous(p) * x.dq + p.coulomb * robot.coulomb(x.dq)
-        ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u - friction - moving)
+        ddq = solve_spd(robot.mass_matrix(x.q), p.K * u.u + u.tau_ext - friction - moving)
         return Equations(
             outputs={
                 "q": x.q,
@@ -125,7 +130,7 @@ class Manipulator(AbstractBlock):
         return Certificate(
             storage=(Square(sigma, robot.mass_matrix(x.q)),),
             dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
-            supply=ca.dot(sigma, p.K * u.u - B * sigma - reference - friction),
+            supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
             truth=momentum,
         )
 

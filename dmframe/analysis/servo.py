@@ -219,8 +219,10 @@ def _arm(still: Diagram, arm: str, point: Array) -> tuple[Array, Array, Array]:
         for name, default in (("K", ca.SX.ones(n)), ("B", ca.SX.zeros(n)))
     }
     slope = ca.jacobian(model.equations.outputs["ddq"], model.inputs[VOLTAGE])
-    u = ca.vec(model.inputs[VOLTAGE])
-    (slope,) = loop.joined([ca.substitute([slope], [u], [ca.vec(seen.u.u)])[0]])
+    read = [ca.vec(symbol) for symbol in model.inputs.values()]  # a load's too, which moves M
+    meant = [ca.vec(ca.densify(getattr(seen.u, name))) for name in model.inputs]
+    slope = loop.on_path(ca.substitute([slope], [ca.vertcat(*read)], [ca.vertcat(*meant)])[0])
+    slope = ca.substitute(slope, loop.time, 0)
     values = ca.Function("arm", [loop.state, loop.p], [slope, *given.values()], {"allow_free": True})
     inverse_mass, K, B = (result.full() for result in values(point, loop.p_values))
     try:

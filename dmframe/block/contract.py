@@ -128,6 +128,10 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the output {port.name} is drawn; an input is, from which outputs may follow"
         elif port.drawn and port.drawn not in DISTRIBUTIONS:
             yield f"the input {port.name} is drawn from {port.drawn}, unknown; {nearest(port.drawn, DISTRIBUTIONS)}"
+    for port in (*block.inputs, *block.outputs):
+        for word, said, side in (("steps", port.steps, Side.SOURCE), ("is shown", port.shown, Side.CONTROLLER)):
+            if said and (port not in block.outputs or block.side is not side):
+                yield f"says that {port.name} {word}, and it is no output of a {side.value}; leave that out"
     yield from _ahead_breaches(block)
     yield from _stand_in_breaches(block)
     yield from _print_breaches(block)

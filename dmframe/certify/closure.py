@@ -7,7 +7,9 @@ open direction only through sines, cosines and other bounded functions is bounde
    held) is constant, that combination of states is bounded, and u is open no more;
 2. a combination of states whose rate is zero keeps its value;
 3. what a stable linear equation drives (`Driven`) is bounded, if its remainder does not move with any open direction;
-4. and so on, until nothing more follows. A signal that does not move with what is still open is bounded.
+4. and so on, until nothing more follows. Then what is driven by an input of which nothing is known (`Driven.inputs`) is
+   bounded too, by what its block assumes of that input, if its remainder without it does not move. A signal that does
+   not move with what is still open is bounded.
 
 Each "does not move" is decided exactly, in a random prime field: `dmframe.exact.shift`. Parameters have the graph's own
 numbers there: with other numbers, a combination may close that this graph leaves open. That trajectories, with the
@@ -74,6 +76,7 @@ class Closure:
         self._draw(random.Random(seed + 3))
         self._known = Echelon(self._shift.prime, self._columns)
         self.driven: list[Driven] = []
+        self.given: list[tuple[str, Driven]] = []
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
         self.tapes = list[tuple[Sequence[Group], Tape]]()
@@ -110,7 +113,11 @@ class Closure:
         stated = [(block, Assumption(_stays_stable(item), "not decided")) for block, item in self.assumed]
         return [
             *stated,
-            *((block, condition) for block, item in (*self.assumed, *self.missed) for condition in item.otherwise),
+            *(
+                (block, condition)
+                for block, item in (*self.assumed, *self.given, *self.missed)
+                for condition in item.otherwise
+            ),
         ]
 
     def bounds(self, expressions: Sequence[SX]) -> list[bool]:
@@ -238,6 +245,8 @@ class Closure:
                 continue
             found = next((item for item in waiting if self._follows(*item)), None)
             if found is None:
+                found = next((item for item in waiting if self._follows_if(*item)), None)
+            if found is None:
                 break
             waiting = [item for item in waiting if item is not found]
             self.driven.append(found[1])
@@ -304,6 +313,16 @@ class Closure:
         if given:
             self.assumed.append((block, item))
         return given
+
+    def _follows_if(self, block: str, item: Driven) -> bool:
+        """True where the remainder is bounded but for the inputs, of which its block assumes that they are."""
+        if not item.inputs:
+            return False
+        rests = [rest - own for rest, own in zip(self.remainders(item), item.inputs, strict=True)]
+        if not (all(self.bounds(rests)) and stable(item, self._numbers, self._claim)):
+            return False
+        self.given.append((block, item))
+        return True
 
     def remainders(self, driven: Driven) -> Iterator[SX]:
         """What is left of each equation beside its stable linear part."""

@@ -29,7 +29,15 @@ from dmframe.certificate import (
 )
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import Number, body_pivots, is_mass_matrix, least_body_pivot, least_sampled, pivots
+from dmframe.certify.definite import (
+    Number,
+    body_pivots,
+    is_mass_matrix,
+    least_body_pivot,
+    least_sampled,
+    load_in,
+    pivots,
+)
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
@@ -59,6 +67,7 @@ def conditions_of(
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
         assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
+    assumed += dict.fromkeys(_loads(claim))
     if claim.cascaded:
         checked += payment_conditions(claim, numbers)
     return checked, assumed
@@ -201,6 +210,16 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]
             if is_mass_matrix(claim, matrix):
                 yield _mass_matrix(claim, matrix)
+
+
+def _loads(claim: Claim) -> Iterator[Assumption]:
+    """Loads that a mass matrix holds: what a source hands out at other times nobody sees from the graph."""
+    for _, _, term in _terms(claim):
+        if isinstance(term, Square | NormSquare) and not term.weight.is_column():
+            label = load_in(claim, (term.weight + term.weight.T) / 2)
+            if label:
+                text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"
+                yield Assumption(text, "property P2")
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:

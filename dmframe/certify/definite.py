@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, LogDet
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
@@ -67,14 +68,34 @@ def body_pivots(diagram: Diagram) -> SX:
 
 
 def is_mass_matrix(claim: Claim, weight: SX) -> bool:
-    """True for a weight that is, identically, the mass matrix of the diagram's robot at a state of its plant."""
+    """True for a weight that is, identically, the mass matrix of the diagram's robot at a state of its plant.
+
+    The last link may hold a load, a source's ten parameters: then it is one if the load is a body, see `load_in`.
+    """
+    return _matched(claim, weight) is not None
+
+
+def load_in(claim: Claim, weight: SX) -> str:
+    """The label of the load that the last link of a mass matrix holds; empty where it holds none."""
+    return _matched(claim, weight) or ""
+
+
+def _matched(claim: Claim, weight: SX) -> str | None:
     symbols = symbols_of(claim)
     for q, robot in _poses(claim):
-        if weight.shape == (robot.n, robot.n):
-            difference = symbols.function("difference", [weight - robot.mass_matrix(q)])
+        if weight.shape != (robot.n, robot.n):
+            continue
+        used, size = symbols_in([weight]), len(INERTIAL)
+        bodies = {"": robot.inertia}
+        for leaf in claim.diagram.resolver.trajectories.values():
+            if leaf.symbol.shape == (size, 1) and used & symbols_in([leaf.symbol]):
+                own = robot.inertia
+                bodies[leaf.name] = ca.vertcat(own[:-size], own[-size:] + leaf.symbol)
+        for label, inertia in bodies.items():
+            difference = symbols.function("difference", [weight - robot.mass_matrix(q, inertia)])
             if zero_test(difference, values=symbols.fixed).zero:
-                return True
-    return False
+                return label
+    return None
 
 
 def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:

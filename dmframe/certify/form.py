@@ -10,6 +10,7 @@ import casadi as ca
 from dmframe.certificate import (
     MONOTONE,
     SX,
+    Assumption,
     Barrier,
     Certificate,
     Clipped,
@@ -117,6 +118,10 @@ def _ill_driven(driven: Sequence[object]) -> Iterator[str]:
         count = len(item.vectors)
         if not count or len(item.rates) != count or any(len(row) != count for row in item.rates):
             yield f"expected {count} rows of {count} rates for the {count} vectors that are driven, found other sizes"
+        elif len(item.inputs) not in (0, count):
+            yield f"expected no input or {count} for the {count} vectors that are driven, found {len(item.inputs)}"
+        elif item.inputs and not (item.otherwise and all(isinstance(c, Assumption) for c in item.otherwise)):
+            yield "expected assumptions, as otherwise, beside the inputs of what is driven, found none or conditions"
         elif not _columns([ca.SX(piece) for piece in item.pieces]):
             yield "expected what is driven, and its rates, to be columns of one length or scalars"
 

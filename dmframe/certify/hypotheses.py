@@ -171,6 +171,10 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
         orders[block, port] = max(order, orders.get((block, port), 0))
     for (block, port), order in orders.items():
         name = f"{block}.{port}"
+        if resolver.steps(block, port):
+            says = "is bounded, and constant: all is said of the time between its steps, each of which begins a new V"
+            yield Assumption(f"{name} {says}", "V holds it")
+            continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(f"{name} is constant", "it does not read the time")
             continue

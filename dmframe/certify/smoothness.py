@@ -224,6 +224,8 @@ def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
         if isinstance(source, Derived):
             used |= symbols_in([resolver.input(block, source.of)])
     for (block, port, order), leaf in list(resolver.trajectories.items()):
+        if resolver.steps(block, port):
+            continue  # what is said is of the time between its steps
         if used & symbols_in([leaf.symbol]) or (block, port, order + 1) in resolver.trajectories:
             yield leaf
 

@@ -10,7 +10,7 @@ import casadi as ca
 
 from dmframe.block import names_of
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
+from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Vanishing, combined, goals
@@ -114,9 +114,9 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
         else Statement(term.of, "is bounded", IN_V)
         for term in _distinct(stored)
     ]
-    held = {term.of for term in stored}
+    held, given = {term.of for term in stored}, _given(closure)
     found += [
-        Statement(name, "is bounded", DRIVEN)
+        Statement(name, "is bounded", DRIVEN, given.get(id(item), ()))
         for item in closure.driven
         for name, shown in zip(item.of, closure.bounds(item.bounded), strict=True)
         if shown and name not in held
@@ -129,6 +129,12 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
         assumes = () if item.proved else (f"the derivative of {item.of} is bounded",)
         found.append(Statement(item.of, "goes to zero", BARBALAT, assumes, item.proved and item.of in wanted))
     return [*found, *_conclusions(claim, closure, vanishing), *_into_dead_zones(claim, signs)]
+
+
+def _given(closure: Closure) -> dict[int, tuple[str, ...]]:
+    """What is assumed of the inputs of what is driven, by identity."""
+    found = ((item, item.otherwise) for _, item in closure.given)
+    return {id(item): tuple(c.text for c in stated if isinstance(c, Assumption)) for item, stated in found}
 
 
 def _stored(claim: Claim) -> Iterator[tuple[Part, Positive]]:

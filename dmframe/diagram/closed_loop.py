@@ -82,7 +82,7 @@ class Parameter:
 
 @final
 class Followed(NamedTuple):
-    """A trajectory s_d and the plant's output s that should follow it: their labels and expressions."""
+    """A goal s_d and the plant's output s that should follow it: their labels and expressions."""
 
     desired: str
     actual: str
@@ -111,6 +111,8 @@ class ClosedLoop:
         What each sample draws anew.
     paced
         The sources whose time is a controller's signal, which are no trajectories then.
+    led
+        Where what follows is wired to a goal that a controller block makes: pairs of labels, the plant's output first.
     """
 
     time: SX
@@ -125,6 +127,7 @@ class ClosedLoop:
     parameters: tuple[Parameter, ...]
     outputs: tuple[Signal, ...]
     paced: frozenset[str] = frozenset()
+    led: tuple[tuple[str, str], ...] = ()
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -186,6 +189,14 @@ class ClosedLoop:
             for signal in self.outputs
             if signal.block in plant and (goal := desired.get(f"{signal.name}_d")) is not None
         ]
+
+    @property
+    def goals(self) -> list[Followed]:
+        """The same with what is really followed: where a block shifts a source's goal, what it makes of it."""
+        by_label = {signal.label: signal for signal in self.outputs}
+        led = [(by_label[goal], by_label[actual]) for actual, goal in self.led]
+        found = [Followed(goal.label, out.label, goal.expression, out.expression) for goal, out in led]
+        return [*found, *(pair for pair in self.followed if pair.actual not in dict(self.led))]
 
     @property
     def clocked(self) -> str:

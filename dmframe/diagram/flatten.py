@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import casadi as ca
 
@@ -10,7 +10,7 @@ from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable, columns
 from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
-from dmframe.diagram.wiring import End
+from dmframe.diagram.wiring import End, Wire
 from dmframe.port import Side
 
 
@@ -42,7 +42,18 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         parameters=tuple(parameters),
         outputs=tuple(outputs),
         paced=frozenset(name for name in resolver.models if resolver.paced(name)),
+        led=tuple(dict.fromkeys(_led(resolver))),
     )
+
+
+def _led(resolver: Resolver) -> Iterator[tuple[str, str]]:
+    """Outputs s of the plant with the goal, made by a controller, of a block that reads both s and s_d."""
+    for (name, port), goal in resolver.sources.items():
+        actual = resolver.sources.get((name, port.removesuffix("_d")))
+        if port.endswith("_d") and isinstance(goal, Wire) and isinstance(actual, Wire):
+            sides = resolver.models[actual.block].block.side, resolver.models[goal.block].block.side
+            if sides == (Side.PLANT, Side.CONTROLLER):
+                yield f"{actual.block}.{actual.port}", f"{goal.block}.{goal.port}"
 
 
 def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:

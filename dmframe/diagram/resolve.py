@@ -241,9 +241,23 @@ class Resolver:
         One that jumps between constants has the derivative zero too, but is not still.
         """
         held = self.trajectory(block, port, order)
+        if self.steps(block, port):
+            return ca.SX.zeros(*held.symbol.shape)
         if not symbols_in([held.expression]) & symbols_in([self.time]):
             return ca.SX.zeros(*held.symbol.shape)
         return self.trajectory(block, port, order + 1).symbol
+
+    def steps(self, block: str, port: str) -> bool:
+        """Whether a source declares that its output is constant between steps."""
+        return any(known.name == port and known.steps for known in self.models[block].block.outputs)
+
+    def _hold_still(self, held: Leaf, block: str) -> None:
+        """Hold a source to its word that an output is constant between steps."""
+        if not _is_zero(ca.densify(ca.jtimes(held.expression, self.time, ca.SX(1)))):
+            text = (
+                f"{held.name}: expected a signal that is constant between steps, as it declares, found one that moves"
+            )
+            self._tell_once(DerivativeError(text, path=("blocks", block)))
 
     def trajectory(self, block: str, port: str, order: int) -> Leaf:
         """A source's output, or a time derivative of it, as a leaf; of one that is stated too, one leaf for both."""
@@ -255,6 +269,8 @@ class Resolver:
                 expression = ca.jtimes(self.trajectory(block, port, order - 1).expression, self.time, ca.SX(1))
             name = self._leaf_name(block, port, order)
             self.trajectories[key] = Leaf(name, Side.SOURCE, symbol(name, expression.shape), expression)
+            if order == 0 and self.steps(block, port):
+                self._hold_still(self.trajectories[key], block)
         return self.trajectories[key]
 
     def _as_derivative(self, block: str, port: str, order: int) -> tuple[str, str, int]:

@@ -54,6 +54,8 @@ def owner_of(diagram: Diagram, reader: str, port: Port, stated: Stated) -> str |
 def value_of(diagram: Diagram, owner: str, name: str, stated: Stated) -> SX:
     """A block's true value: its output of that name, or what its certificate states."""
     if name in diagram.models[owner].equations.outputs:
+        if diagram.resolver.side(owner) is Side.SOURCE:
+            return diagram.resolver.trajectory(owner, name, 0).symbol
         return diagram.resolver.output(owner, name)
     return stated[owner][name]
 

@@ -16,6 +16,7 @@ from dmframe.diagram.truths import value_of
 from dmframe.diagram.view import owners_of
 from dmframe.formula import Line, PrintedLaw, PrintedTerm
 from dmframe.formula.names import latex_name
+from dmframe.formula.robot import CONSTANTS
 from dmframe.formula.tree import Name, Node
 from dmframe.parameter import Spec
 from dmframe.port import Port, State
@@ -238,7 +239,7 @@ def _legend(claim: Claim, used: Sequence[Used]) -> Iterator[Legend]:
 def _meaning(
     claim: Claim, parameters: Mapping[str, Parameter], block: str, name: str, owner: str | None
 ) -> Legend | None:
-    """A parameter of the block, a true value that another block has, or a signal."""
+    """A parameter of the block, a true value that another block has, a number of the robot, or a signal."""
     model, symbol = claim.diagram.models[block], latex_name(name)
     if name in model.parameters:
         label = f"{block}.{name}"
@@ -250,6 +251,9 @@ def _meaning(
             return Legend(symbol, same[0].label, _number(claim, same[0]), same[0].unit)
         unit = next(port.unit for port in model.block.truth if port.name == name)
         return Legend(symbol, f"{owner}.{name}", _value(claim, value), unit)
+    constant = next((f"robot.{key}" for key, sign in CONSTANTS.items() if sign == name), "")
+    if constant in parameters:
+        return Legend(symbol, constant, _number(claim, parameters[constant]), parameters[constant].unit)
     signals: list[Port | State] = [*model.block.inputs, *model.block.outputs, *model.block.states]
     units = [item.unit for item in signals if item.name == name]
     return Legend(symbol, f"{block}.{name}", "a signal", units[0]) if units else None

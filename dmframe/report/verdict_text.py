@@ -10,6 +10,7 @@ from typing import Any, Final
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.columns import columns
+from dmframe.diagram.wiring import Wire
 from dmframe.report.notation import spelled
 
 HARD: Final = "\N{NO-BREAK SPACE}"
@@ -69,11 +70,20 @@ def _followed(verdict: Verdict) -> Iterator[str]:
         named = dict.fromkeys(
             line.whole.unicode + (f" ({block})" if len(told[line.name]) > 1 else "") for block, line in lines
         )
+        named |= dict.fromkeys(f"{name} of {block} is {spelled(goal)}" for block, name, goal in _led(verdict))
         if named:
             yield _told("where ", named)
     for item in (item for item in verdict.statements if item.concludes):
         assumed = f", assuming that {' and '.join(item.assumes)}" if item.assumes else ""
         yield _line(f"=> {item.signal} {item.says}: {item.step}{assumed}")
+
+
+def _led(verdict: Verdict) -> Iterator[tuple[str, str, str]]:
+    """Inputs that a graph wires to what another controller makes of the signal of that name."""
+    diagram = verdict.claim.diagram if verdict.claim is not None else None
+    for (block, port), source in diagram.sources.items() if diagram is not None else ():
+        if isinstance(source, Wire) and port.endswith("_d") and source.port != port:
+            yield block, port, f"{source.port} ({source.block})"
 
 
 def _told(lead: str, items: Iterable[str]) -> str:

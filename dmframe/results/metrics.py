@@ -27,7 +27,7 @@ class TrackingError:
     Parameters
     ----------
     signal
-        ``"x - x_d"``.
+        ``"x - x_d"``, or what a block makes of x_d.
     unit
         Of `values`, `norm` and the RMS figures.
     times
@@ -107,7 +107,7 @@ def turn_error(run: Recording) -> TurnError | None:
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
     """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
-    pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(loop.followed)}
+    pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(loop.goals)}
     return next((pairs[name] for name in (*_PREFERRED, *pairs) if name in pairs), None)
 
 
@@ -122,7 +122,7 @@ def tracking_error(run: Recording) -> TrackingError | None:
     norm = euclidean(values)
     signal = next(signal for signal in run.diagram.loop.outputs if signal.label == actual)
     return TrackingError(
-        signal=f"{name} - {name}_d",
+        signal=f"{name} - {desired.split('.', 1)[1]}",
         unit=signal.unit,
         times=run.time,
         values=values,

@@ -18,6 +18,7 @@ from dmframe.files import expanded
 from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
+from dmframe.results.shown import Shown, shown_by
 from dmframe.results.summary import summary
 from dmframe.simulate import Divergence, Recording
 from dmframe.units import plain
@@ -87,6 +88,11 @@ class Run:
     def turn(self) -> TurnError | None:
         """The angle between the tool's orientation and the desired one; None for a task without one."""
         return turn_error(self.recording)
+
+    @cached_property
+    def shown(self) -> list[Shown]:
+        """What its blocks show of their estimates at its end, with how much of it was felt."""
+        return shown_by(self.recording)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -159,7 +165,7 @@ class Run:
         from dmframe.results.figures import error_picture
 
         rows = [row(self)]
-        told = [*(f"notice: {notice}" for notice in self.notices), *ended(self)]
+        told = [*(f"notice: {notice}" for notice in self.notices), *map(str, self.shown), *ended(self)]
         return (
             notebook.heading(self.name, self.experiment.file.title)
             + notebook.table(rows, HEADS)
@@ -233,6 +239,7 @@ def table_of(runs: Sequence[Run]) -> str:
     lines = [columns([HEADS, *map(row, runs)], indent="", right=RIGHT), NOTE]
     for run in runs:
         lines += [f"{run.name}: notice: {notice}" for notice in run.notices]
+        lines += [f"{run.name}: {item}" for item in run.shown]
         lines += [f"{run.name}: {text}" for text in ended(run)]
     return "\n".join(lines)
 

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from dmframe.results.metrics import tracking_error, turn_error
+from dmframe.results.shown import shown_by
 from dmframe.simulate import Recording
 
 
@@ -47,6 +48,11 @@ def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]
             {"signal": rank.signal, "unit": rank.unit}
             | {key: _number(getattr(rank, key)) for key in ("smallest", "time", "share", "since")}
             for rank in run.ranks
+        ],
+        "shown": [
+            {"signal": item.label, "says": item.words, "unit": item.unit}
+            | {"values": list(map(_number, item.values)), "felt": item.felt and list(map(_number, item.felt))}
+            for item in shown_by(run)
         ],
         "engine": run.engine,
         "wall_time": _number(run.wall_time),

@@ -89,7 +89,7 @@ def keeping(
         strangers = [name for name in dict.fromkeys(log.signals) if name not in known]
         path = ("log", "signals")
         raise_all([UnknownNameError("log.signals", "signal", name, known, path=path) for name in strangers])
-        wanted = {*log.signals, *(label for pair in diagram.loop.followed for label in pair[:2])}
+        wanted = {*log.signals, *(label for pair in diagram.loop.goals for label in pair[:2])}
         wanted |= {label for label in [apart_of(diagram.loop)] if label is not None}
     wanted |= {matrix.label for matrix in matrices} | {signal.label for signal in telling(diagram)}
     kept, columns, first, width = list[np.ndarray](), list[tuple[Variable | Signal, slice]](), 0, 0

@@ -57,6 +57,11 @@ EXAMPLES["loaded_manipulator"] = LOADED
 EXAMPLES["turning"] = (
     EXAMPLES["setpoint"] + "  attitude: {type: turning, orientation: [0, 90 deg, 0], axis: [1, 0, 0]}\n"
 )
+EXAMPLES["force_sensor"] = (
+    EXAMPLES["setpoint"]
+    + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"
+    + "  sensor:   {type: force_sensor, noise: 0.1}\n"
+)
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot
@@ -66,8 +71,8 @@ UNPROVED = {
     "sampled_supervisor",
     "sampled_tracking",
     "disturbance_observer",
+    "extended_state_observer",
     "path_pace",
-    "loaded_manipulator",
     *(name for name, kind in BLOCKS.items() if any(port.instead_of for port in kind.outputs)),
 } - {"joint_stops"}  # which may only tell
 

@@ -8,7 +8,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 KEY = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d[a-z]?)\]")
 ENTRY = re.compile(r"^@(\w+)\{(\w+),\n(.*?)^\}", re.MULTILINE | re.DOTALL)
-NEEDED = {"article": {"journal", "volume", "pages"}, "book": {"publisher"}, "inproceedings": {"booktitle"}}
+NEEDED = {
+    "article": {"journal", "volume", "pages"},
+    "book": {"publisher"},
+    "inproceedings": {"booktitle"},
+    "misc": {"howpublished"},
+}
 SOURCES = ("dmframe", "blocks/dmframe_blocks", "plants/dmframe_plants")
 
 

@@ -138,7 +138,10 @@ def _loops() -> Iterator[Loop]:
     yield _fitted(robots[0])
     yield from _full(robots[0])
     yield _posture(load("arm2", axes="x"))
-    yield from _packaged({"circle", "setpoint", "sinusoid", "waypoints", "null_space_posture"})
+    further = (_contact(robots[0]), _loaded(robots[0]))
+    yield from further
+    held = {kind for loop in further for kind in loop.types}
+    yield from _packaged(held | {"circle", "setpoint", "sinusoid", "waypoints", "null_space_posture"})
 
 
 def _fitted(robot: Any) -> Loop:
@@ -157,6 +160,28 @@ def _posture(robot: Any) -> Loop:
     known = loop_of(robot, "task", "PI").specs
     posture = {"posture": ("null_space_posture", {"K_null": 0.5, "q_0": [0.3, 0.4]})}
     return Loop(f"{robot.name} posture PI", robot, {**known, **posture})
+
+
+def _contact(robot: Any) -> Loop:
+    """A tool that yields to a wall."""
+    known = loop_of(robot, "task", "PID").specs
+    contact: dict[str, Spec] = {
+        "compliance": ("admittance", {"M_a": 10, "D_a": 200, "K_a": 400}),
+        "wall": ("wall", {"point": [0.3, 0.3], "normal": [-3, -4], "stiffness": 1000, "damping": 100}),
+    }
+    return Loop(f"{robot.name} contact PID", robot, {**known, **contact}, {"task.x_d": "compliance.x_c"})
+
+
+def _loaded(robot: Any) -> Loop:
+    """A load of which the controller knows nothing but that it is there."""
+    known = loop_of(robot, "joint", "PI").specs
+    load: dict[str, Spec] = {
+        "model": ("payload_regressor", {"gravity": "share", "friction": FRICTION["both"]}),
+        "holds": ("payload_estimate", {}),
+        "arm": ("loaded_manipulator", {"K": 1.5, "viscous": 2.0, "coulomb": 2.0}),
+        "load": ("payload", {"mass": [1, 0], "at": [1, 2]}),
+    }
+    return Loop(f"{robot.name} loaded PI", robot, {**known, **load})
 
 
 FULL = "full gains"

@@ -70,11 +70,15 @@ def test_of_more_than_100_faults_in_the_equations_of_all_blocks_none_is_proved_u
     results = tried(mutants)
     assert [str(result.mutant) for result in results if result.outcome not in CAUGHT] == []
     assert len(results) >= 100
+    # any wall is an environment, and V falls along any goal that an admittance makes of its force
+    free = {"admittance", "wall"}
     acting = [r for r in results if r.outcome != "no diagram" and r.reason != "the rates are unchanged"]
+    acting = [r for r in acting if r.mutant.owner not in free]
     assert Counter(result.outcome for result in acting)["refuted"] > 0.9 * len(acting)
     # V does not weigh a redundant robot's self-motion; without a term in the error any reference falls along V
-    unseen = {"null_space_posture", "joint_feedforward"}
-    assert {result.mutant.owner for result in results if result.outcome == "refuted"} == set(provable) - unseen
+    unseen = {"null_space_posture", "joint_feedforward", "payload_estimate"}  # the last tells, and moves nothing
+    refuted = {result.mutant.owner for result in results if result.outcome == "refuted"}
+    assert refuted - free == set(provable) - unseen - free
 
 
 @pytest.mark.parametrize("kind", ["pi_servo", "pi_inverse", "dynamic_compensator", "joint_tracking"])
@@ -88,7 +92,7 @@ def test_every_block_that_has_equations_of_motion_and_a_certificate_stands_in_a_
     without = {kind for kind in continuous if not homes(kind, loops())}
     stand_ins = {kind for kind, block in continuous.items() if any(port.instead_of for port in block.outputs)}
     # they have no certificate
-    assert without - stand_ins == {"kinematic_command", "sampled_tracking", "loaded_manipulator"}
+    assert without - stand_ins == {"kinematic_command", "sampled_tracking", "extended_state_observer"}
 
 
 def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothing() -> None:

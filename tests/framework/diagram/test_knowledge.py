@@ -137,10 +137,11 @@ def test_where_an_estimate_starts_is_not_known_unless_a_rate_pulls_it_back_there
 
 
 @pytest.mark.parametrize("name", structures())
-def test_no_packaged_controller_knows_the_inertia_but_the_one_that_is_there_to_be_compared_with(name: str) -> None:
+def test_two_packaged_controllers_alone_know_the_inertia_one_to_be_compared_with_and_one_for_a_load(name: str) -> None:
     leaks = {
         block
         for block, item in of(name).items()
         if "inertia" in item.groups and item.held_by["inertia"] != ("a_d_nominal",)
     }
-    assert leaks == ({"torque"} if name == "computed_torque" else set())  # computed torque from a known model
+    known = {"computed_torque": {"torque"}, "ur10_payload": {"model"}}
+    assert leaks == known.get(name, set())

@@ -132,11 +132,14 @@ PAPER = {
         "dq_r": "J_hat'((J_hat J_hat')^-1 (dx_d - J_hat dq_null) - gamma (x_o - x_d)) + dq_null",
     },
     "joint_tracking": {"dq_r": "dq_d - alpha_bar (q - q_d)"},
-    "dynamic_compensator": {"tau_dc": "Y_d a_d_hat + tau_task", "a_d_hat": "-Gamma (Y_d' sigma + Y_f' e_f)"},
+    "dynamic_compensator": {
+        "tau_dc": "Y_d a_d_hat + tau_known + tau_task",
+        "a_d_hat": "-Gamma (Y_d' sigma + Y_f' e_f)",
+    },
     "passive_filter": {"y": "K_1 (J_hat'(x - x_d) - y)"},
     "adaptive_kinematics": {"J_hat": "J(q, a_k_hat)", "a_k_hat": "Gamma_k Y_k(q, dq)' e_k"},
     "computed_torque": {"ddq_ref": "ddq_d - 2 alpha_bar (dq - dq_d) - alpha_bar^2 (q - q_d)"},
-    "manipulator": {"ddq": "M(q)^-1 (K u - (B dq + coulomb phi(dq)) - (C(q, dq) dq + g))", "x": "f(q)"},
+    "manipulator": {"ddq": "M(q)^-1 (K u + tau_ext - (B dq + coulomb phi(dq)) - (C(q, dq) dq + g))", "x": "f(q)"},
 }
 
 

@@ -58,8 +58,8 @@ def test_a_synthetic_constant_error_has_its_length_as_rms(arm2):
 def test_the_summary_is_valid_json_with_null_for_what_is_not_there(ur10, blow_up):
     told = json.loads(json.dumps(summary("a", blow_up(ur10.recording, 0.4), "out"), allow_nan=False))
     assert list(told) == [
-        "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "turn", "rank", "engine",
-        "wall_time", "real_time_factor", "notices", "out",
+        "graph", "duration", "clock", "diverged", "divergence", "interrupted", "error", "turn", "rank", "shown",
+        "engine", "wall_time", "real_time_factor", "notices", "out",
     ]  # fmt: skip
     assert list(told["error"]) == ["signal", "unit", "rms_by_eighth", "rms_final"]
     assert (told["diverged"], told["clock"], told["error"]["rms_final"]) == (True, 0.008, None)

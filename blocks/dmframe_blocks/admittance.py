@@ -1,0 +1,86 @@
+"""Admittance: a measured force moves the goal of the tool as it would move a mass on a spring and a damper."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Assumption, Certificate, Driven
+from dmframe.parameter import Diagonal, Positive
+from dmframe.port import Port, State
+
+
+@final
+class Admittance(AbstractBlock):
+    r"""Turns a measured force into a compliant goal of the tool, and tells the servo level of the force.
+
+    .. math::
+
+        \dot{v_a} &= (f_{ext} - D_a v_a - K_a x_a) / M_a, \quad \dot{x_a} = v_a, \quad x_c = x_d + x_a   \tag{1} \\
+        \tau_{task} &= -\hat J^\top f_{ext}   \tag{2}
+
+    Wire the goal of the generator to `x_c`, ``task.x_d: NAME.x_c``: it then has its velocity and acceleration too, for
+    which nobody differentiates the force. With known kinematics, (2) takes the force out of dV/dt, which is what it is
+    without a contact: V holds no energy of the environment, and bounds :math:`x - x_c` alone. What is left of
+    (1) is driven by the force,
+
+    .. math:: \dot{v_a} = -(K_a / M_a)\, x_a - (D_a / M_a)\, v_a + f_{ext} / M_a   \tag{3}
+
+    so that :math:`x_c` stays bounded if the environment keeps its force bounded, which is assumed. Then
+    :math:`x - x_c` goes to zero, and the tool answers the force as (1) says.
+
+    Parameters
+    ----------
+    M_a : diagonal (m,), kg, > 0
+        Mass of the goal. Smaller follows the force faster.
+    D_a : diagonal (m,), N s/m, > 0
+        Its damping. On a clock with period T a wall of stiffness k asks for more than about T k.
+    K_a : diagonal (m,), N/m, > 0
+        Its stiffness. Pressed by the depth e into a wall of stiffness k, the tool stays with the force
+        e k K_a/(k + K_a).
+
+    Notes
+    -----
+    Not for: kinematics that are uncertain, whose Jacobian does not cancel the force; a force that is not measured at
+    the tool's point.
+
+    References
+    ----------
+    [Siciliano2009]_ Section 9.3.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("f_ext", "m", "N"),
+        Port("x_d", "m", "m"),
+        Port("J_hat", "m n", "m/rad"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("x_c", "m", "m"),
+        Port("tau_task", "n", "N m"),
+    )
+    states: ClassVar[tuple[State, ...]] = (State("x_a", "m", "m"), State("v_a", "m", "m/s"))
+
+    M_a: Diagonal = Positive("m", "kg")
+    D_a: Diagonal = Positive("m", "N s/m")
+    K_a: Diagonal = Positive("m", "N/m")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        return Equations(
+            outputs={"x_c": u.x_d + x.x_a, "tau_task": -u.J_hat.T @ u.f_ext},
+            rates={"x_a": x.v_a, "v_a": (u.f_ext - p.D_a * x.v_a - p.K_a * x.x_a) / p.M_a},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored; (3) drives x_a."""
+        return Certificate(
+            driven=(
+                Driven(
+                    vectors=(x.x_a, x.v_a),
+                    rates=((0, 1), (-p.K_a / p.M_a, -p.D_a / p.M_a)),
+                    bounded=(x.x_a, x.v_a),
+                    otherwise=(Assumption("the environment's force f_ext stays bounded", "a passive environment"),),
+                    inputs=(0, u.f_ext / p.M_a),
+                ),
+            ),
+        )

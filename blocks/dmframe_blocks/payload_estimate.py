@@ -1,0 +1,61 @@
+"""What is held, in kilograms and metres."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.naming import operation
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class PayloadEstimate(AbstractBlock):
+    r"""The mass of a load and its centre, of its estimated parameters.
+
+    Of the parameters of a `payload_regressor`, the mass is the first, and the centre the next three over the mass, less
+    the tool's offset. Below the mass `least` nobody can say where the centre is, and it is given as zero. A run tells
+    the means over its last eighth, and how much of them was felt.
+
+    Parameters
+    ----------
+    least : scalar, kg, > 0
+        The least mass that counts as a load.
+
+    References
+    ----------
+    [Siciliano2009]_ Section 7.2.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p"),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("m_load_hat", "", "kg", shown="mass of the load"),
+        Port("c_load_hat", "3", "m", shown="its centre from the tool, in the last joint's frame"),
+    )
+
+    least: Scalar = Positive("", "kg", default=0.2)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """Mass and centre."""
+        return Equations({"m_load_hat": mass(u.a_d_hat), "c_load_hat": center(u.a_d_hat, p.robot.a_k, p.least)})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored."""
+        return Certificate()
+
+
+@operation
+def mass(a: Any) -> Any:
+    """The first of a load's parameters."""
+    return a[0]
+
+
+@operation
+def center(a: Any, a_k: Any, least: Any) -> Any:
+    """First moments over the mass, from the tool; zero where there is too little mass to say."""
+    return ca.if_else(a[0] > least, a[1:4] / ca.fmax(a[0], least) - a_k[-3:], ca.SX.zeros(3))

@@ -1,0 +1,97 @@
+"""The regressor of a load at the tool, the links known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Literal, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Condition
+from dmframe.port import Element, Port
+from dmframe.robot.parameters import INERTIAL, DynamicParameters, Friction
+from dmframe_blocks._friction import columns_for
+
+_UNITS = {"m": "kg", "mc": "kg m", "I": "kg m^2"}
+
+
+@final
+class PayloadRegressor(AbstractBlock):
+    r"""The torque of a known robot with an unknown load: what is known of it, and the matrix of what is not.
+
+    .. math::
+
+        \tau_{known} = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q)   \tag{1}
+
+    :math:`Y_d a_d` is what the load and friction add: :math:`a_d` holds the load's ten inertial parameters about the
+    last joint's origin, in its frame (mass, first moments, inertia); then what `gravity` says, and B and D, as
+    `friction` says. The load's columns are those of the last link, with all of its gravity: no maker's servo
+    compensates a load that it does not know.
+
+    Parameters
+    ----------
+    gravity : known or share
+        Whether the servo leaves all of the links' own gravity to the controller, which knows it; or compensates an
+        unknown share, so that what is left is estimated: one parameter, g_share.
+    friction : list of viscous, coulomb
+        Friction that is estimated along with the load; each kind that the plant has is needed.
+
+    Notes
+    -----
+    Only the product of w and the torque acts. It is the known part that tells the load apart from w: give w a box where
+    that part is small, as with a servo that compensates gravity. Not for: links that are not known; `regressor` has
+    columns for all.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (5), Remark 6.
+    """
+
+    uses_robot: ClassVar[bool] = True
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("q", "n", "rad"),
+        Port("dq", "n", "rad/s"),
+        Port("dq_ref", "n", "rad/s"),
+        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"), Port("tau_known", "n", "N m"))
+    truth: ClassVar[tuple[Port, ...]] = (
+        Port("a_load", "10"),
+        Port("g_share"),
+        Port("B", "n", "N m s/rad"),
+        Port("D", "n", "N m"),
+    )
+
+    gravity: Literal["known", "share"] = "known"
+    friction: tuple[Friction, ...] = ("viscous",)
+
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        """p: the load's ten parameters, the share of gravity, friction."""
+        load = [Element(f"{name}_load", _UNITS[name.partition("_")[0]]) for name in INERTIAL]
+        share = [Element("g_share")] if self.gravity == "share" else []
+        friction = DynamicParameters(robot, self.friction).elements[len(INERTIAL) * robot.n :]
+        return {"p": [*load, *share, *friction]}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        robot, weighs = p.robot, p.robot.gravity_torque(u.q)
+        whole = robot.inverse_dynamics(u.q, u.dq, u.dq_ref, u.ddq_ref)
+        columns = [robot.regressor(u.q, u.dq, u.dq_ref, u.ddq_ref)[:, -len(INERTIAL) :]]
+        columns += [weighs] if self.gravity == "share" else []
+        columns += [ca.diag(u.dq_ref)] if "viscous" in self.friction else []
+        columns += [ca.diag(robot.coulomb(u.dq_ref))] if "coulomb" in self.friction else []
+        known = whole - weighs if self.gravity == "share" else whole
+        return Equations({"Y_d": ca.densify(ca.horzcat(*columns)), "tau_known": known})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """Nothing is stored; the true a_d."""
+        true = [truth.a_load if "a_load" in truth else ca.DM.zeros(len(INERTIAL))]
+        true += [truth.g_share] if self.gravity == "share" else []
+        true += [truth.B] if "viscous" in self.friction else []
+        true += [truth.D] if "coulomb" in self.friction else []
+        return Certificate(truth={"a_d": ca.vertcat(*true)})
+
+    def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
+        """Whatever friction the plant has, the regressor has a column for it."""
+        return columns_for(self.friction, truth)

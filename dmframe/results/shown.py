@@ -1,0 +1,149 @@
+r"""What a run says of its estimates: their mean over the last eighth, and how much of them the motion felt.
+
+An adapting block moves its estimates :math:`\hat\theta` along :math:`-W^\top s`, s being the error that drives it, and
+an error :math:`\tilde\theta` acts on the loop by :math:`W \tilde\theta`. Over the last eighth of a run,
+
+.. math:: F = \overline{W^\top W}, \quad \mathrm{felt}(y) = (g^\top F^{+} g)^{-1/2}, \quad
+    g = \partial y/\partial\hat\theta
+
+is the root mean square of what a unit of y more does, after all that the other estimates of the block could do in its
+place: zero where the motion says nothing of y. For a sliding variable in rad/s it is a torque, N m a unit of y.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block import AdaptingBlock
+from dmframe.block.model import symbols_in
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import Signal
+from dmframe.diagram.view import view
+from dmframe.naming import reading
+from dmframe.results.metrics import EIGHTHS
+from dmframe.simulate import Recording
+from dmframe.units import plain
+
+MOST: Final = 400
+"""Instants at which W is looked at."""
+
+SMALL: Final = 1e-9
+"""Of the largest eigenvalue of F, in parameters scaled to unit columns: what is below counts as not felt."""
+
+
+@final
+@dataclass(frozen=True)
+class Shown:
+    """An output that a block shows, over the last eighth of a run.
+
+    Parameters
+    ----------
+    label, words, unit
+        ``block.port``, what it is, and its unit.
+    values
+        Its means.
+    felt
+        What a unit more of each does, root mean square [N m, where the error is in rad/s]; None where no estimate, or
+        those of several blocks, stand behind it.
+    """
+
+    label: str
+    words: str
+    unit: str
+    values: tuple[float, ...]
+    felt: tuple[float, ...] | None
+
+    def __str__(self) -> str:
+        values = ", ".join(plain(value, self.unit) for value in self.values)
+        said = f"{self.words} {values if len(self.values) == 1 else f'[{values}]'}"
+        if self.felt is None:
+            return said
+        felt = ", ".join(f"{value:.3g}" for value in self.felt)
+        return f"{said}, felt as {felt if len(self.felt) == 1 else f'[{felt}]'} N m/{self.unit or '1'}"
+
+
+def shown_by(run: Recording) -> list[Shown]:
+    """What the blocks of a diagram show, in its order; of a run that did not reach its last eighth nothing."""
+    last = np.flatnonzero(run.time >= run.duration * (1 - 1 / EIGHTHS))
+    if (
+        run.divergence is not None
+        or not last.size
+        or not set(run.states) >= {v.label for v in run.diagram.loop.variables}
+    ):
+        return []
+    chosen, found = last[np.unique(np.linspace(0, last.size - 1, MOST).astype(int))], list[Shown]()
+    for signal, words in _showing(run.diagram):
+        values = _at(run, signal.expression, chosen).mean(axis=0)
+        felt = _felt(run, signal, chosen)
+        told = None if felt is None else tuple(map(float, felt))
+        found.append(Shown(signal.label, words, signal.unit, tuple(map(float, values.ravel())), told))
+    return found
+
+
+def _showing(diagram: Diagram) -> Iterator[tuple[Signal, str]]:
+    said = {f"{name}.{port.name}": port.shown for name, block in diagram.blocks.items() for port in block.outputs}
+    yield from ((signal, said[signal.label]) for signal in diagram.loop.outputs if said.get(signal.label))
+
+
+def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | None:
+    """See the module's text."""
+    behind = [
+        (name, item.name)
+        for name, model in run.diagram.models.items()
+        for item in model.estimates
+        if symbols_in([signal.expression]) & symbols_in([model.states[item.name]])
+    ]
+    if len(behind) != 1:
+        return None
+    (name, estimate) = behind[0]
+    block = run.diagram.blocks[name]
+    state = run.diagram.models[name].states[estimate]
+    if not isinstance(block, AdaptingBlock) or not state.is_column():
+        return None
+    W = _regressor(run.diagram, name, block, estimate)
+    if W is None:
+        return None
+    gradient = _at(run, ca.jacobian(ca.vec(signal.expression), state), chosen).mean(axis=0)
+    return felt(np.vstack(list(_at(run, W, chosen))), len(chosen), gradient)
+
+
+def felt(rows: np.ndarray, instants: int, gradients: np.ndarray) -> np.ndarray:
+    """Of the stacked W of some instants, and of a row of gradients each, what a unit more does."""
+    sizes = np.linalg.norm(rows, axis=0)
+    sizes[sizes == 0] = 1.0
+    _, values, axes = np.linalg.svd(rows / sizes, full_matrices=False)
+    seen = values**2 > SMALL * values[0] ** 2 if values.size else np.zeros(0, bool)
+    along = (gradients / sizes) @ axes.T
+    missed = np.linalg.norm(gradients / sizes - along[:, seen] @ axes[seen], axis=1)
+    whole = np.linalg.norm(gradients / sizes, axis=1)
+    inverse = np.sum((along[:, seen] / values[seen]) ** 2, axis=1)
+    known = (whole > 0) & (missed <= np.sqrt(SMALL) * whole)
+    return np.where(known, 1 / np.sqrt(instants * np.where(known, inverse, 1.0)), 0.0)
+
+
+def _regressor(diagram: Diagram, name: str, block: AdaptingBlock, estimate: str) -> Any:
+    """W, in the leaves of the closed loop; None where nobody says which error drives the block."""
+    seen = view(diagram, name)
+    ports = {port.name: port for port in (*block.inputs, *block.outputs)}
+    if block.driven_by not in ports:
+        return None
+    error = ca.SX.sym("s", *diagram.sizes.matrix(ports[block.driven_by].shape))
+    with reading(None):
+        directions = block.direction(seen.u, seen.x, seen.p, error)
+    return -ca.jacobian(directions[estimate], error).T if estimate in directions else None
+
+
+def _at(run: Recording, expression: Any, which: np.ndarray) -> np.ndarray:
+    """A matrix at some of a run's instants: (instants, rows, columns)."""
+    loop, shape = run.diagram.loop, expression.shape
+    column = loop.on_path(loop.acting([ca.vec(ca.densify(expression))])[0])
+    states = np.hstack([run.states[variable.label] for variable in loop.variables])[which].T
+    count = states.shape[1]
+    function = ca.Function("shown", [loop.state, loop.time, loop.p], [column])
+    values = function.map(count)(states, run.time[which][None, :], np.tile(loop.p_values[:, None], count)).full()
+    return np.asarray(values.T.reshape((count, shape[1], shape[0])).transpose(0, 2, 1))

@@ -1,0 +1,246 @@
+"""A load at the tool: against Pinocchio, proved between its steps, estimated, and how much of it was felt."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, ClassVar, final
+
+import casadi as ca
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+
+import dmframe as dm
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certify import Verdict, claim_of, verify
+from dmframe.certify.along import along
+from dmframe.config.document import read_document
+from dmframe.config.experiment import Experiment, experiment_of, load_experiment
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+from dmframe.port import TIME, Port, Side
+from dmframe.results.shown import felt
+from dmframe.robot.library import find_robot
+from dmframe_blocks.payload import Payload
+from dmframe_blocks.payload_regressor import PayloadRegressor
+
+Array = NDArray[np.float64]
+V_0 = 0.005  # [rad/s] of Coulomb friction
+MASS, CENTER, INERTIA = 4.3, np.array([0.02, 0.08, -0.03]), 0.03 * np.eye(3)
+GRIPPER = 0.3  # [kg], 40 mm before the flange
+B, D = np.array([5, 5, 2, 0.2, 0.2, 0.1]), np.array([8, 8, 4, 0.05, 0.05, 0.05])
+
+
+SMALL = """
+dmframe: 1
+robot: arm2
+clock: continuous
+duration: 1 s
+start: {q: [0.5, 0.9]}
+blocks:
+  path:     {type: sinusoid, center: [0.5, 0.9], amplitude: 0.3, rate: [1, 2]}
+  task:     {type: joint_tracking, alpha_bar: 2}
+  model:    {type: payload_regressor}
+  dynamics: {type: dynamic_compensator, Gamma: 1}
+  inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 4, w_I_box: [1, 10]}
+  servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
+  arm:      {type: loaded_manipulator, viscous: 1}
+  load:     {type: payload, mass: [1, 0], at: [0.2, 0.6]}
+"""
+
+
+@cache
+def model(held: str = "nothing") -> Any:
+    found = pin.buildModelFromUrdf(str(find_robot("ur10").urdf))
+    tool = found.frames[found.getFrameId("ee_link")].placement.translation
+    gripper = pin.Inertia(GRIPPER, np.array([0, 0.04, 0]), 0.01 * np.eye(3))
+    if held != "nothing":
+        body = gripper if held == "gripper" else pin.Inertia(MASS, CENTER, INERTIA)
+        found.appendBodyToJoint(6, body, pin.SE3(np.eye(3), tool))
+    return found
+
+
+@cache
+def ran(until: float = 90.0) -> dm.Run:
+    return dm.load("ur10_payload").run(until=until)
+
+
+def signals(run: dm.Run, *names: str) -> list[Array]:
+    return [run.recording[name] for name in names]
+
+
+def test_the_loaded_robot_accelerates_as_pinocchios_does() -> None:
+    run = ran()
+    q, dq, u, ddq = signals(run, "arm.q", "arm.dq", "servo.u", "arm.ddq")
+    bare = model()
+    for held, ticks in (("gripper", range(100, 3700, 700)), ("load", range(3800, 11000, 700))):
+        robot = model(held)
+        data, other = robot.createData(), bare.createData()
+        for k in ticks:
+            carried = pin.computeGeneralizedGravity(bare, other, q[k])  # the maker's servo knows of no load
+            torque = u[k] + carried - B * dq[k] - D * np.tanh(dq[k] / V_0)
+            assert ddq[k] == pytest.approx(pin.aba(robot, data, q[k], dq[k], torque), rel=1e-6, abs=1e-6)
+
+
+def by_least_squares(run: dm.Run, start: float, end: float) -> Array:
+    """The load's ten parameters, from the true torque of the motors by Pinocchio's regressor."""
+    part = slice(*np.searchsorted(run.time, [start, end]), 10)
+    rows, right = [], []
+    bare = model()
+    data = bare.createData()
+    for q, dq, ddq, u in zip(*(x[part] for x in signals(run, "arm.q", "arm.dq", "arm.ddq", "servo.u")), strict=True):
+        Y = np.array(pin.computeJointTorqueRegressor(bare, data, q, dq, ddq))[:, -10:]
+        known = pin.rnea(bare, data, q, dq, ddq) - pin.computeGeneralizedGravity(bare, data, q)
+        rows.append(np.hstack([Y, np.diag(dq), np.diag(np.tanh(dq / V_0))]))
+        right.append(u - known)
+    found, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)
+    return np.asarray(found[:10])
+
+
+def test_the_estimate_approaches_what_least_squares_on_the_runs_data_finds() -> None:
+    run = ran()
+    true = by_least_squares(run, 40, 90)
+    tool = model().frames[model().getFrameId("ee_link")].placement.translation
+    assert true[0] == pytest.approx(MASS, rel=1e-6)
+    assert true[1:4] / true[0] - tool == pytest.approx(CENTER, abs=1e-6)
+    mass, center = run.shown
+    assert mass.values[0] == pytest.approx(MASS, rel=0.1)
+    assert center.values == pytest.approx(CENTER, abs=0.01)
+
+
+def test_before_it_is_there_and_once_it_is_put_down_the_gripper_is_left() -> None:
+    assert [ran(until).shown[0].values[0] for until in (30.0, 120.0)] == pytest.approx([GRIPPER] * 2, abs=0.2)
+
+
+def test_what_is_felt_is_what_no_other_column_could_do() -> None:
+    rng = np.random.default_rng(0)
+    W = rng.normal(size=(300, 5)) * [1, 10, 0.1, 3, 1]
+    others = np.delete(W, 1, axis=1)
+    left = W[:, 1] - others @ np.linalg.lstsq(others, W[:, 1], rcond=None)[0]
+    assert felt(W, 100, np.eye(5)[1:2]) == pytest.approx(np.linalg.norm(left) / np.sqrt(100))
+    W[:, 4] = W[:, 0] - 2 * W[:, 2]  # three that nothing tells apart, and their sum that something does
+    found = felt(W, 100, np.vstack([np.eye(5), [1, 0, -2, 0, 0], [1, 0, 0, 0, 1]]))
+    assert list(found > 0) == [False, True, False, True, False, False, True]
+
+
+def test_two_joints_feel_a_mass_by_the_difference_of_their_torques_and_a_single_one_never() -> None:
+    """About a single joint, first moments and one moment of inertia are all that turns."""
+    text = SMALL.replace("clock: continuous", "clock: 1 ms") + "  holds:    {type: payload_estimate}\n"
+    alone = text.replace("arm2", "pendulum").replace("[0.5, 0.9]", "[0.5]").replace("[1, 2]", "[2]")
+    alone = alone.replace("[60, 30]", "[30]").replace("[240, 120]", "[120]")
+    felt_by = [dm.load(graph).run(until=8).shown[0].felt for graph in (text, alone)]
+    assert felt_by[1] == (0.0,)
+    assert felt_by[0] is not None
+    assert felt_by[0][0] > 0.1
+
+
+def test_a_run_says_what_the_tool_holds_in_kilograms_and_metres() -> None:
+    mass, center = ran().shown
+    assert mass.felt is not None
+    assert mass.felt[0] > 1.0
+    assert "mass of the load 3.9" in str(ran())
+    assert "N m/kg" in str(ran())
+    assert ran().summary["shown"][1]["signal"] == center.label == "holds.c_load_hat"
+
+
+def test_it_is_proved_between_the_steps_of_the_load() -> None:
+    verdict = verify(load_experiment("ur10_payload").diagram())
+    assert verdict.outcome == "proved"
+    assert all(control.refuted for control in verdict.controls)
+    assumed = " / ".join(item.text for item in verdict.assumptions)
+    assert "all is said of the time between its steps, each of which begins a new V" in assumed
+    assert "load.a_load is the inertia of a rigid body: its pseudo-inertia is not negative" in assumed
+    assert "model (payload_regressor) knows exactly" in assumed
+
+
+def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
+    graph = dm.load("ur10_payload").set({"load.at": [0.0, 4.0, 8.0]})
+    run = graph.run(until=10)
+    V = along(claim_of(run.recording.diagram), run.recording).V
+    steps = np.abs(np.diff(V)) * (run.time[1:] > 1)  # the first second is that of the start
+    largest = sorted(run.time[1:][np.argsort(steps)[-2:]])
+    assert largest == pytest.approx([4.0, 8.0], abs=0.009)
+
+
+def small() -> Experiment:
+    return experiment_of(read_document(SMALL, "small"))
+
+
+def proof(**blocks: AbstractBlock) -> Verdict:
+    graph = small()
+    return verify(Diagram.build({**graph.blocks, **blocks}, graph.file.wires, graph.robot))
+
+
+def test_gravity_known_or_its_share_learnt_both_are_proved() -> None:
+    assert proof().outcome == "proved"
+    assert proof(model=PayloadRegressor(gravity="share")).outcome == "proved"
+
+
+def test_a_servo_that_carries_the_links_is_refuted_where_the_controller_takes_them_for_its_own() -> None:
+    arm = small().blocks["arm"]
+    carried = type(arm)(**{**arm.model_dump(exclude_none=True), "maker_gravity": 0.5})
+    assert proof(arm=carried).outcome == "refuted"
+    assert proof(arm=carried, model=PayloadRegressor(gravity="share")).outcome == "proved"
+
+
+def test_a_controller_without_columns_for_the_load_is_refuted() -> None:
+    graph = small()
+    model = type(load_experiment("arm2_joint").blocks["model"])(friction=["viscous"])
+    verdict = verify(Diagram.build({**graph.blocks, "model": model}, graph.file.wires, graph.robot))
+    assert verdict.outcome == "refuted"
+
+
+@final
+class Ramp(AbstractBlock):
+    """A load that grows, and says that it steps."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10", steps=True),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"a_load": u.t * ca.DM.ones(10)})
+
+
+@final
+class Silent(AbstractBlock):
+    """A load that steps, and does not say so."""
+
+    side: ClassVar[Side] = Side.SOURCE
+    inputs: ClassVar[tuple[Port, ...]] = (TIME,)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_load", "10"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"a_load": (u.t >= 1) * ca.DM.ones(10)})
+
+
+def test_a_load_that_moves_between_its_steps_is_told() -> None:
+    with pytest.raises(DmframeError, match=r"load.a_load: expected a signal that is constant between steps"):
+        proof(load=Ramp())
+    assert "jumps from 0 to 1 at t = 1 s" in proof(load=Silent()).reason
+
+
+def test_only_a_source_steps_and_only_a_controller_shows() -> None:
+    wrong = {"side": Side.CONTROLLER, "equations": Ramp.equations, "__module__": __name__}
+    shows = (Port("m", "", "kg", steps=True), Port("c", "", "m", shown="a place"))
+    found = type(Ramp)("Wrong", (AbstractBlock,), {**wrong, "inputs": shows[1:], "outputs": shows[:1]}).contract("w")
+    assert [fault.text for fault in found] == [
+        "w: says that c is shown, and it is no output of a controller; leave that out",
+        "w: says that m steps, and it is no output of a source; leave that out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("load", "says"),
+    [
+        ({"mass": [1], "at": [0, 1]}, "expected at for each of 1 masses, found 2"),
+        ({"mass": [1, 2], "at": [1, 1]}, "expected increasing times"),
+        ({"mass": [-1], "at": [0]}, "expected rigid bodies, found mass -1"),
+        ({"mass": [1], "at": [0], "inertia": [[1, 0, 1, 0, 0, 3]]}, "expected rigid bodies, found mass 1 with inertia"),
+        ({"mass": [0], "at": [0], "inertia": [[1, 0, 1, 0, 0, 1]]}, "expected rigid bodies, found mass 0 with inertia"),
+    ],
+)
+def test_what_is_no_body_is_told(load: dict[str, Any], says: str) -> None:
+    with pytest.raises(DmframeError, match=says):
+        Payload(**load)
