@@ -16,6 +16,7 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.barrier import Barrier, soft_between, soft_min
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
 from dmframe.fields import check_fields
 from dmframe.steps import LeastSquaresSteps, NormalisedSteps, Steps
@@ -27,13 +28,16 @@ from dmframe.terms import (
     Dissipated,
     Gathered,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
     Stored,
     beyond,
     clip,
     gathered,
     norm,
+    soft_clip,
 )
 
 
@@ -167,6 +171,11 @@ class Certificate:
         Signals that stay bounded although V does not weigh them.
     estimates
         The block's states that are estimates, with what they estimate. Their squares are added to the storage.
+    filters
+        Inputs that the block changes before anybody follows them. What the block stores that gives one has no part in
+        V: its word is about a reference that is followed.
+    barriers
+        Limits that the reference velocity keeps which the block hands out; how far the robot does follows from V.
     """
 
     storage: tuple[Stored, ...] = ()
@@ -179,6 +188,8 @@ class Certificate:
     excess: tuple[Bounded, ...] = ()
     driven: tuple[Driven, ...] = ()
     estimates: Mapping[str, TrueValue] = field(default_factory=dict)
+    barriers: tuple[Barrier, ...] = ()
+    filters: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -187,9 +198,10 @@ class Certificate:
     def pieces(self) -> list[SX]:
         """All its expressions."""
         terms = (*self.storage, *self.dissipation, *self.excess, *self.driven, *self.estimates.values())
+        kept = (piece for barrier in self.barriers for piece in barrier.pieces)
         consumed = () if self.consumes is None else (self.consumes.vector, self.consumes.c)
         pieces = (piece for term in terms for piece in term.pieces)
-        return [ca.SX(piece) for piece in (*pieces, self.supply, *consumed, *self.pays)]
+        return [ca.SX(piece) for piece in (*pieces, *kept, self.supply, *consumed, *self.pays)]
 
     def mapped(self, transform: Callable[[list[SX]], list[SX]]) -> Certificate:
         """The certificate with all its expressions transformed together."""
@@ -204,11 +216,13 @@ class Certificate:
             excess=tuple(rebuilt(term) for term in self.excess),
             driven=tuple(rebuilt(term) for term in self.driven),
             estimates={name: rebuilt(term) for name, term in self.estimates.items()},
+            barriers=tuple(rebuilt(term) for term in self.barriers),
             supply=next(done),
             consumes=Consumed(next(done), next(done)) if self.consumes is not None else None,
             pays=tuple(done),
             task=self.task,
             truth=self.truth,
+            filters=self.filters,
         )
 
 
@@ -324,6 +338,7 @@ __all__ = [
     "SX",
     "TINY",
     "Assumption",
+    "Barrier",
     "Bounded",
     "Certificate",
     "Clipped",
@@ -337,8 +352,10 @@ __all__ = [
     "Kept",
     "LeastSquaresSteps",
     "Lemma",
+    "LogDet",
     "NormSquare",
     "NormalisedSteps",
+    "Potential",
     "Relation",
     "SampledCertificate",
     "Square",
@@ -349,4 +366,7 @@ __all__ = [
     "clip",
     "gathered",
     "norm",
+    "soft_between",
+    "soft_clip",
+    "soft_min",
 ]

@@ -14,6 +14,7 @@ import casadi as ca
 
 from dmframe.condition import SX
 from dmframe.fields import check_fields
+from dmframe.linalg import ldl, solve_spd
 from dmframe.naming import operation
 
 
@@ -284,9 +285,126 @@ class Clipped:
         return Clipped(first, width, other, self.of)
 
 
+@operation
+def soft_clip(vector: SX, width: SX) -> SX:
+    """Each element, led smoothly towards -width and width, which it never reaches."""
+    return vector / ca.sqrt(1 + (vector / width) ** 2)
+
+
+@operation
+def potential(vector: SX, width: SX, weight: SX) -> SX:
+    """Twice what springs store whose force is weight times soft_clip(vector, width)."""
+    # the form without a difference, 2 a^2 / (1 + root), would need that the root squared is what stands under it
+    return ca.sum1(2 * weight * width**2 * (ca.sqrt(1 + (vector / width) ** 2) - 1))
+
+
+@operation
+def divergence(estimate: SX, true: SX) -> SX:
+    """The logarithm of det(estimate)/det(true), and the trace of estimate^-1 true less that of 1."""
+    estimate, true = ca.tril2symm(ca.tril(estimate)), ca.tril2symm(ca.tril(true))
+    logarithms = [ca.log(ca.vertcat(*ldl(matrix)[1])) for matrix in (estimate, true)]
+    return ca.sum1(logarithms[0] - logarithms[1]) + ca.trace(solve_spd(estimate, true)) - true.shape[0]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Potential:
+    r"""The energy of springs that give way: positive, and as large as one likes where a is.
+
+    .. math:: \sum_i 2 w_i v_i^2 \left(\sqrt{1 + (a_i / v_i)^2} - 1\right), \quad w_i > 0, \; v_i > 0
+
+    Near zero it is :math:`|a|_W^2`; far from there it grows like :math:`2 \sum_i w_i v_i |a_i|`. The gradient of half
+    of it is :math:`w_i a_i / \sqrt{1 + (a_i / v_i)^2}`, w times `soft_clip`.
+
+    Parameters
+    ----------
+    vector
+        a, a column.
+    width
+        v, a column or a scalar of parameters.
+    weight
+        w, a column or a scalar of parameters.
+    """
+
+    vector: SX
+    width: SX
+    weight: SX = 1
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.vector, self.width, self.weight
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        return potential(self.vector, self.width, self.weight)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Potential:
+        """The same term of other expressions."""
+        vector, width, weight = pieces
+        return Potential(vector, width, weight, self.of)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class LogDet:
+    r"""How far one symmetric positive definite matrix is from another: Stein's loss, a Bregman divergence.
+
+    .. math:: c \left(\log\det\hat P - \log\det P + \mathrm{tr}(\hat P^{-1} P) - n\right)
+        = c \sum_i (\lambda_i - 1 - \log\lambda_i), \quad c > 0
+
+    with :math:`\lambda_i > 0` the eigenvalues of :math:`\hat P^{-1} P`. It is zero where both are the same and above it
+    elsewhere, and grows beyond all bounds where :math:`\hat P` does, or comes near to a matrix that is not positive
+    definite. So a sum that holds it and does not grow keeps :math:`\hat P` in a compact set of positive definite
+    matrices, if it starts as one.
+
+    Parameters
+    ----------
+    matrix
+        :math:`\hat P`, symmetric: a state, or made of one.
+    true
+        P, symmetric: of parameters and true values.
+    weight
+        c, a scalar of parameters.
+    """
+
+    matrix: SX
+    true: SX
+    weight: SX = 1
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return self.matrix, self.true, self.weight
+
+    @property
+    def vector(self) -> SX:
+        """The elements of the matrix, which stay bounded."""
+        return ca.vec(ca.densify(ca.SX(self.matrix)))
+
+    @property
+    def value(self) -> SX:
+        """The term as one scalar expression."""
+        return self.weight * divergence(self.matrix, self.true)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> LogDet:
+        """The same term of other expressions."""
+        matrix, true, weight = pieces
+        return LogDet(matrix, true, weight, self.of)
+
+
 Dissipated = Square | NormSquare | Lemma | Gathered
 """A term that is never negative, by how it is built."""
-Stored = Square | Gathered
-"""A term of which V is made; a square alone is also positive."""
+Stored = Square | Gathered | Potential | LogDet
+"""A term of which V is made; all but what is gathered are also positive."""
 Bounded = Square | NormSquare | Clipped
 """A term with a known bound."""

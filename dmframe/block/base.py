@@ -58,11 +58,16 @@ def owner_of(signals: Signals) -> str:
 @final
 @dataclass(frozen=True)
 class Equations:
-    """What a block's equations say: its outputs, the rates of its states, and the next values of its sampled ones."""
+    """What a block's equations say: its outputs, the rates of its states, and the next values of its sampled ones.
+
+    On a clock a controller's state in continuous time takes a step of the sampling period T: x + T rate, and T^2 times
+    what `second` says of it, if it does, such as keeps a matrix positive definite that a plain step would not.
+    """
 
     outputs: Mapping[str, SX] = field(default_factory=dict)
     rates: Mapping[str, SX] = field(default_factory=dict)
     next: Mapping[str, SX] = field(default_factory=dict)
+    second: Mapping[str, SX] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -19,7 +19,7 @@ from dmframe.certificate import SX
 from dmframe.errors import BlockError, nearest
 from dmframe.linalg import Inverted, inverting, nodes
 from dmframe.parameter import specs
-from dmframe.port import Adapted, Port, State
+from dmframe.port import Adapted, Port, Side, State
 
 SYMBOLIC: Final = RLock()
 """Held where expressions are made or read: CasADi counts their owners without regard to threads."""
@@ -141,7 +141,7 @@ def model_block(
             raise BlockError(
                 f"{name}: its output {key} is not its state {key}, and nobody could tell one from the other; rename one"
             )
-    used = symbols_in(equations.expressions)
+    used = symbols_in([*equations.expressions, *equations.second.values()])
     for key in states.keys() - equations.moves.keys():
         if used & symbols_in([states.pop(key)]):
             raise BlockError(f"{name}: equations read the state {key}, and leave out its rate")
@@ -187,21 +187,32 @@ def stated_by(name: str, block: AbstractBlock, signals: tuple[Signals, Signals, 
     for kind, others, found in (("rate", sampled, stated.rates), ("next value", moving, stated.next)):
         for key in (state.name for state in others if state.name in found):
             raise BlockError(f"{name}: equations state the {kind} of {key}, {_OTHERWISE[kind]}")
+    stepped = [state for state in moving if state.name in stated.second]
+    for key in stated.second.keys() - {state.name for state in moving if block.side is Side.CONTROLLER}:
+        raise BlockError(
+            f"{name}: equations state the second term of {key}, which takes no step of a clock; expected a state in "
+            "continuous time of a controller"
+        )
     return Equations(
         _checked(name, "output", block.outputs, stated.outputs, sizes),
         _checked(name, "rate", moving, stated.rates, sizes),
         _checked(name, "next value", sampled, stated.next, sizes),
+        _checked(name, "second term", stepped, stated.second, sizes),
     )
+
+
+_PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "second": "second term"}
+"""Of `Equations`, with what each says."""
 
 
 def _check_steady(name: str, first: Equations, second: Equations) -> None:
     """The equations are a function of their arguments: what is proved must be what runs."""
-    pairs = ((first.outputs, second.outputs), (first.rates, second.rates), (first.next, second.next))
+    pairs = [(getattr(first, part), getattr(second, part)) for part in _PARTS]
     if all(once.keys() == again.keys() for once, again in pairs) and same_expressions(
-        first.expressions, [again[key] for once, again in pairs for key in once]
+        [once[key] for once, _ in pairs for key in once], [again[key] for once, again in pairs for key in once]
     ):
         return
-    for kind, (once, again) in zip(("output", "rate", "next value"), pairs, strict=True):
+    for kind, (once, again) in zip(_PARTS.values(), pairs, strict=True):
         for key in {**once, **again}:
             if key not in once or key not in again or not same_expression(once[key], again[key]):
                 raise BlockError(

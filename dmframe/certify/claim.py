@@ -32,6 +32,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
+from dmframe.diagram.wiring import Wire
 from dmframe.errors import BlockError, DmframeError
 from dmframe.formula.docstring import check_docstrings
 from dmframe.formula.law import PrintedLaw
@@ -172,9 +173,18 @@ class Claim:
         return total(own) - self.consumption
 
 
+def _unfollowed(diagram: Diagram, stated: Mapping[str, Certificate]) -> list[str]:
+    """The blocks that give a reference which another one changes before it is followed."""
+    ends = [(name, port) for name, certificate in stated.items() for port in certificate.filters]
+    sources = [diagram.sources.get(end) for end in ends]
+    return list(
+        dict.fromkeys(source.block for source in sources if isinstance(source, Wire) and source.block in stated)
+    )
+
+
 def _laws(
     diagram: Diagram, certificates: Mapping[str, Certificate], truths: Stated, *, near: bool
-) -> tuple[Mapping[str, PrintedLaw], tuple[str, ...]]:
+) -> tuple[dict[str, PrintedLaw], tuple[str, ...]]:
     """The printed laws; one that is not what runs, or not what is proved, is a claim that nobody can read."""
     try:
         blocks = read_blocks(diagram, near=near)
@@ -204,6 +214,8 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
         raise NotApplicableError(f"{loop.clocked}; a proof in continuous time does not reach it")
     stated, truths = certificates_of(diagram)
     laws, notices = _laws(diagram, stated, truths, near=near)
+    for name in _unfollowed(diagram, stated):
+        stated[name], laws[name] = Certificate(truth=stated[name].truth), laws[name].silent
     field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())

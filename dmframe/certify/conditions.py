@@ -21,14 +21,16 @@ from dmframe.certificate import (
     Gathered,
     Inequality,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
     Stored,
 )
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
-from dmframe.certify.definite import Number, body_pivots, is_mass_matrix, least_body_pivot, least_sampled
-from dmframe.certify.memories import memory_starts
+from dmframe.certify.definite import Number, body_pivots, is_mass_matrix, least_body_pivot, least_sampled, pivots
+from dmframe.certify.memories import matrix_start, memory_starts
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
 from dmframe.certify.stability import common_margin
@@ -51,8 +53,8 @@ def conditions_of(
     checked += _weights(claim, numbers)
     checked += memory_starts(claim, numbers, start or {})
     assumed += dict.fromkeys(_memories(claim))
-    inside, unknown = projection_conditions(claim, numbers, start)
-    checked, assumed = [*checked, *inside], [*assumed, *unknown]
+    for inside, unknown in (_inside(claim, numbers, start or {}), projection_conditions(claim, numbers, start)):
+        checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
@@ -139,6 +141,14 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
             yield _least(
                 part, f"weight of what G gathers for |{term.of}|_G^2 in {role} >= 0", numbers, term.by, strict=False
             )
+        elif isinstance(term, LogDet):
+            yield _least(part, f"weight of the divergence of {term.of} in {role} > 0", numbers, weight)
+            text = f"what {term.of} estimates is positive definite (least pivot)"
+            least, margin = partial(numbers.least_pivot, term.true), ca.vertcat(*ldl(term.true)[1])
+            yield decided(f"{part.block}: {text}", text, SIGNS, least, margin=margin)
+        elif isinstance(term, Potential):
+            yield _least(part, f"weight of the potential of {term.of} in {role} > 0", numbers, weight)
+            yield _least(part, f"width of the potential of {term.of} in {role} > 0", numbers, term.width)
         elif weight.is_column():
             strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
             sign = ">" if strict else ">="
@@ -149,6 +159,25 @@ def _memories(claim: Claim) -> Iterator[Assumption]:
     for part, _, term in _terms(claim):
         if isinstance(term, Gathered):
             yield Assumption(f"{part.block}: G of |{term.of}|_G^2 starts at zero, or positive semidefinite", SIGNS)
+
+
+def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
+    """What a divergence is taken of starts positive definite; V, which does not grow, keeps it so."""
+    checked, assumed = list[Checked](), list[Assumption]()
+    rising = any(part.certificate.excess for part in claim.parts)
+    for part, _, term in _terms(claim):
+        if not isinstance(term, LogDet):
+            continue
+        first = matrix_start(claim, numbers, start, term.matrix)
+        if first is None:
+            assumed.append(Assumption(f"{part.block}: {term.of} starts positive definite", SIGNS))
+        else:
+            name, least = f"{part.block}: {term.of} starts positive definite", min(pivots(first))
+            checked.append(Checked(name, "least pivot at the start", as_float(least), least > 0, SIGNS))
+        if rising:
+            text = f"{part.block}: {term.of} stays positive definite, although V may rise by a residual"
+            assumed.append(Assumption(text, SIGNS))
+    return checked, assumed
 
 
 def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool = True) -> Checked:
@@ -164,8 +193,8 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, weight)
                 continue
             text = f"weight of |{term.of}|^2 in {role} > 0 (least pivot)"
-            pivots = ca.vertcat(*ldl(weight)[1])
-            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight), margin=pivots)
+            margin = ca.vertcat(*ldl(weight)[1])
+            yield decided(f"{part.block}: {text}", text, SIGNS, partial(numbers.least_pivot, weight), margin=margin)
     for name, model in claim.diagram.models.items():
         for inverted in model.inverted if model.robot is not None else ():
             matrix = claim.loop.joined([claim.diagram.resolver.expand(name, ca.SX(inverted.matrix))])[0]

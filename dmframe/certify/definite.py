@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX
+from dmframe.certificate import SX, LogDet
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
@@ -17,7 +17,7 @@ from dmframe.exact import zero_test
 from dmframe.exact.rational import Interval
 from dmframe.linalg import ldl
 from dmframe.robot.parameters import INERTIAL
-from dmframe.robot.pseudo_inertia import pseudo_inertia
+from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 Number = Fraction | Interval
 
@@ -72,6 +72,28 @@ def is_mass_matrix(claim: Claim, weight: SX) -> bool:
     for q, robot in _poses(claim):
         if weight.shape == (robot.n, robot.n):
             difference = symbols.function("difference", [weight - robot.mass_matrix(q)])
+            if zero_test(difference, values=symbols.fixed).zero:
+                return True
+    return False
+
+
+def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
+    """True for the mass matrix, at a state of the plant, of estimated bodies that V keeps in a compact set of bodies.
+
+    Such a mass matrix is positive definite, uniformly.
+    """
+    if any(part.certificate.excess for part in claim.parts):
+        return False
+    symbols = symbols_of(claim)
+    for part in claim.parts:
+        found = [term.matrix for term in part.certificate.storage if isinstance(term, LogDet)]
+        bodies = [term for term in found if term.shape == (4, 4)]
+        for q, robot in _poses(claim):
+            if not bodies or len(bodies) != robot.n or matrix.shape != (robot.n, robot.n):
+                continue
+            rows = ([[P[i, j] for j in range(4)] for i in range(4)] for P in bodies)
+            inertia = ca.vertcat(*(value for P in rows for value in parameters_of(P)))
+            difference = symbols.function("difference", [matrix - robot.mass_matrix(q, inertia)])
             if zero_test(difference, values=symbols.fixed).zero:
                 return True
     return False

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator, Sequence
-from enum import Enum
 from typing import Final
 
 import casadi as ca
@@ -13,10 +12,11 @@ from dmframe.certificate import SX
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.identity import ATTEMPTS
+from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import Group, symbols_of
 from dmframe.exact import Tape, Trial, ZeroDivision, random_prime
 from dmframe.port import Side
-from dmframe.program import DIVISIONS, INPUT, OPERATIONS, Node
+from dmframe.program import CONST, DIVISIONS, INPUT, OPERATIONS
 
 AWAY: Final = "{} stays away from zero"
 SHOWN = 60
@@ -80,15 +80,16 @@ def _unlisted(tape: Tape, groups: Sequence[Group], values: Sequence[int], listed
     if not asked:
         return
     fixed = {group.label for group in groups if group.kind in ("parameter", "weight")}
-    made, signs = dict[int, frozenset[str]](), dict[int, _Sign]()
+    made, signs = dict[int, frozenset[str]](), dict[int, Sign]()
     for place in _below(tape, [k for k, _ in asked]):
         node = tape.nodes[place]
         of = [made[k] for k in node.operands]
         made[place] = frozenset().union(*of) if node.code != INPUT else frozenset({groups[node.a].label})
-        signs[place] = _sign(tape, node, [signs[k] for k in node.operands])
+        positive = node.code == CONST and tape.numbers[node.constant] > 0
+        signs[place] = sign_after(node.code, [signs[k] for k in node.operands], positive=positive)
     for k, text in asked:
         moving = sorted(made[k] - fixed)
-        if moving and signs[k] is not _Sign.ABOVE:
+        if moving and signs[k] is not Sign.ABOVE:
             yield text.format(f"something made of {', '.join(moving[:4])}")
 
 
@@ -114,31 +115,3 @@ def _asked(tape: Tape, place: int) -> Iterator[tuple[int, str]]:
         yield node.b, AWAY
     elif operation is not None and operation.domain is not None:
         yield node.operands[operation.domain], f"{operation.name} of {{}} stays where it is defined and finite"
-
-
-class _Sign(Enum):
-    """What is known of a value's sign."""
-
-    ANY = 0
-    NOT_BELOW = 1
-    ABOVE = 2
-
-
-def _sign(tape: Tape, node: Node, operands: Sequence[_Sign]) -> _Sign:
-    """The sign of an instruction's value, from those of its operands."""
-    above = [sign is _Sign.ABOVE for sign in operands]
-    least = min((sign.value for sign in operands), default=0)
-    match node.code:
-        case ca.OP_CONST:
-            return _Sign.ABOVE if tape.numbers[node.constant] > 0 else _Sign.ANY
-        case ca.OP_EXP | ca.OP_COSH:
-            return _Sign.ABOVE
-        case ca.OP_FMAX:
-            return _Sign.ABOVE if any(above) else _Sign.ANY
-        case ca.OP_ADD:
-            return _Sign.ABOVE if any(above) and least else _Sign(min(least, 1))
-        case ca.OP_MUL | ca.OP_DIV | ca.OP_INV | ca.OP_SQRT | ca.OP_TWICE | ca.OP_FMIN:
-            return _Sign(least)
-        case ca.OP_SQ | ca.OP_FABS:
-            return _Sign.ABOVE if all(above) else _Sign.NOT_BELOW
-    return _Sign.ANY

@@ -10,18 +10,21 @@ import casadi as ca
 from dmframe.certificate import (
     MONOTONE,
     SX,
+    Barrier,
     Certificate,
     Clipped,
     Consumed,
     Driven,
     Gathered,
     Lemma,
+    LogDet,
     NormSquare,
+    Potential,
     Square,
 )
 from dmframe.errors import DmframeError, nearest
 
-STORED: Final = (Square, Gathered)
+STORED: Final = (Square, Gathered, Potential, LogDet)
 DISSIPATED: Final = (Square, NormSquare, Lemma, Gathered)
 BOUNDED: Final = (Square, NormSquare, Clipped)
 """Terms by what they may be; exactly these types, since a subclass could say anything of itself."""
@@ -41,7 +44,10 @@ def check_form(name: str, certificate: Certificate) -> None:
 def _ill_formed(certificate: Certificate) -> Iterator[str]:
     terms = certificate.dissipation
     if not all(type(term) in STORED for term in certificate.storage):
-        yield "expected each term of the storage to be a Square or Gathered; nothing else is known to be positive"
+        yield (
+            "expected each term of the storage to be a Square, Gathered, a Potential or a LogDet; nothing else is "
+            "known to be positive"
+        )
     if not all(type(term) in DISSIPATED for term in terms):
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
     if not all(type(term) in BOUNDED for term in certificate.excess):
@@ -64,6 +70,11 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         rows, columns = ca.SX(certificate.supply).shape
         yield f"expected a scalar supply, found {rows} x {columns}"
     yield from _ill_driven(certificate.driven)
+    for barrier in certificate.barriers:
+        if type(barrier) is not Barrier:
+            yield f"expected each of barriers to be a Barrier, found {type(barrier).__name__}"
+        elif not _columns([ca.SX(piece) for piece in barrier.pieces]):
+            yield "expected what a barrier is made of to be columns of one length or scalars, found other shapes"
     if certificate.pays:
         if consumed is not None:
             yield "a cascade consumes and cannot pay; expected one of consumes and pays"
@@ -77,7 +88,7 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
     """All expressions of a certificate, by its fields."""
-    for role in ("storage", "dissipation", "excess", "driven"):
+    for role in ("storage", "dissipation", "excess", "driven", "barriers"):
         yield role, [piece for term in getattr(certificate, role) for piece in term.pieces]
     consumed = certificate.consumes
     yield "consumes", [] if consumed is None else [consumed.vector, consumed.c]
@@ -114,6 +125,9 @@ def _fits(term: object, pieces: Sequence[SX]) -> bool:
         rows, scalars = vector.shape[0], weight.is_scalar() and forgetting.is_scalar()
         fits = memory.shape == (rows, rows) and regressor.shape == (by.shape[0], rows) and by.is_column()
         return bool(scalars and fits)
+    if isinstance(term, LogDet):
+        matrix, true, weight = pieces
+        return bool(matrix.shape == true.shape and matrix.is_square() and weight.is_scalar())
     if isinstance(term, Square | NormSquare):
         if not all(piece.is_column() for piece in pieces[2:]):
             return False

@@ -12,7 +12,7 @@ from dmframe.certificate import SX, Assumption
 from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
-from dmframe.certify.definite import is_mass_matrix
+from dmframe.certify.definite import is_mass_matrix, is_mass_matrix_of_bodies
 from dmframe.certify.divisors import brought_in, written
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
@@ -130,6 +130,9 @@ def _definite(claim: Claim, model: BlockModel, inverted: Inverted) -> str:
                 return ""  # said of the matrix itself
             return f"{port.name} keeps full row rank along the motion, uniformly"
         if symbol.shape == A.shape and _equal(A, symbol):
+            given = claim.loop.joined([claim.diagram.resolver.expand(model.name, symbol)])[0]
+            if is_mass_matrix_of_bodies(claim, given):
+                return ""  # bodies that V keeps bodies
             return f"{port.name} stays positive definite, uniformly"
     resolver = claim.diagram.resolver
     joined = claim.loop.joined([resolver.expand(model.name, A)])[0]

@@ -10,10 +10,13 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Gathered, NormSquare, Square
+from dmframe.certificate import SX, Gathered, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, ZeroTest, random_prime, zero_test
+
+DEEP = 100
+"""How deep two elements are compared before their difference is tested."""
 
 ATTEMPTS = 20
 """Random points tried until no denominator vanishes."""
@@ -44,7 +47,7 @@ def equalities(claim: Claim) -> list[Equality]:
     """
     found = [Equality("", "dV/dt", claim.residual, _scale(claim))]
     found += [Equality(part.block, "dS/dt", part.residual, _own_scale(part)) for part in claim.parts]
-    found += list(_memories(claim))
+    found += [*_memories(claim), *_symmetric(claim)]
     for consumer, payer in claim.payments:
         if payer is not None and consumer.certificate.consumes is not None:
             wanted, paid = consumer.certificate.consumes.vector, payer.composed
@@ -64,6 +67,18 @@ def _memories(claim: Claim) -> Iterator[Equality]:
             seen.append(term)
             moves, said = Field(claim.diagram).derivative(ca.vec(term.memory)), ca.vec(term.rate)
             yield Equality(part.block, f"dG/dt of {term.of}", moves - said, ca.fabs(moves) + ca.fabs(said))
+
+
+def _symmetric(claim: Claim) -> Iterator[Equality]:
+    """Both matrices of a divergence are symmetric: it reads their lower triangles."""
+    for part in claim.parts:
+        for term in part.certificate.storage:
+            if isinstance(term, LogDet):
+                for what, matrix in (("", term.matrix), ("the true value of ", term.true)):
+                    matrix = ca.densify(ca.SX(matrix))
+                    if not ca.is_equal(matrix, matrix.T, DEEP):
+                        apart, size = ca.vec(matrix - matrix.T), ca.vec(ca.fabs(matrix) + ca.fabs(matrix.T))
+                        yield Equality(part.block, f"{what}{term.of} is symmetric", apart, size)
 
 
 def _same_memory(one: Gathered, other: Gathered) -> bool:
@@ -96,7 +111,7 @@ def empty_terms(claim: Claim, symbols: Symbols, seed: int) -> list[str]:
         (f"{part.block}: {term.of}", term.vector)
         for part in claim.parts
         for term in (*part.certificate.storage, *part.certificate.dissipation)
-        if isinstance(term, Square | NormSquare | Gathered)
+        if isinstance(term, Square | NormSquare | Gathered | Potential)
     ]
     named = [("V", claim.V), ("dV/dt", claim.rate), *squares]
     tape = Tape.from_function(symbols.function("terms", [expression for _, expression in named]))

@@ -19,7 +19,7 @@ from typing import final
 
 import casadi as ca
 
-from dmframe.certificate import SX, Square
+from dmframe.certificate import SX, Potential, Square, soft_clip
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Closure
 from dmframe.certify.symbols import Symbols, exact_values, symbols_of
@@ -56,10 +56,11 @@ class Vanishing:
 @final
 @dataclass(frozen=True)
 class Goal:
-    """An error that should go to zero."""
+    """An error that should go to zero; `width`, of one that a potential holds, whose forces know it as soft_clip."""
 
     of: str
     vector: SX
+    width: SX | None = None
 
 
 @final
@@ -74,10 +75,10 @@ class Made:
 def goals(claim: Claim, closure: Closure) -> list[Goal]:
     """The errors that V holds, and those that a stable equation drives."""
     found = {
-        term.of: Goal(term.of, term.vector)
+        term.of: Goal(term.of, term.vector, term.width if isinstance(term, Potential) else None)
         for part in claim.parts
         for term in part.certificate.storage
-        if isinstance(term, Square)
+        if isinstance(term, Square | Potential)
     }
     for item in closure.driven:
         for name, vector in zip(item.of, item.bounded, strict=True):
@@ -86,7 +87,16 @@ def goals(claim: Claim, closure: Closure) -> list[Goal]:
 
 
 def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
-    """Why a goal goes to zero, if it does."""
+    """Why a goal goes to zero, if it does: it itself, or its soft_clip, which is zero where it is and nowhere else."""
+    made = _combined(claim, closure, goal, vanishing)
+    if made is None and goal.width is not None:
+        forces = Goal(f"soft_clip({goal.of})", soft_clip(goal.vector, goal.width))
+        made = _combined(claim, closure, forces, vanishing)
+        return made and Made(f"{forces.of} goes to zero: {made.step}", made.assumes)
+    return made
+
+
+def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     symbols = symbols_of(claim, closure.uncertain)
     own = Own(exact_values(claim.diagram), closure.prime, closure.seed)
     for item in closure.driven:

@@ -12,7 +12,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Gathered, LeastSquaresSteps
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import is_semidefinite
+from dmframe.certify.definite import Number, is_semidefinite
 from dmframe.certify.starts import start_of
 from dmframe.exact.rational import Interval, evaluate
 
@@ -27,7 +27,8 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, Gathered):
-                start = _start(claim, numbers, given, term.memory)
+                matrix = matrix_start(claim, numbers, given, term.memory)
+                start = None if matrix is None else [[Interval.of(value).lower for value in row] for row in matrix]
                 if start is not None and any(map(any, start)):
                     name = f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0"
                     mirrored = [list(column) for column in zip(*start, strict=True)]
@@ -60,17 +61,22 @@ def triangle_starts(
     yield Checked(name, text, None, holds, "V is positive")
 
 
-def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], memory: SX) -> list[list[Fraction]] | None:
-    """G at the start; None where that is no number."""
-    used = symbols_in([memory])
-    states = [variable for variable in claim.loop.variables if used & symbols_in([variable.symbol])]
-    values = [start_of(variable.label, numbers, given) for variable in states]
-    if any(value is None for start in values for value in start):
-        return None
-    leaves = ca.vertcat(ca.SX(0, 1), *(ca.vec(variable.symbol) for variable in states))
-    function = ca.Function("G", [leaves], [ca.densify(memory)], {"allow_free": True})
+def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> list[list[Number]] | None:
+    """Where a matrix of states starts; None where that is no number."""
+    used, leaves, values = symbols_in([matrix]), list[SX](), list[Number]()
+    for variable in claim.loop.variables:
+        if not used & symbols_in([variable.symbol]):
+            continue
+        elements = ca.vertsplit(ca.vec(variable.symbol))
+        for leaf, value in zip(elements, start_of(variable.label, numbers, given), strict=True):
+            if leaf.element_hash() in used:
+                if value is None:
+                    return None
+                leaves.append(leaf)
+                values.append(value)
+    function = ca.Function("matrix", [ca.vertcat(ca.SX(0, 1), *leaves)], [ca.densify(matrix)], {"allow_free": True})
     if function.has_free():
         return None
-    (found,) = evaluate(function, [[value for start in values for value in start if value is not None]])
-    rows = memory.shape[0]
-    return [[Interval.of(found[column * rows + row]).lower for column in range(rows)] for row in range(rows)]
+    (found,) = evaluate(function, [values])
+    rows = matrix.shape[0]
+    return [[found[column * rows + row] for column in range(rows)] for row in range(rows)]

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import final
 
-from dmframe.certificate import Lemma, Square
+from dmframe.certificate import SX, Lemma, LogDet, Potential, Square
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_mass_matrix, least_body_pivot
 from dmframe.errors import ValueFault
+
+Positive = Square | Potential | LogDet
+"""A term that is above zero wherever its vector is not what it should be, and as large as one likes far from there."""
 
 
 @final
@@ -20,24 +23,34 @@ class Signs:
         self._known = dict[int, bool]()
         self._kept = list[object]()  # so that no identity is used twice
 
-    def positive(self, square: Square) -> bool:
+    def positive(self, term: Positive) -> bool:
         """True for a positive constant, and for the robot's mass matrix."""
-        if id(square) not in self._known:
-            self._kept.append(square)
-            self._known[id(square)] = self._decide(square)
-        return self._known[id(square)]
+        if id(term) not in self._known:
+            self._kept.append(term)
+            self._known[id(term)] = self._decide(term)
+        return self._known[id(term)]
 
     def spends(self, term: Lemma) -> bool:
         """True for a lemma each element of which has a positive weight."""
         return self._least(term.weight)
 
-    def _decide(self, square: Square) -> bool:
-        if square.weight.is_column():
-            return self._least(square.weight)
+    def _decide(self, term: Positive) -> bool:
+        if isinstance(term, Potential):
+            return self._least(term.weight) and self._least(term.width)
+        if isinstance(term, LogDet):
+            return self._least(term.weight) and self._definite(term.true)
+        if term.weight.is_column():
+            return self._least(term.weight)
         try:
-            return self._numbers.least_pivot((square.weight + square.weight.T) / 2) > 0
+            return self._numbers.least_pivot((term.weight + term.weight.T) / 2) > 0
         except (ValueFault, ZeroDivisionError):
-            return least_body_pivot(self._claim.diagram.robot) > 0 and is_mass_matrix(self._claim, square.weight)
+            return least_body_pivot(self._claim.diagram.robot) > 0 and is_mass_matrix(self._claim, term.weight)
+
+    def _definite(self, matrix: SX) -> bool:
+        try:
+            return self._numbers.least_pivot(matrix) > 0
+        except (ValueFault, ZeroDivisionError):
+            return False
 
     def _least(self, weight: object) -> bool:
         try:

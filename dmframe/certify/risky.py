@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 import casadi as ca
 
 from dmframe.certificate import SX
-from dmframe.program import OPERATIONS, POWERS
+from dmframe.certify.sign import Sign, sign_after
+from dmframe.program import DIVISIONS, OPERATIONS, POWERS
 
 
 def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
@@ -26,11 +28,27 @@ def risky(outputs: Sequence[SX]) -> Iterator[tuple[int, SX]]:
         todo += parts
 
 
+_ABOVE: Final = (*DIVISIONS, ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P)
+_DEEP: Final = 12
+"""How far back the sign of a value is looked for."""
+
+
+def sign_of_node(x: SX, deep: int = _DEEP) -> Sign:
+    """What is known of a scalar's sign by its last operations."""
+    if x.is_constant():
+        return sign_after(ca.OP_CONST, (), positive=float(x) > 0)
+    if not x.n_dep() or not deep:
+        return Sign.ANY
+    return sign_after(x.op(), [sign_of_node(x.dep(k), deep - 1) for k in range(x.n_dep())])
+
+
 def _is_safe(code: int, parts: Sequence[SX]) -> bool:
-    """A root of max(x, c), c > 0, and a whole power that is not negative, are defined everywhere."""
-    if code == ca.OP_SQRT and parts[0].n_dep() == 2 and parts[0].op() == ca.OP_FMAX:
-        floors = [parts[0].dep(k) for k in range(2)]
-        return any(floor.is_constant() and float(floor) > 0 for floor in floors)
+    """What divides by, or is the root or logarithm of, something that is above zero by how it is computed, such as
+    max(x, c) or x^2 + c, c > 0, and a whole power that is not negative, are defined everywhere.
+    """
+    domain = OPERATIONS[code].domain
+    if code in _ABOVE and domain is not None and sign_of_node(parts[domain]) is Sign.ABOVE:
+        return True
     if code in POWERS and parts[1].is_constant():
         return float(parts[1]) >= 0 and float(parts[1]).is_integer()
     return False

@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, Square
+from dmframe.certificate import SX, Assumption, LogDet, Potential, Square
 from dmframe.certify.claim import Claim, Part
+from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
@@ -120,15 +121,26 @@ def _operations(claim: Claim, part: Part) -> Told:
                 yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
             elif code in KINKS and not is_smooth_over(tape, k):
                 yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
-            elif code in EDGES:
+            elif code in EDGES and not is_above(tape, k):
                 text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
                 yield "assumed", text
+
+
+def is_above(tape: Tape, place: int) -> bool:
+    """True for an instruction whose operands are all above zero by how they are computed."""
+    signs = dict[int, Sign]()
+    for k, node in enumerate(tape.nodes[:place]):
+        positive = node.code == CONST and tape.numbers[node.constant] > 0
+        signs[k] = sign_after(node.code, [signs[operand] for operand in node.operands], positive=positive)
+    return all(signs[operand] is Sign.ABOVE for operand in tape.nodes[place].operands)
 
 
 def _differentiated_of(part: Part) -> Iterator[tuple[str, SX]]:
     """What a certificate says that is differentiated, with its name."""
     for term in part.certificate.storage:
-        yield f"the storage of {term.of}", ca.SX(term.value)
+        # a potential is smooth in what it is made of, and so is a divergence where V, which holds it, is finite
+        smooth = isinstance(term, Potential | LogDet)
+        yield f"the storage of {term.of}", stack(map(ca.SX, term.pieces)) if smooth else ca.SX(term.value)
     for left in part.certificate.excess:
         yield f"the bounded residual of {left.of}", ca.SX(left.value) if isinstance(left, Square) else ca.SX(0)
     for item in part.certificate.driven:

@@ -49,6 +49,20 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     return [_value(said[row], numbers) for row in range(size)]
 
 
+def start_is_said(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
+    """True where a graph, a parameter or a block says where a state starts; else a run looks for it, or takes zero."""
+    claim, (block, _, state) = numbers.claim, label.partition(".")
+    model = claim.diagram.models[block]
+    if _given(label, numbers, given) is not None or model.values.get(state) is not None:
+        return True
+    seen = view(claim.diagram, block, claim.truths)
+    try:
+        with told_by(block, "start()"):
+            return model.block.composed_start(seen.u, seen.p, seen.truth).get(state) is not None
+    except BlockError:
+        return True
+
+
 def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
     """The same as an expression, of which elements may hold more than parameters; None of a start that is a fault."""
     claim, (block, _, state) = numbers.claim, label.partition(".")

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import final
+from typing import TypeVar, final
 
 import casadi as ca
 
 from dmframe.block import names_of
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, NormSquare, Square
+from dmframe.certificate import SX, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
 from dmframe.certify.claim import Claim, Field, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Vanishing, combined, goals
-from dmframe.certify.positive import Signs
+from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.exact import zero_test
 from dmframe.formula.names import symbol
+
+T = TypeVar("T", bound=Positive)
 
 
 @final
@@ -76,7 +78,7 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
     vectors = [item.state for item in claim.loop.projections]
     rising = any(part.certificate.excess for part in claim.parts)
     if not rising or ultimate(claim, symbols, signs):
-        vectors += [square.vector for _, square in _stored(claim) if signs.positive(square)]
+        vectors += [term.vector for _, term in _stored(claim) if signs.positive(term)]
     return Bases(tuple(vectors), tuple(driven))
 
 
@@ -87,6 +89,7 @@ def _memory(term: Gathered) -> Driven:
 
 
 IN_V = "V holds it with a positive weight and does not grow"
+INSIDE = "V holds its divergence, which grows beyond all bounds at the edge of the positive definite matrices"
 SPENT = "dV/dt spends it, and V has no more than V(0) to spend"
 DRIVEN = "a stable linear equation with the servo's true gains drives it, and its input is bounded"
 CLOSED = "it is made of bounded signals, sines and cosines"
@@ -103,10 +106,15 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     """Read off V and its dissipation, term by term; they hold if the claim is proved."""
     if any(part.certificate.excess for part in claim.parts):
         return list(_up_to_a_residual(claim, symbols, signs))
-    stored = [square for _, square in _stored(claim) if signs.positive(square)]
+    stored = [term for _, term in _stored(claim) if signs.positive(term)]
     spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
-    found = [Statement(square.of, "is bounded", IN_V) for square in _distinct(stored)]
-    held = {square.of for square in stored}
+    found = [
+        Statement(term.of, "stays in a compact set of positive definite matrices", INSIDE)
+        if isinstance(term, LogDet)
+        else Statement(term.of, "is bounded", IN_V)
+        for term in _distinct(stored)
+    ]
+    held = {term.of for term in stored}
     found += [
         Statement(name, "is bounded", DRIVEN)
         for item in closure.driven
@@ -123,18 +131,22 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
     return [*found, *_conclusions(claim, closure, vanishing), *_into_dead_zones(claim, signs)]
 
 
-def _stored(claim: Claim) -> Iterator[tuple[Part, Square]]:
+def _stored(claim: Claim) -> Iterator[tuple[Part, Positive]]:
     for part in claim.parts:
-        yield from ((part, term) for term in part.certificate.storage if isinstance(term, Square))
+        yield from ((part, term) for term in part.certificate.storage if not isinstance(term, Gathered))
+
+
+def _stored_squares(claim: Claim) -> list[Square]:
+    return [term for _, term in _stored(claim) if isinstance(term, Square)]
 
 
 def _spent_squares(claim: Claim) -> list[Square]:
     return [term for part in claim.parts for term in part.certificate.dissipation if isinstance(term, Square)]
 
 
-def _distinct(squares: Sequence[Square]) -> list[Square]:
+def _distinct(terms: Sequence[T]) -> list[T]:
     """Each vector once."""
-    return list({square.of: square for square in squares}.values())
+    return list({term.of: term for term in terms}.values())
 
 
 def _vectors(claim: Claim) -> dict[str, SX]:
@@ -279,13 +291,14 @@ def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[
 
 def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
     """Of a claim with a bounded residual: the squares that a projection bounds, and the others."""
-    projected = [square for _, square in _stored(claim) if _is_projected(claim, square)]
-    return projected, [square for _, square in _stored(claim) if square not in projected]
+    stored = _stored_squares(claim)
+    projected = [square for square in stored if _is_projected(claim, square)]
+    return projected, [square for square in stored if square not in projected]
 
 
 def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
     """True where all that V holds is spent, or projected, so that V falls wherever it is large."""
-    if any(isinstance(term, Gathered) for part in claim.parts for term in part.certificate.storage):
+    if not all(isinstance(term, Square) for part in claim.parts for term in part.certificate.storage):
         return False  # nothing shows that it is spent in proportion
     _, left = residual_bases(claim)
     return not tuple(_assumed(claim)) and all(_is_spent(claim, square, symbols, signs) for square in left)

@@ -5,12 +5,20 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from dmframe.certificate import Clipped, Gathered, Lemma, NormSquare, Square
+from dmframe.certificate import Clipped, Gathered, Lemma, LogDet, NormSquare, Potential, Square
 from dmframe.certify.claim import Claim
 from dmframe.certify.verify import Verdict
 from dmframe.exact.rational import as_float
 
-KINDS = {Square: "square", NormSquare: "norm_square", Lemma: "lemma", Clipped: "clipped", Gathered: "gathered"}
+KINDS = {
+    Square: "square",
+    NormSquare: "norm_square",
+    Lemma: "lemma",
+    Clipped: "clipped",
+    Gathered: "gathered",
+    Potential: "potential",
+    LogDet: "log_det",
+}
 """Of a term, as it is printed."""
 
 

@@ -9,6 +9,7 @@ from hashlib import sha256
 from typing import Any, Literal, final
 
 from dmframe.certificate import Assumption
+from dmframe.certify.barriers import barrier_statements, tubes
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
@@ -195,12 +196,16 @@ def _verified(
         outcome, reason = _judge([*conditions, *missing], controls, (), bounds)
         failed = (*conditions, *missing)
         return Verdict(outcome, reason, claim, test, conditions=failed, build=clock.build, check=clock.check)
-    closure = Closure(claim, numbers, bases_of(claim, symbols, signs), seed=seed)
+    kept = list(tubes(claim, numbers, symbols, start))
+    bases = bases_of(claim, symbols, signs)
+    bases = replace(bases, vectors=(*bases.vectors, *(tube.position for tube in kept)))
+    closure = Closure(claim, numbers, bases, seed=seed)
     needed, given = decide(closure.conditions(), numbers)
     conditions += needed
     statements = statements_of(claim, symbols, signs, closure)
     if len(diagram.resolver.trajectories) > known:  # what follows has differentiated a trajectory once more
         smooth = smoothness(diagram, claim)
+    statements += barrier_statements(kept)
     if smooth.faults:
         statements = [item for item in statements if item.says != "goes to zero"]
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)

@@ -23,6 +23,7 @@ class Variable:
 
     `rate` is its time derivative, zero of a sampled state between samples; `next` a sampled state's value one sample
     later, before it is projected, and None in continuous time. Results hold it where it is `recorded` or asked for.
+    `second`, if a block says it, is what its step on a clock has beside T times the rate, over T^2.
     """
 
     block: str
@@ -33,6 +34,7 @@ class Variable:
     rate: SX
     next: SX | None = None
     recorded: bool = True
+    second: SX | None = None
 
     @property
     def label(self) -> str:
@@ -258,10 +260,13 @@ class ClosedLoop:
         """The stepped states one sample later, before they are put back into their sets, in the leaves of their sides.
 
         A sampled state goes where its block says. One of the controller in continuous time is emulated by an explicit
-        Euler step of length T, here and nowhere else.
+        Euler step of length T, with the second term that its block may state, here and nowhere else.
         """
-        moved = (v.symbol + self.period * v.rate if v.next is None else v.next for v in self.stepped)
-        return stack(moved)
+        return stack(self._moved(v) if v.next is None else v.next for v in self.stepped)
+
+    def _moved(self, variable: Variable) -> SX:
+        rate = variable.rate if variable.second is None else variable.rate + self.period * variable.second
+        return variable.symbol + self.period * rate
 
     @property
     def held_over_a_sample(self) -> tuple[SX, SX]:

@@ -41,6 +41,7 @@ def _field(loop: ClosedLoop) -> Any:
     """(t, states, p, drawn, T) -> rates or next values, and where projections put their states after a finite step."""
     held = [projection.set.held(projection.state) for projection in loop.projections]
     moves = [variable.rate if variable.next is None else variable.next for variable in loop.variables]
+    moves += [variable.second for variable in loop.variables if variable.second is not None]
     whole = loop.on_path(stack(loop.acting([*moves, *held])))
     return ca.Function("field", [loop.time, loop.state, loop.p, loop.drawn, loop.period], [whole])
 

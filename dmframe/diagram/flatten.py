@@ -22,7 +22,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         for state in (state for state in model.block.states if state.name in model.states):
             rate, after = resolver.rate(name, state.name), resolver.next(name, state.name)
             leaf = model.states[state.name]
-            moves = leaf, rate, after, state.recorded
+            moves = leaf, rate, after, state.recorded, resolver.second(name, state.name)
             sides[model.block.side].append(Variable(name, state.name, state.shape, state.unit, *moves))
         for port in model.block.outputs:
             if port.name in model.equations.outputs:

@@ -85,6 +85,11 @@ class Resolver:
         stated = self.models[block].equations.next.get(state)
         return None if stated is None else self.expand(block, stated)
 
+    def second(self, block: str, state: str) -> SX | None:
+        """What a state's step on a clock has over T^2 beside its rate; None for most."""
+        stated = self.models[block].equations.second.get(state)
+        return None if stated is None else self.expand(block, stated)
+
     def input(self, block: str, port: str) -> SX:
         """An input, in the leaves of the block's side."""
         source, model = self.sources[block, port], self.models[block]

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
 
-from dmframe.certificate import Certificate, Clipped, Gathered, Lemma, NormSquare, Square, beyond, clip
+from dmframe.certificate import (
+    Certificate,
+    Clipped,
+    Gathered,
+    Lemma,
+    LogDet,
+    NormSquare,
+    Potential,
+    Square,
+    beyond,
+    clip,
+)
 from dmframe.formula import tree
 from dmframe.formula.formula import Formula
 from dmframe.formula.robot import CONSTANTS, quantity
 from dmframe.formula.tree import SCALAR, Applied, Equation, Name, Node, Norm, Number, Product, Rate
 from dmframe.naming import said_of
+from dmframe.terms import divergence, potential
 
 
 @final
@@ -38,14 +50,15 @@ class PrintedTerm:
     Parameters
     ----------
     kind
-        ``square``, ``norm square``, ``lemma``, ``gathered`` or ``clipped``.
+        ``square``, ``norm square``, ``lemma``, ``gathered``, ``clipped``, ``potential`` or ``log det``.
     vector
-        What is squared; of a lemma the difference of its two columns, of a clipped term what multiplies it.
+        What is squared; of a lemma the difference of its two columns, of a clipped term what multiplies it, of a
+        logarithm of determinants the matrix that estimates.
     weight
         Its weight; of a clipped term the width.
     by
         What else stands in it: of a norm square the vector of the norm, of a gathered one the matrix, of a clipped one
-        what is clipped.
+        what is clipped, of a potential the width, of a logarithm of determinants the true matrix.
     whole
         The term itself.
     """
@@ -108,6 +121,22 @@ class PrintedLaw:
         """All equations in the order in which they are read."""
         energy = [line for line in (self.S, self.dS) if line is not None]
         return (*self.outputs, *self.rates, *energy, *self.truths, *self.definitions)
+
+    @property
+    def silent(self) -> PrintedLaw:
+        """The same without its energy."""
+        return replace(
+            self,
+            storage=(),
+            dissipation=(),
+            excess=(),
+            driven=(),
+            estimates=(),
+            supply=None,
+            consumption=None,
+            S=None,
+            dS=None,
+        )
 
 
 Reader = Callable[[Any, Any], Node]
@@ -274,10 +303,29 @@ def _clipped(term: Any, nodes: Sequence[Node]) -> Said:
     return "clipped", other, width, first, tree.dot(clipped, other)
 
 
+def _potential(term: Any, nodes: Sequence[Node]) -> Said:
+    vector, width, weight = nodes
+    return (
+        "potential",
+        vector,
+        weight,
+        width,
+        Applied("potential", (vector, width, weight), SCALAR, said=said_of(potential)),
+    )
+
+
+def _log_det(term: Any, nodes: Sequence[Node]) -> Said:
+    matrix, true, weight = nodes
+    apart = Applied("divergence", (matrix, true), SCALAR, said=said_of(divergence))
+    return "log det", matrix, weight, true, tree.multiply(weight, apart, SCALAR)
+
+
 _TERMS: Mapping[type, Callable[[Any, Sequence[Node]], Said]] = {
     Square: _square,
     NormSquare: _norm_square,
     Lemma: _lemma,
     Gathered: _gathered,
     Clipped: _clipped,
+    Potential: _potential,
+    LogDet: _log_det,
 }

@@ -390,5 +390,6 @@ def _pieces(certificate: Certificate) -> list[tuple[str, Any]]:
         found += [("what it consumes", certificate.consumes.vector), ("what it consumes", certificate.consumes.c)]
     found += [("its pays", item) for item in certificate.pays]
     found += [("what is driven", piece) for item in certificate.driven for piece in item.pieces]
+    found += [("what a barrier is made of", piece) for item in certificate.barriers for piece in item.pieces]
     found += [(f"what {name} estimates", true.value) for name, true in certificate.estimates.items()]
     return found + [(f"the truth {name}", value) for name, value in certificate.truth.items()]

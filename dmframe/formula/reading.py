@@ -285,6 +285,7 @@ def _as_kind(stated: Certificate, convert: Callable[[Expression], Expression]) -
         consumes=stated.consumes and Consumed(convert(stated.consumes.vector), convert(stated.consumes.c)),
         pays=tuple(map(convert, stated.pays)),
         driven=terms("driven"),
+        barriers=terms("barriers"),
         truth={name: convert(value) for name, value in stated.truth.items()},
         estimates={
             name: true.with_pieces([convert(piece) for piece in true.pieces]) for name, true in stated.estimates.items()

@@ -152,7 +152,9 @@ def _terms(r: Content) -> Iterator[Part]:
         yield Equations(found.definitions)
     yield Paragraph(Marked(_weights_and_kappa(r, found)))
     stored = [(row.block, _square(row), *_weight(row)) for row in found.storage]
-    yield Table(stored, _TERM_HEADS, Marked("What V holds: $V$ is half the sum of these squares."))
+    others = any(row.beside for row in found.storage)
+    held = "terms, squares but where it is said" if others else "squares"
+    yield Table(stored, _TERM_HEADS, Marked(f"What V holds: $V$ is half the sum of these {held}."))
     lost = [(row.block, (*_lost(row), *_by(row)), *_weight(row)) for row in found.dissipation]
     lost += [_projected(symbol, name, found) for symbol, name in found.projections]
     consumed: tuple[str | Formula, ...] = (", plus ", Formula(found.consumption)) if found.consumption else ()
@@ -194,6 +196,10 @@ def _weight(row: TermRow) -> tuple[Cell, ...]:
 
 
 def _square(row: TermRow) -> tuple[str | Formula, ...]:
+    if row.kind == "potential":
+        return "not a square: springs pulled by ", Formula(row.of), " that give way beyond ", Formula(row.beside)
+    if row.kind == "log det":
+        return "not a square: the divergence of ", Formula(row.of), " from ", Formula(row.beside)
     if not row.metric:
         return (Formula(row.of),)
     return Formula(row.of), ", in the metric of the matrix ", Formula("G"), " that the block gathers"

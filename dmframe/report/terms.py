@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, final
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.certificate import SX, Clipped, Gathered, Lemma
+from dmframe.certificate import SX, Clipped, Gathered, Lemma, LogDet, Potential
 from dmframe.certify.claim import Claim, Part
 from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.truths import value_of
@@ -25,6 +25,14 @@ FEW = 4
 """Elements of a diagonal up to which each is written out."""
 FEW_OF_MATRIX = 9
 """The same of a matrix."""
+_LETTERS: Final[Mapping[type, str]] = {
+    Lemma: r"\ell",
+    Clipped: r"\varepsilon",
+    Potential: "U",
+    LogDet: r"\Delta",
+}
+_WHOLE: Final = ("lemma", "clipped", "potential", "log det")
+"""Terms that the formula calls by a symbol of their own."""
 
 
 @final
@@ -35,7 +43,8 @@ class TermRow:
     Parameters
     ----------
     symbol
-        W_i, D_i or l_i, by which the formula calls its weight (or, of a lemma, the term itself); LaTeX.
+        W_i, D_i or l_i, by which the formula calls its weight (or, of a lemma, a potential or a logarithm of
+        determinants, the term itself); LaTeX.
     of
         The vector whose square it is, or the difference of a lemma, LaTeX.
     factor
@@ -48,6 +57,8 @@ class TermRow:
         The norm that multiplies a square, LaTeX; empty for most.
     metric
         The matrix that weighs a square beside its weight, LaTeX; empty for most.
+    beside
+        The width of a potential, the true matrix of a logarithm of determinants, LaTeX; empty for most.
     """
 
     block: str
@@ -59,6 +70,7 @@ class TermRow:
     value: str
     by: str = ""
     metric: str = ""
+    beside: str = ""
 
 
 @final
@@ -120,7 +132,7 @@ def rows_of_lines(lines: Sequence[Line]) -> list[Row]:
 
 
 def _formula(row: TermRow) -> str:
-    if row.kind in ("lemma", "clipped"):
+    if row.kind in _WHOLE:
         return row.symbol
     return rf"{row.by}|{row.of}|^2_{{{row.symbol}{row.metric}}}"
 
@@ -139,10 +151,10 @@ def _sum(rows: Sequence[tuple[TermRow, str]], sign: str) -> str:
 
 
 def _numbered(claim: Claim, laws: Mapping[str, PrintedLaw], role: str, letter: str) -> tuple[TermRow, ...]:
-    rows, counts = list[TermRow](), {letter: 0, r"\ell": 0, r"\varepsilon": 0}
+    rows, counts = list[TermRow](), {letter: 0} | dict.fromkeys(_LETTERS.values(), 0)
     for part in claim.parts:
         for term, printed in zip(getattr(part.certificate, role), getattr(laws[part.block], role), strict=True):
-            mine = r"\ell" if isinstance(term, Lemma) else r"\varepsilon" if isinstance(term, Clipped) else letter
+            mine = _LETTERS.get(type(term), letter)
             counts[mine] += 1
             rows.append(_row(claim, part, term, printed, f"{mine}_{{{counts[mine]}}}"))
     return tuple(rows)
@@ -153,7 +165,7 @@ def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str)
     weight = term.width if isinstance(term, Clipped) else term.weight
     return TermRow(
         block=part.block,
-        kind=printed.kind if printed.kind in ("lemma", "clipped", "gathered") else "square",
+        kind=printed.kind if printed.kind in (*_WHOLE, "gathered") else "square",
         symbol=symbol,
         of=printed.vector.latex,
         factor="1" if part.cascade or claim.kappa.is_constant() else "kappa",
@@ -161,6 +173,7 @@ def _row(claim: Claim, part: Part, term: Any, printed: PrintedTerm, symbol: str)
         value=_value(claim, ca.SX(weight)),
         by=by,
         metric=r"\, G" if isinstance(term, Gathered) else "",
+        beside=printed.by.latex if isinstance(term, Potential | LogDet) and printed.by is not None else "",
     )
 
 

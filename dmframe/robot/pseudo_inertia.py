@@ -31,6 +31,27 @@ def pseudo_inertia(row: Sequence[Any]) -> list[list[Any]]:
     ]
 
 
+def parameters_of(P: Sequence[Sequence[Any]]) -> Inertial:
+    """The ten inertial parameters of a pseudo-inertia, numbers or expressions."""
+    return Inertial(*(sum(value * P[i][j] for (i, j), value in entries.items()) for entries in _ENTRIES))
+
+
+def dual(row: Sequence[Any]) -> list[list[Any]]:
+    r"""Q, symmetric, with :math:`\mathrm{tr}(Q\, P(a)) = g^\top a` for the pseudo-inertia P(a) of any parameters a.
+
+    Parameters
+    ----------
+    row : 10 numbers or expressions
+        g.
+    """
+    Q: list[list[Any]] = [[0 for _ in range(4)] for _ in range(4)]
+    for value, entries in zip(row, _ENTRIES, strict=True):
+        for (i, j), entry in entries.items():
+            Q[i][j] = Q[i][j] + entry * value / 2
+            Q[j][i] = Q[j][i] + entry * value / 2
+    return Q
+
+
 def natural_gain(row: Sequence[Fraction]) -> Rows:
     r"""The inverse of the metric :math:`\mathrm{tr}(P^{-1} \dot P P^{-1} \dot P)` at a body's pseudo-inertia P.
 

@@ -8,7 +8,9 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
+from dmframe.diagram.wiring import Way
 from dmframe.errors import listed
+from dmframe.port import Access
 from dmframe.units import plain
 
 
@@ -55,3 +57,36 @@ def exceptions(
             f"the most is {most}"
         )
     return found
+
+
+def too_fast(diagram: Diagram, columns: Mapping[str, np.ndarray], times: np.ndarray) -> list[str]:
+    """What is to be told of commanded velocities, where they are kept, beyond what the robot's file says of its joints.
+
+    A block that stands between and cuts them off tells more of it.
+    """
+    if diagram.robot is None:
+        return []
+    limits = np.array([joint.velocity if joint.velocity > 0 else np.inf for joint in diagram.robot.joints])
+    cut = {f"{way.origin.block}.{way.origin.port}" for way in diagram.ways if _tells(diagram, way)}
+    found = list[str]()
+    for name, block in diagram.blocks.items():
+        for port in block.outputs:
+            label = f"{name}.{port.name}"
+            velocity = port.access is Access.COMMANDED and port.unit == "rad/s" and port.shape == "n"
+            if not velocity or label not in columns or label in cut:
+                continue
+            share = np.nan_to_num(np.abs(columns[label]) / limits, nan=0.0, posinf=0.0)
+            over = np.flatnonzero(np.any(share > 1, axis=1))
+            if over.size:
+                row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
+                speed, most = abs(float(columns[label][row, joint])), float(limits[joint])
+                found.append(
+                    f"{label} is beyond the robot's velocity limits, first at t = {times[over[0]]:.6g} s: "
+                    f"{plain(speed, port.unit)} of {diagram.robot.joints[joint].name} at t = {times[row]:.6g} s, whose "
+                    f"limit is {plain(most, port.unit)}; no block cuts it off"
+                )
+    return found
+
+
+def _tells(diagram: Diagram, way: Way) -> bool:
+    return any(port.told for wire in way.through for port in diagram.blocks[wire.block].outputs)

@@ -32,8 +32,8 @@ x = ca.SX.sym("x")
 WRONG: dict[str, Callable[[], object]] = {
     "Certificate: expected dissipation to be a tuple of Square, NormSquare, Lemma or Gathered, found a Square; "
     "is a comma missing?": lambda: Certificate(dissipation=Square(x)),
-    "Certificate: expected storage to be a tuple of Square or Gathered, found a list": lambda: Certificate(
-        storage=[Square(x)]
+    "Certificate: expected storage to be a tuple of Square, Gathered, Potential or LogDet, found a list": lambda: (
+        Certificate(storage=[Square(x)])
     ),
     "found a generator": lambda: Certificate(excess=(Square(item) for item in (x, x))),
     "found None": lambda: Certificate(storage=None),

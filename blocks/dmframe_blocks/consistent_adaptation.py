@@ -1,0 +1,85 @@
+"""Adaptation by the tracking error whose estimated bodies stay physical ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.linalg import solve_spd
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, State
+from dmframe_blocks._bodies import moved, storage
+
+
+@final
+class ConsistentAdaptation(AbstractBlock):
+    r"""As `direct_adaptation`, but no link's estimate ever leaves the set of bodies that there can be.
+
+    .. math::
+
+        \epsilon = \hat M^{-1} s^\star                       \tag{1}
+
+    The estimates move as those of `consistent_compensator`, by :math:`g = Y_d^\top \epsilon`. With the divergence of
+    the estimated bodies from the true ones as what is stored,
+
+    .. math::
+
+        \dot S = -\epsilon^\top Y_d (\hat a_d - a_d)   \tag{2}
+
+    The mass matrix of bodies is positive definite at every pose. So that :math:`\hat M` has an inverse, which the
+    gradient's law takes for granted, follows.
+
+    Parameters
+    ----------
+    c : scalar, > 0
+        Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
+    Gamma : scalar, > 0
+        Adaptation gain of friction, and of all else that is no body's.
+
+    Notes
+    -----
+    Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
+    nominal model.
+
+    `direct` says that the tracking error drives the adaptation: 1.
+
+    References
+    ----------
+    [LeeKwonPark2018]_; [WangTAC2020]_ eqs. (59), (60).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("M_hat", "n n", "N m s^2/rad"),
+        Port("s_star", "n", "rad/s"),
+        Port("a_d_nominal", "p", ""),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", ""),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+
+    c: Scalar = Positive("", "1/J")
+    Gamma: Scalar = Positive(default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1), and the law of the text."""
+        epsilon = solve_spd(u.M_hat, u.s_star)
+        rate, second = moved(x.a_d_hat, u.Y_d.T @ epsilon, u.s_star.shape[0], p.c, p.Gamma)
+        return Equations({"a_d_hat": x.a_d_hat, "epsilon": epsilon}, {"a_d_hat": rate}, second={"a_d_hat": second})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+        """The nominal model's bodies."""
+        return {"a_d_hat": u.a_d_nominal}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(2)."""
+        epsilon = solve_spd(u.M_hat, u.s_star)
+        return Certificate(
+            storage=storage(x.a_d_hat, truth.a_d, u.s_star.shape[0], p.c, p.Gamma),
+            supply=-ca.dot(epsilon, u.Y_d @ (x.a_d_hat - truth.a_d)),
+            truth={"direct": 1},
+        )

@@ -1,0 +1,89 @@
+"""Adaptive compensation whose estimated bodies stay physical ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, State
+from dmframe_blocks._bodies import moved, storage
+
+
+@final
+class ConsistentCompensator(AbstractBlock):
+    r"""As `dynamic_compensator`, but no link's estimate ever leaves the set of bodies that there can be.
+
+    .. math::
+
+        \tau_{dc} &= Y_d \hat a_d + \tau_{task}          \tag{1}
+
+    The ten estimates of a link make up its pseudo-inertia :math:`\hat P`, which is positive definite if and only if
+    some distribution of mass has them. With :math:`g = Y_d^\top \sigma` and the symmetric Q for which
+    :math:`\mathrm{tr}(Q P(a)) = g^\top a` for all a, it moves by :math:`-c \hat P Q \hat P`; friction and all else that
+    is no body's moves by :math:`-\Gamma g`. What is stored is the divergence from the true body, whose rate is that of
+    the plain gradient's square:
+
+    .. math::
+
+        \dot S = -\sigma^\top Y_d (\hat a_d - a_d)   \tag{2}
+
+    So it takes the gradient's place in every proof. As V does not grow, :math:`\hat P` stays in a compact set of
+    positive definite matrices: masses above zero, centres of mass inside, and an estimated mass matrix that can be
+    inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
+    :math:`A = 1 - \tfrac12 c T \hat P Q`: however long the step, no eigenvalue falls below zero.
+
+    Parameters
+    ----------
+    c : scalar, 1/J, > 0
+        Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
+    Gamma : scalar, > 0
+        Adaptation gain of friction, and of all else that is no body's.
+
+    Notes
+    -----
+    Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
+    nominal model. Near the edge of the set estimates move slowly, where the gradient would pass it: a fit by bodies
+    that there cannot be may be the faster one.
+
+    References
+    ----------
+    [LeeKwonPark2018]_; [Wensing2018]_ for the pseudo-inertia; [WangTAC2020]_ eq. (12).
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("Y_d", "n p", "N m"),
+        Port("sigma", "n", "rad/s"),
+        Port("tau_task", "n", "N m", optional=True),
+        Port("a_d_nominal", "p", ""),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", ""),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
+
+    c: Scalar = Positive("", "1/J")
+    Gamma: Scalar = Positive(default=1.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1), and the law of the text."""
+        rate, second = moved(x.a_d_hat, u.Y_d.T @ u.sigma, u.sigma.shape[0], p.c, p.Gamma)
+        return Equations(
+            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
+            rates={"a_d_hat": rate},
+            second={"a_d_hat": second},
+        )
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+        """The nominal model's bodies."""
+        return {"a_d_hat": u.a_d_nominal}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(2)."""
+        return Certificate(
+            storage=storage(x.a_d_hat, truth.a_d, u.sigma.shape[0], p.c, p.Gamma),
+            supply=-ca.dot(u.sigma, u.Y_d @ (x.a_d_hat - truth.a_d)),
+        )

@@ -1,0 +1,88 @@
+"""Reference for tracking in the task space whose feedback saturates, kinematics known."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Consumed, Potential, Square, soft_clip
+from dmframe.linalg import solve_spd
+from dmframe.naming import named
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Port
+
+
+@final
+class SaturatedTracking(AbstractBlock):
+    r"""Joint reference that leads the tool onto its path, and asks for no more the farther it is away.
+
+    .. math::
+
+        \dot q_r &= \hat J^+ \dot x_d - \gamma \hat J^\top \mathrm{pull} + (I - \hat J^+ \hat J)\, \dot q_{null}, \quad
+                    \hat J^+ = \hat J^\top (\hat J \hat J^\top)^{-1}           \tag{1}
+
+    with :math:`\Delta x = x - x_d` and, for each coordinate, the force of a spring that gives way:
+
+    .. math::
+
+        \mathrm{pull} &= \Delta x / \sqrt{1 + (\Delta x / \mathrm{width})^2}   \tag{2}
+
+    No element of it reaches its width, so that far away from the path the feedback asks for a velocity of at most
+    :math:`\gamma |\hat J| |\mathrm{width}|`, however far that is. With :math:`b = \hat J^\top \mathrm{pull}` and
+    :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it consumes :math:`|s|^2 / \gamma`. It
+    stores the energy of the springs, which grows beyond all bounds with the error:
+
+    .. math::
+
+        S &= (\mathrm{width}^2)^\top (\sqrt{1 + (\Delta x / \mathrm{width})^2} - 1) \\
+        \dot S &= - \tfrac34 \gamma |b|^2 - \gamma |\tfrac12 b - s / \gamma|^2 + \tfrac1\gamma |s|^2 \tag{3}
+
+    Parameters
+    ----------
+    gamma : scalar, rad^2/(m^2 s), > 0
+        Task gain near the path, as of `task_tracking`.
+    width : diagonal (m,), m, > 0
+        Error of a coordinate at which its force is down to 0.71 of the linear one; far away it is the width.
+
+    Notes
+    -----
+    Not for: a limit that must not be passed, since the velocity along the path and that of the servo's inverse come on
+    top: see `safe_reference`.
+
+    References
+    ----------
+    [WangTAC2020]_ eq. (30), with J for its estimate; [TakegakiArimoto1981]_ for a spring as energy.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("x", "m", "m"),
+        Port("x_d", "m", "m"),
+        Port("dx_d", "m", "m/s", derivative_of="x_d"),
+        Port("J_hat", "m n", "m/rad"),
+        Port("dq_null", "n", "rad/s", optional=True),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("dq", "n", "rad/s"),)
+
+    gamma: Scalar = Positive("", "rad^2/(m^2 s)")
+    width: Diagonal = Positive("m", "m")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) and (2)."""
+        forward = solve_spd(u.J_hat @ u.J_hat.T, u.dx_d - u.J_hat @ u.dq_null)
+        force = named("pull", soft_clip(u.x - u.x_d, p.width))
+        return Equations(outputs={"dq_r": u.J_hat.T @ (forward - p.gamma * force) + u.dq_null})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3); dx is J dq."""
+        s = named("s", truth.dq - self.equations(u, x, p).outputs["dq_r"])
+        x_err = u.x - u.x_d
+        b = u.J_hat.T @ named("pull", soft_clip(x_err, p.width))
+        return Certificate(
+            storage=(Potential(x_err, p.width),),
+            dissipation=(
+                Square(b, 3 * p.gamma / 4),
+                Square(b / 2 - s / p.gamma, p.gamma),
+            ),
+            consumes=Consumed(s, 1 / p.gamma),
+        )

@@ -1,0 +1,102 @@
+"""What keeps a position inside its limits while a reference velocity is followed well enough: a claim about a tube."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import casadi as ca
+
+from dmframe.condition import SX
+from dmframe.fields import check_fields
+from dmframe.naming import operation
+
+
+@operation
+def soft_min(first: SX, second: SX, width: SX) -> SX:
+    """The smaller of both, element by element, and a little less where they are less than some widths apart."""
+    return (first + second - _rounded(first - second, width)) / 2
+
+
+@operation
+def soft_between(wish: SX, lower: SX, upper: SX, width: SX) -> SX:
+    """The wish where it is well between both ends, smoothly led to an end elsewhere; always between them."""
+    return (lower + upper + _rounded(wish - lower, width) - _rounded(wish - upper, width)) / 2
+
+
+def _rounded(x: SX, width: SX) -> SX:
+    """The absolute value, rounded off about zero; what stands under the root is 1 or more."""
+    return width * ca.sqrt(1 + (x / width) ** 2)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Barrier:
+    r"""A reference velocity that leads no position beyond its limits, and the tube in which the position then stays.
+
+    With the room :math:`h = \mathrm{upper} - q` and :math:`h_2 = q - \mathrm{lower}`, the reference is
+
+    .. math::
+
+        \dot q_r = \mathrm{soft\_between}(\mathrm{wish}, -\mathrm{soft\_min}(v, a h_2), \mathrm{soft\_min}(v, a h))
+
+    so that :math:`-a h_2 \le \dot q_r \le a h`, and :math:`|\dot q_r| \le v`, whatever is wished. With
+    :math:`s = \dot q - \dot q_r`
+
+    .. math:: \dot h \ge -a h - |s| \quad\Rightarrow\quad h(t) \ge e^{-a t} h(0) - |s|_{L_2} / \sqrt{2 a}
+
+    and V, which spends :math:`|s|^2`, has no more than V(0) to spend.
+
+    Parameters
+    ----------
+    position
+        q, a column of states of the plant.
+    wish
+        The velocity that would be followed without limits.
+    lower, upper
+        Where the reference stops: columns of parameters.
+    speed, rate, width
+        v, a and the width of the soft minima: columns or scalars of parameters, above zero.
+    margin
+        By how much `lower` and `upper` lie inside the true limits.
+    """
+
+    position: SX
+    wish: SX
+    lower: SX
+    upper: SX
+    speed: SX
+    rate: SX
+    width: SX
+    margin: SX = 0
+    of: str = ""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def pieces(self) -> tuple[SX, ...]:
+        """Its expressions."""
+        return (
+            self.position,
+            self.wish,
+            self.lower,
+            self.upper,
+            self.speed,
+            self.rate,
+            self.width,
+            self.margin,
+        )
+
+    @property
+    def reference(self) -> SX:
+        """The reference velocity."""
+        upper = soft_min(self.speed, self.rate * (self.upper - self.position), self.width)
+        lower = -soft_min(self.speed, self.rate * (self.position - self.lower), self.width)
+        return soft_between(self.wish, lower, upper, self.width)
+
+    def with_pieces(self, pieces: Sequence[SX]) -> Barrier:
+        """The same of other expressions."""
+        position, wish, lower, upper, speed, rate, width, margin = pieces
+        return Barrier(position, wish, lower, upper, speed, rate, width, margin, self.of)

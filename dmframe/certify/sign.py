@@ -1,0 +1,38 @@
+"""What is known of a value's sign by how it is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from typing import final
+
+import casadi as ca
+
+
+@final
+class Sign(Enum):
+    """What is known of a value's sign."""
+
+    ANY = 0
+    NOT_BELOW = 1
+    ABOVE = 2
+
+
+def sign_after(code: int, operands: Sequence[Sign], *, positive: bool = False) -> Sign:
+    """The sign of an instruction's value, from those of its operands; `positive`, of a constant."""
+    above = [sign is Sign.ABOVE for sign in operands]
+    least = min((sign.value for sign in operands), default=0)
+    match code:
+        case ca.OP_CONST:
+            return Sign.ABOVE if positive else Sign.ANY
+        case ca.OP_EXP | ca.OP_COSH:
+            return Sign.ABOVE
+        case ca.OP_FMAX:
+            return Sign.ABOVE if any(above) else Sign.ANY
+        case ca.OP_ADD:
+            return Sign.ABOVE if any(above) and least else Sign(min(least, 1))
+        case ca.OP_MUL | ca.OP_DIV | ca.OP_INV | ca.OP_SQRT | ca.OP_TWICE | ca.OP_FMIN:
+            return Sign(least)
+        case ca.OP_SQ | ca.OP_FABS:
+            return Sign.ABOVE if all(above) else Sign.NOT_BELOW
+    return Sign.ANY
