@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.errors import listed
 from dmframe.parameter import Real, Vector
 from dmframe.port import Port, Side
+
+GOALS: Final = ("x_d", "q_d", "eta_d")
 
 
 @final
 class Setpoint(AbstractBlock):
-    """A constant goal, in the task or at the joints.
+    """A constant goal, in the task, at the joints or in the image of a camera.
 
     Parameters
     ----------
     x_d : (m,), m
-        The goal of the tool. Give this one or `q_d`.
+        The goal of the tool. Give this one, `q_d` or `eta_d`.
     q_d : (n,), rad
         The goal of the joints.
+    eta_d : (2,)
+        The goal of the tool in the image of a `camera`.
 
     Notes
     -----
@@ -28,17 +33,23 @@ class Setpoint(AbstractBlock):
     """
 
     side: ClassVar[Side] = Side.SOURCE
-    outputs: ClassVar[tuple[Port, ...]] = (Port("x_d", "m", "m", optional=True), Port("q_d", "n", "rad", optional=True))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("x_d", "m", "m", optional=True),
+        Port("q_d", "n", "rad", optional=True),
+        Port("eta_d", "2", optional=True),
+    )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)
     q_d: Vector | None = Real("n", "rad", default=None, spread=False)
+    eta_d: Vector | None = Real("2", default=None, spread=False)
 
     @model_validator(mode="after")
     def _one_goal(self) -> Setpoint:
-        if (self.x_d is None) == (self.q_d is None):
-            raise ValueError("expected one of x_d and q_d, found " + ("neither" if self.x_d is None else "both"))
+        given = [name for name in GOALS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected one of x_d, q_d and eta_d, found {listed(given) or 'none'}")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The goal that is given."""
-        return Equations(outputs={name: getattr(p, name) for name in ("x_d", "q_d") if name in p})
+        return Equations(outputs={name: getattr(p, name) for name in GOALS if name in p})

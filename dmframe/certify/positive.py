@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from dmframe.certificate import SX, Lemma, LogDet, Potential, Square
+from dmframe.certify.assumed import decidable, is_assumed
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_mass_matrix, least_body_pivot
@@ -39,6 +40,9 @@ class Signs:
             return self._least(term.weight) and self._least(term.width)
         if isinstance(term, LogDet):
             return self._least(term.weight) and self._definite(term.true)
+        if isinstance(term, Square) and is_assumed(term, self._numbers):
+            known = decidable(term.weight, self._numbers)
+            return known.is_empty() or self._least(known)
         if term.weight.is_column():
             return self._least(term.weight)
         try:

@@ -1,0 +1,97 @@
+"""Reference for bringing the tool to a point of a camera's image, by a camera that nobody has calibrated."""
+
+from __future__ import annotations
+
+from typing import ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.certificate import Certificate, Square
+from dmframe.parameter import Diagonal, Positive, Scalar
+from dmframe.port import Port, State
+from dmframe_blocks._image import halfway
+
+
+@final
+class ImageRegulation(AbstractBlock):
+    r"""Joint reference from the filtered error in the image, with a passive feedback as a torque.
+
+    .. math::
+
+        e_{\eta} &= \eta - \eta_d                                                     \tag{1} \\
+        \dot y &= K_1 (J_{\eta}^\top e_{\eta} - y)                                      \tag{2} \\
+        \dot q_r &= -K_2 y                                                          \tag{3} \\
+        \tau_{task} &= -\alpha J_{\eta}^\top e_{\eta}                                 \tag{4}
+
+    The goal stands still. What is stored is weighed with the depth z, which nobody measures:
+
+    .. math::
+
+        S &= \tfrac12 \alpha z |e_{\eta}|^2 + \tfrac12 \alpha |y|^2_{K_2/K_1}            \tag{5} \\
+        \dot S &= -\alpha\, y^\top K_2 y + \alpha\, y^\top K_2 J_{\eta}^\top e_{\eta}
+                  + \alpha\, e_{\eta}^\top \mathrm{halfway}(c, \eta, e_{\eta})\, \dot x    \tag{6}
+
+    since :math:`z \dot\eta = (N - \eta\, \mathrm{ahead}^\top) \dot x` and :math:`\dot z = \mathrm{ahead}^\top \dot x`
+    make :math:`\tfrac{d}{dt} \tfrac12 z |e|^2 = e^\top (N - (\eta - \tfrac12 e)\, \mathrm{ahead}^\top)\, \dot x`. That
+    z stays above zero is assumed: with the tool behind the camera, S would not be positive.
+
+    Neither the depth nor a velocity of the image stands in (1) to (4), nor in what is derived of them.
+
+    Parameters
+    ----------
+    K_1 : diagonal (n,), 1/s, > 0
+        Bandwidth of the filter. Larger follows the error more closely and passes more noise.
+    K_2 : diagonal (n,), rad^2/(m s), > 0
+        Gain from the filtered error to the reference velocity.
+    alpha : scalar, N, > 0
+        Stiffness of the feedback that goes through the servo as a torque.
+
+    Notes
+    -----
+    Not for: a goal that moves. A `pid_inverse` behind it ties the position, not the velocity: its energy balance needs
+    :math:`\dot q_{ref} = -K_2 y`.
+
+    `task_weight` is the weight of the task level in V.
+
+    References
+    ----------
+    [Cheah2006]_ for the depth as a weight; [WangTAC2020]_ eqs. (8), (9), Theorem 1 for the structure.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (Port("eta", "2"), Port("eta_d", "2"), Port("J_eta", "2 n", "m/rad"))
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_r", "n", "rad/s"),
+        Port("tau_task", "n", "N m"),
+        Port("e_eta", "2"),
+    )
+    states: ClassVar[tuple[State, ...]] = (State("y", "n", "m/rad"),)
+    truth: ClassVar[tuple[Port, ...]] = (Port("depth", "", "m"), Port("c", "9"), Port("dx", "3", "m/s"))
+
+    K_1: Diagonal = Positive("n", "1/s")
+    K_2: Diagonal = Positive("n", "rad^2/(m s)")
+    alpha: Scalar = Positive("", "N")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1) to (4)."""
+        e_eta = u.eta - u.eta_d
+        pull = u.J_eta.T @ e_eta
+        return Equations(
+            outputs={"dq_r": -p.K_2 * x.y, "tau_task": -p.alpha * pull, "e_eta": e_eta},
+            rates={"y": p.K_1 * (pull - x.y)},
+        )
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(5) and (6)."""
+        e_eta = u.eta - u.eta_d
+        gained = ca.dot(e_eta, halfway(truth.c, u.eta, e_eta) @ truth.dx)
+        return Certificate(
+            storage=(
+                Square(e_eta, p.alpha * truth.depth, positive="the tool stays in front of the camera"),
+                Square(x.y, p.alpha * p.K_2 / p.K_1),
+            ),
+            dissipation=(Square(x.y, p.alpha * p.K_2),),
+            supply=p.alpha * (ca.dot(x.y, p.K_2 * (u.J_eta.T @ e_eta)) + gained),
+            task=True,
+            truth={"task_weight": p.alpha},
+        )
