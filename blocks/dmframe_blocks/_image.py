@@ -1,4 +1,4 @@
-"""The motion of a point in a pinhole's image, half way between where it is and where it should be."""
+"""How a point moves in a pinhole's image: linear in the nine numbers of the camera."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ from typing import Any
 
 import casadi as ca
 
-from dmframe.naming import operation
 
-
-@operation
-def halfway(c: Any, eta: Any, e: Any) -> Any:
-    """N - (eta - e/2) ahead' of c = (right, down, ahead): z |e|^2/2 grows by e' of this, times the tool's velocity."""
+def pinhole(c: Any) -> tuple[Any, Any]:
+    """N, which has the rows right and down, and ahead, of c = (right, down, ahead)."""
     right, down, ahead = ca.vertsplit(c, 3)
-    return ca.vertcat(right.T, down.T) - (eta - e / 2) @ ahead.T
+    return ca.vertcat(right.T, down.T), ahead
 
 
-@operation
-def learnt(eta: Any, e: Any, dx: Any, by: Any) -> Any:
-    """The gradient of by' halfway(c, eta, e) dx with respect to c: linear in by."""
-    return ca.vertcat(by[0] * dx, by[1] * dx, -ca.dot(by, eta - e / 2) * dx)
+def image_regressor(eta: Any, e: Any, dx: Any) -> Any:
+    """Y_c with Y_c c = (N - (eta - e/2) ahead') dx, half way between where a point is and where it should be."""
+    return ca.vertcat(dx @ ca.DM([[1, 0]]), dx @ ca.DM([[0, 1]]), -dx @ (eta - e / 2).T).T

@@ -9,9 +9,10 @@ import casadi as ca
 
 from dmframe.block import AdaptingBlock, Equations, Signals
 from dmframe.certificate import SX, Certificate, TrueValue
+from dmframe.naming import named
 from dmframe.parameter import Gain, PositiveDefinite, Real, Vector
 from dmframe.port import Adapted, Element, Port
-from dmframe_blocks._image import halfway, learnt
+from dmframe_blocks._image import image_regressor, pinhole
 
 
 @final
@@ -20,17 +21,17 @@ class AdaptiveCamera(AdaptingBlock):
 
     .. math::
 
-        J_{\eta} &= \mathrm{halfway}(\hat c, \eta, e_{\eta})\, \hat J                                 \tag{1} \\
-        \dot{\hat c} &= \Gamma_c\, \mathrm{learnt}(\eta, e_{\eta}, \hat J \dot q, e_{\eta})          \tag{2}
+        J_{\eta} &= (\hat N - (\eta - \tfrac12 e_{\eta})\, \hat m^\top)\, \hat J     \tag{1} \\
+        \dot{\hat c} &= \Gamma_c Y_c^\top e_{\eta}                                    \tag{2}
 
-    with c = (right, down, ahead) of `camera`, :math:`\mathrm{halfway}(c, \eta, e) = N - (\eta - \tfrac12 e)\,
-    \mathrm{ahead}^\top`, linear in c, and learnt the transpose of that linear map, so that, with
-    :math:`\tilde c = \hat c - c` and :math:`\alpha = \mathrm{task\_weight}`,
+    with c = (right, down, ahead) of `camera`, of which N has the first two as rows, m is the last, and Y_c is what the
+    motion of the image is linear by: :math:`Y_c \hat c = J_{\eta} \dot q`. With :math:`\tilde c = \hat c - c` and
+    :math:`\alpha = \mathrm{task\_weight}`,
 
     .. math::
 
-        S &= \tfrac12 \alpha |\tilde c|^2_{\Gamma_c^{-1}}                                            \tag{3} \\
-        \dot S &= \alpha\, e_{\eta}^\top (J_{\eta} - \mathrm{halfway}(c, \eta, e_{\eta})\, \hat J)\, \dot q  \tag{4}
+        S &= \tfrac12 \alpha |\tilde c|^2_{\Gamma_c^{-1}}                            \tag{3} \\
+        \dot S &= \alpha\, e_{\eta}^\top Y_c \tilde c                                 \tag{4}
 
     It is the Jacobian of the depth times the image, not of the image, and so holds no division by a depth that nobody
     knows. Without the velocity of the image, with the robot's own geometry known. The scale of all nine numbers
@@ -75,17 +76,21 @@ class AdaptiveCamera(AdaptingBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1)."""
-        return Equations(outputs={"J_eta": halfway(x.c_hat, u.eta, u.e_eta) @ u.J_hat})
+        N, m = pinhole(x.c_hat)
+        N, m = named("N_hat", N), named("m_hat", m)
+        return Equations(outputs={"J_eta": (N - (u.eta - u.e_eta / 2) @ m.T) @ u.J_hat})
 
     def direction(self, u: Signals, x: Signals, p: Signals, e_eta: SX) -> Mapping[str, SX]:
         """(2), but for the gain."""
-        return {"c_hat": learnt(u.eta, u.e_eta, u.J_hat @ u.dq, e_eta)}
+        return {"c_hat": self._Y_c(u).T @ e_eta}
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(3) and (4)."""
-        J_err = self.equations(u, x, p).outputs["J_eta"] - halfway(truth.c, u.eta, u.e_eta) @ u.J_hat
         return Certificate(
             estimates={"c_hat": TrueValue(truth.c, truth.task_weight)},
-            supply=truth.task_weight * ca.dot(u.e_eta, J_err @ u.dq),
+            supply=truth.task_weight * ca.dot(u.e_eta, self._Y_c(u) @ (x.c_hat - truth.c)),
             task=True,
         )
+
+    def _Y_c(self, u: Signals) -> SX:
+        return named("Y_c", image_regressor(u.eta, u.e_eta, u.J_hat @ u.dq))

@@ -21,7 +21,7 @@ class Camera(AbstractBlock):
 
         z &= \mathrm{ahead}^\top (x - \mathrm{position})                                       \tag{1} \\
         \eta &= \tfrac1z N (x - \mathrm{position}), \quad
-                N = [\mathrm{right}^\top;\, \mathrm{down}^\top]                                \tag{2}
+                N = \begin{bmatrix} \mathrm{right}^\top \\ \mathrm{down}^\top \end{bmatrix}    \tag{2}
 
     The image is measured, the depth z is not. As the tool moves, z times the velocity of the image is
     :math:`(N - \eta\, \mathrm{ahead}^\top)` times that of the tool: linear in the nine numbers c = (right, down, ahead).
@@ -68,10 +68,10 @@ class Camera(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         r = u.x - p.position
-        z = named("z", ca.dot(p.ahead, r))
+        z, N = named("z", ca.dot(p.ahead, r)), named("N", ca.vertcat(p.right.T, p.down.T))
         return Equations(
             outputs={
-                "eta": ca.vertcat(ca.dot(p.right, r), ca.dot(p.down, r)) / z,
+                "eta": N @ r / z,
                 "depth": z,
                 "c": ca.vertcat(p.right, p.down, p.ahead),
                 "lacking": ca.fmax(p.depth_min - z, 0),

@@ -8,9 +8,10 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Square
+from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive, Scalar
 from dmframe.port import Port, State
-from dmframe_blocks._image import halfway
+from dmframe_blocks._image import image_regressor
 
 
 @final
@@ -28,13 +29,14 @@ class ImageRegulation(AbstractBlock):
 
     .. math::
 
-        S &= \tfrac12 \alpha z |e_{\eta}|^2 + \tfrac12 \alpha |y|^2_{K_2/K_1}            \tag{5} \\
+        S &= \tfrac12 \alpha\, \mathrm{depth}\, |e_{\eta}|^2 + \tfrac12 \alpha |y|^2_{K_2/K_1}            \tag{5} \\
         \dot S &= -\alpha\, y^\top K_2 y + \alpha\, y^\top K_2 J_{\eta}^\top e_{\eta}
-                  + \alpha\, e_{\eta}^\top \mathrm{halfway}(c, \eta, e_{\eta})\, \dot x    \tag{6}
+                  + \alpha\, e_{\eta}^\top Y_c c    \tag{6}
 
-    since :math:`z \dot\eta = (N - \eta\, \mathrm{ahead}^\top) \dot x` and :math:`\dot z = \mathrm{ahead}^\top \dot x`
-    make :math:`\tfrac{d}{dt} \tfrac12 z |e|^2 = e^\top (N - (\eta - \tfrac12 e)\, \mathrm{ahead}^\top)\, \dot x`. That
-    z stays above zero is assumed: with the tool behind the camera, S would not be positive.
+    The image moves with :math:`(N - \eta\, \mathrm{ahead}^\top) \dot x` over z, and z with
+    :math:`\mathrm{ahead}^\top \dot x`, so that half of :math:`z |e_{\eta}|^2` grows by :math:`e_{\eta}^\top Y_c c`, with
+    Y_c times c being :math:`(N - (\eta - \tfrac12 e_{\eta})\, \mathrm{ahead}^\top) \dot x`. That z stays above zero is
+    assumed: of a tool behind the camera S would not be positive.
 
     Neither the depth nor a velocity of the image stands in (1) to (4), nor in what is derived of them.
 
@@ -84,14 +86,14 @@ class ImageRegulation(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""
         e_eta = u.eta - u.eta_d
-        gained = ca.dot(e_eta, halfway(truth.c, u.eta, e_eta) @ truth.dx)
+        Y_c = named("Y_c", image_regressor(u.eta, e_eta, truth.dx))
         return Certificate(
             storage=(
                 Square(e_eta, p.alpha * truth.depth, positive="the tool stays in front of the camera"),
                 Square(x.y, p.alpha * p.K_2 / p.K_1),
             ),
             dissipation=(Square(x.y, p.alpha * p.K_2),),
-            supply=p.alpha * (ca.dot(x.y, p.K_2 * (u.J_eta.T @ e_eta)) + gained),
+            supply=p.alpha * (ca.dot(x.y, p.K_2 * (u.J_eta.T @ e_eta)) + ca.dot(e_eta, Y_c @ truth.c)),
             task=True,
             truth={"task_weight": p.alpha},
         )
