@@ -84,7 +84,7 @@ def write(folder: Path) -> list[Path]:
 def family(kind: type[AbstractBlock]) -> str:
     """A key of `FAMILIES`, from what a block is and hands on."""
     if kind.side is not Side.CONTROLLER:
-        if any(port.instead_of or port.told for port in kind.outputs):
+        if any(port.instead_of for port in kind.outputs):
             return "between"
         return "paths" if kind.side is Side.SOURCE else "plant"
     if any(port.access is Access.COMMANDED for port in kind.outputs):

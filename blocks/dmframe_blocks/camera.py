@@ -19,12 +19,13 @@ class Camera(AbstractBlock):
 
     .. math::
 
-        z &= \mathrm{ahead}^\top (x - \mathrm{position})                                       \tag{1} \\
-        \eta &= \tfrac1z N (x - \mathrm{position}), \quad
+        \mathrm{depth} &= \mathrm{ahead}^\top (x - \mathrm{position})                                       \tag{1} \\
+        \chi &= \frac{1}{\mathrm{depth}} N (x - \mathrm{position}), \quad
                 N = \begin{bmatrix} \mathrm{right}^\top \\ \mathrm{down}^\top \end{bmatrix}    \tag{2}
 
-    The image is measured, the depth z is not. As the tool moves, z times the velocity of the image is
-    :math:`(N - \eta\, \mathrm{ahead}^\top)` times that of the tool: linear in the nine numbers c = (right, down, ahead).
+    The image is measured, the depth is not. As the tool moves, the depth times the velocity of the image is
+    :math:`(N - \chi\, \mathrm{ahead}^\top)` times that of the tool: linear in the nine numbers
+    a_c = (right, down, ahead).
 
     Image coordinates are slopes: pixels from any fixed pixel, divided by any fixed number of pixels. With the focal
     length in pixels as that number, `right` and `down` are unit vectors; as nobody needs to know it, a number near to
@@ -36,8 +37,8 @@ class Camera(AbstractBlock):
     position : (3,), m
         Of the pinhole, in the base's frame.
     right, down, ahead : (3,)
-        Along the rows and columns of the image, and into the scene, in the base's frame; `ahead` of length 1 makes z
-        the depth in metres.
+        Along the rows and columns of the image, and into the scene, in the base's frame; `ahead` of length 1 makes the
+        depth one in metres.
     depth_min : scalar, m, > 0
         A run tells where the tool comes nearer than this, or behind the camera.
 
@@ -47,15 +48,15 @@ class Camera(AbstractBlock):
 
     References
     ----------
-    [Cheah2006]_; [HartleyZisserman2004]_ chapter 6.
+    [Liu2006]_; [HartleyZisserman2004]_ chapter 6.
     """
 
     side: ClassVar[Side] = Side.PLANT
     inputs: ClassVar[tuple[Port, ...]] = (Port("x", "3", "m"),)
     outputs: ClassVar[tuple[Port, ...]] = (
-        Port("eta", "2", "", Access.MEASURED),
+        Port("chi", "2", "", Access.MEASURED),
         Port("depth", "", "m"),
-        Port("c", "9"),
+        Port("a_c", "9"),
         Port("lacking", "", "m", told="the tool is nearer to the camera than depth_min"),
     )
 
@@ -68,13 +69,13 @@ class Camera(AbstractBlock):
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""
         r = u.x - p.position
-        z, N = named("z", ca.dot(p.ahead, r)), named("N", ca.vertcat(p.right.T, p.down.T))
+        depth, N = ca.dot(p.ahead, r), named("N", ca.vertcat(p.right.T, p.down.T))
         return Equations(
             outputs={
-                "eta": N @ r / z,
-                "depth": z,
-                "c": ca.vertcat(p.right, p.down, p.ahead),
-                "lacking": ca.fmax(p.depth_min - z, 0),
+                "chi": N @ r / depth,
+                "depth": depth,
+                "a_c": ca.vertcat(p.right, p.down, p.ahead),
+                "lacking": ca.fmax(p.depth_min - depth, 0),
             }
         )
 

@@ -20,22 +20,23 @@ class ImageRegulation(AbstractBlock):
 
     .. math::
 
-        e_{\eta} &= \eta - \eta_d                                                     \tag{1} \\
-        \dot y &= K_1 (J_{\eta}^\top e_{\eta} - y)                                      \tag{2} \\
+        e_{\chi} &= \chi - \chi_d                                                     \tag{1} \\
+        \dot y &= K_1 (J_{\chi}^\top e_{\chi} - y)                                      \tag{2} \\
         \dot q_r &= -K_2 y                                                          \tag{3} \\
-        \tau_{task} &= -\alpha J_{\eta}^\top e_{\eta}                                 \tag{4}
+        \tau_{task} &= -\alpha J_{\chi}^\top e_{\chi}                                 \tag{4}
 
-    The goal stands still. What is stored is weighed with the depth z, which nobody measures:
+    The goal stands still. What is stored is weighed with the depth, which nobody measures:
 
     .. math::
 
-        S &= \tfrac12 \alpha\, \mathrm{depth}\, |e_{\eta}|^2 + \tfrac12 \alpha |y|^2_{K_2/K_1}            \tag{5} \\
-        \dot S &= -\alpha\, y^\top K_2 y + \alpha\, y^\top K_2 J_{\eta}^\top e_{\eta}
-                  + \alpha\, e_{\eta}^\top Y_c c    \tag{6}
+        S &= \tfrac12 \alpha\, \mathrm{depth}\, |e_{\chi}|^2 + \tfrac12 \alpha |y|^2_{K_2/K_1}            \tag{5} \\
+        \dot S &= -\alpha\, y^\top K_2 y + \alpha\, y^\top K_2 J_{\chi}^\top e_{\chi}
+                  + \alpha\, e_{\chi}^\top Y_c a_c    \tag{6}
 
-    The image moves with :math:`(N - \eta\, \mathrm{ahead}^\top) \dot x` over z, and z with
-    :math:`\mathrm{ahead}^\top \dot x`, so that half of :math:`z |e_{\eta}|^2` grows by :math:`e_{\eta}^\top Y_c c`, with
-    Y_c times c being :math:`(N - (\eta - \tfrac12 e_{\eta})\, \mathrm{ahead}^\top) \dot x`. That z stays above zero is
+    The image moves with :math:`(N - \chi\, \mathrm{ahead}^\top) \dot x` over the depth, and the depth with
+    :math:`\mathrm{ahead}^\top \dot x`, so that half of :math:`\mathrm{depth}\, |e_{\chi}|^2` grows by
+    :math:`e_{\chi}^\top Y_c a_c`, with Y_c times a_c being
+    :math:`(N - (\chi - \tfrac12 e_{\chi})\, \mathrm{ahead}^\top) \dot x`. That the depth stays above zero is
     assumed: of a tool behind the camera S would not be positive.
 
     Neither the depth nor a velocity of the image stands in (1) to (4), nor in what is derived of them.
@@ -58,17 +59,17 @@ class ImageRegulation(AbstractBlock):
 
     References
     ----------
-    [Cheah2006]_ for the depth as a weight; [WangTAC2020]_ eqs. (8), (9), Theorem 1 for the structure.
+    [Liu2006]_ for the depth as a weight; [WangTAC2020]_ eqs. (8), (9), Theorem 1 for the structure.
     """
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("eta", "2"), Port("eta_d", "2"), Port("J_eta", "2 n", "m/rad"))
+    inputs: ClassVar[tuple[Port, ...]] = (Port("chi", "2"), Port("chi_d", "2"), Port("J_chi", "2 n", "m/rad"))
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_r", "n", "rad/s"),
         Port("tau_task", "n", "N m"),
-        Port("e_eta", "2"),
+        Port("e_chi", "2"),
     )
     states: ClassVar[tuple[State, ...]] = (State("y", "n", "m/rad"),)
-    truth: ClassVar[tuple[Port, ...]] = (Port("depth", "", "m"), Port("c", "9"), Port("dx", "3", "m/s"))
+    truth: ClassVar[tuple[Port, ...]] = (Port("depth", "", "m"), Port("a_c", "9"), Port("dx", "3", "m/s"))
 
     K_1: Diagonal = Positive("n", "1/s")
     K_2: Diagonal = Positive("n", "rad^2/(m s)")
@@ -76,24 +77,24 @@ class ImageRegulation(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (4)."""
-        e_eta = u.eta - u.eta_d
-        pull = u.J_eta.T @ e_eta
+        e_chi = u.chi - u.chi_d
+        pull = u.J_chi.T @ e_chi
         return Equations(
-            outputs={"dq_r": -p.K_2 * x.y, "tau_task": -p.alpha * pull, "e_eta": e_eta},
+            outputs={"dq_r": -p.K_2 * x.y, "tau_task": -p.alpha * pull, "e_chi": e_chi},
             rates={"y": p.K_1 * (pull - x.y)},
         )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(5) and (6)."""
-        e_eta = u.eta - u.eta_d
-        Y_c = named("Y_c", image_regressor(u.eta, e_eta, truth.dx))
+        e_chi = u.chi - u.chi_d
+        Y_c = named("Y_c", image_regressor(u.chi, e_chi, truth.dx))
         return Certificate(
             storage=(
-                Square(e_eta, p.alpha * truth.depth, positive="the tool stays in front of the camera"),
+                Square(e_chi, p.alpha * truth.depth, positive="the tool stays in front of the camera"),
                 Square(x.y, p.alpha * p.K_2 / p.K_1),
             ),
             dissipation=(Square(x.y, p.alpha * p.K_2),),
-            supply=p.alpha * (ca.dot(x.y, p.K_2 * (u.J_eta.T @ e_eta)) + ca.dot(e_eta, Y_c @ truth.c)),
+            supply=p.alpha * (ca.dot(x.y, p.K_2 * (u.J_chi.T @ e_chi)) + ca.dot(e_chi, Y_c @ truth.a_c)),
             task=True,
             truth={"task_weight": p.alpha},
         )

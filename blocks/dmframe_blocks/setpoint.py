@@ -11,7 +11,7 @@ from dmframe.errors import listed
 from dmframe.parameter import Real, Vector
 from dmframe.port import Port, Side
 
-GOALS: Final = ("x_d", "q_d", "eta_d")
+GOALS: Final = ("x_d", "q_d", "chi_d")
 
 
 @final
@@ -21,10 +21,10 @@ class Setpoint(AbstractBlock):
     Parameters
     ----------
     x_d : (m,), m
-        The goal of the tool. Give this one, `q_d` or `eta_d`.
+        The goal of the tool. Give this one, `q_d` or `chi_d`.
     q_d : (n,), rad
         The goal of the joints.
-    eta_d : (2,)
+    chi_d : (2,)
         The goal of the tool in the image of a `camera`.
 
     Notes
@@ -36,18 +36,18 @@ class Setpoint(AbstractBlock):
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("x_d", "m", "m", optional=True),
         Port("q_d", "n", "rad", optional=True),
-        Port("eta_d", "2", optional=True),
+        Port("chi_d", "2", optional=True),
     )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)
     q_d: Vector | None = Real("n", "rad", default=None, spread=False)
-    eta_d: Vector | None = Real("2", default=None, spread=False)
+    chi_d: Vector | None = Real("2", default=None, spread=False)
 
     @model_validator(mode="after")
     def _one_goal(self) -> Setpoint:
         given = [name for name in GOALS if getattr(self, name) is not None]
         if len(given) != 1:
-            raise ValueError(f"expected one of x_d, q_d and eta_d, found {listed(given) or 'none'}")
+            raise ValueError(f"expected one of x_d, q_d and chi_d, found {listed(given) or 'none'}")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

@@ -42,9 +42,7 @@ def decidable(weight: SX, numbers: Numbers) -> SX:
     return ca.vertcat(ca.SX(0, 1), *known)
 
 
-def assumed_weights(
-    claim: Claim, numbers: Numbers, start: Mapping[str, Any]
-) -> tuple[list[Checked], list[Assumption]]:
+def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
     """The weights that an author calls positive: whether they can be, and what is assumed."""
     checked, assumed = list[Checked](), list[Assumption]()
     for part, role, term, written in _squares(claim):

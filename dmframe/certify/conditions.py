@@ -43,6 +43,7 @@ from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.linalg import ldl
 
+
 def conditions_of(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
 ) -> tuple[list[Checked], list[Assumption]]:

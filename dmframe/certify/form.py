@@ -88,6 +88,8 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         yield from _ill_paid(certificate)
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
             yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
+        if any(isinstance(term, Square) and term.positive for term in paying):
+            yield "nobody pays for a cascade with a weight that is positive by assumption"
 
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
