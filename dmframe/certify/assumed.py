@@ -7,7 +7,6 @@ start is known, at one of many sampled states.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from fractions import Fraction
 from typing import Any, Final
 
 import casadi as ca
@@ -18,8 +17,9 @@ from dmframe.certificate import SX, Assumption, Square
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
-from dmframe.certify.starts import start_is_said, start_of
+from dmframe.certify.starts import start_expression, start_is_said
 from dmframe.diagram.closed_loop import stack
+from dmframe.linalg import ldl
 
 SIGNS: Final = "V is positive, dV/dt not"
 SAMPLES: Final = 200
@@ -69,44 +69,47 @@ def _squares(claim: Claim) -> Iterator[tuple[Part, str, Square, str]]:
 def _looked_at(name: str, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
     """Above zero at the start; where that is not known, at one of many states at least."""
     loop = numbers.claim.loop
-    (weight,) = loop.joined([weight])
-    function = ca.Function("weight", [loop.state, loop.p], [ca.densify(weight)], {"allow_free": True})
-    begun = None if function.has_free() else _start(weight, numbers, start)
-    if begun is not None:
-        least, where = _least(function(begun, loop.p_values)), "at the start"
-    else:
+    begun = _at_start(weight, numbers, start)
+    if begun is None:
         least, where = _most(weight, numbers), f"at one of {SAMPLES} sampled states"
-    return Checked(f"{name} is above zero {where}", "least value > 0", least, least > 0, SIGNS, "sampled")
+    else:
+        least, where = _least(ca.Function("weight", [loop.p], [begun])(loop.p_values)), "at the start"
+    return Checked(f"{name} is above zero {where}", "least value > 0", least, least > 0, SIGNS, "sampled", margin=begun)
 
 
-def _start(weight: SX, numbers: Numbers, given: Mapping[str, Any]) -> np.ndarray | None:
-    """The state at the start, as far as the weight reads it; None where that is not known."""
-    used, values = symbols_in([weight]), list[float]()
-    for variable in numbers.claim.loop.variables:
-        size = variable.symbol.numel()
-        if not used & symbols_in([variable.symbol]):
-            values += [0.0] * size
-            continue
-        if not start_is_said(variable.label, numbers, given):
-            return None
-        begun = [value for value in start_of(variable.label, numbers, given) if isinstance(value, Fraction)]
-        if len(begun) < size:
-            return None
-        values += map(float, begun)
-    return np.array(values)
+def _at_start(weight: SX, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
+    """What has to be above zero at the start, in parameters; None where the start is not known."""
+    loop = numbers.claim.loop
+    (weight,) = loop.joined([weight])
+    used, leaves, starts = symbols_in([weight]), list[SX](), list[SX]()
+    for variable in loop.variables:
+        if used & symbols_in([variable.symbol]):
+            said = start_is_said(variable.label, numbers, given)
+            begun = start_expression(variable.label, numbers, given) if said else None
+            if begun is None:
+                return None
+            leaves.append(ca.vec(variable.symbol))
+            starts.append(ca.densify(begun))
+    (value,) = ca.substitute([_signs(weight)], leaves, starts)
+    return value if symbols_in([value]) <= numbers.known else None
+
+
+def _signs(weight: SX) -> SX:
+    """The elements of a column, or the pivots of a matrix."""
+    weight = ca.densify(weight)
+    return weight if weight.is_column() else ca.vertcat(*ldl((weight + weight.T) / 2)[1])
 
 
 def _most(weight: SX, numbers: Numbers) -> float:
     """The largest of the least values at sampled states, times and trajectories, at the graph's parameters."""
     loop, rng = numbers.claim.loop, np.random.default_rng(0)
-    leaves = [leaf for leaf in ca.symvar(weight) if not symbols_in([leaf]) <= numbers.known]
-    function = ca.Function("weight", [stack(leaves), loop.p], [ca.densify(weight)])
+    (signs,) = loop.joined([_signs(weight)])
+    leaves = [leaf for leaf in ca.symvar(signs) if not symbols_in([leaf]) <= numbers.known]
+    function = ca.Function("weight", [stack(leaves), loop.p], [signs])
     return max(_least(function(rng.uniform(-np.pi, np.pi, len(leaves)), loop.p_values)) for _ in range(SAMPLES))
 
 
 def _least(value: ca.DM) -> float:
-    """The least element of a column, or eigenvalue of a matrix; what is no number is not above zero."""
+    """The least element; what is no number is not above zero."""
     numbers = value.full()
-    if not np.all(np.isfinite(numbers)):
-        return -np.inf
-    return float(np.min(numbers if numbers.shape[1] == 1 else np.linalg.eigvalsh((numbers + numbers.T) / 2)))
+    return float(np.min(numbers)) if np.all(np.isfinite(numbers)) else -np.inf

@@ -18,7 +18,7 @@ from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.robot.chain import Joint, SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
 
-_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4}
+_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4, "c": 9}
 """Letters of shapes: all different, so that what is not square does not look so."""
 
 
@@ -182,12 +182,16 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
 def _some(spec: Spec) -> Any:
     """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase."""
     if spec.form == "table":
-        return tuple((float(row),) * _SIZES[spec.shape.split()[-1]] for row in range(3))
+        return tuple((float(row),) * _size(spec.shape.split()[-1]) for row in range(3))
     if spec.shape == "*":
         return (0.0, 1.0, 2.0)
     if spec.form == "vector" and spec.shape != "*":
-        return (1.0,) * _SIZES.get(spec.shape, 3)
+        return (1.0,) * _size(spec.shape)
     return 1.0
+
+
+def _size(word: str) -> int:
+    return int(word) if word.isdigit() else _SIZES.get(word, 3)
 
 
 def _sizes(block: AbstractBlock, chain: SerialChain | None) -> Sizes:
