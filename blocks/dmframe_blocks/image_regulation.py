@@ -59,7 +59,7 @@ class ImageRegulation(AbstractBlock):
 
     References
     ----------
-    [Liu2006]_ for the depth as a weight; [WangTAC2020]_ eqs. (8), (9), Theorem 1 for the structure.
+    [Liu2006]_ for the depth as a weight; [WangTAC2020]_ Theorem 1 for the structure.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (Port("chi", "2"), Port("chi_d", "2"), Port("J_chi", "2 n", "m/rad"))

@@ -16,6 +16,8 @@ from dmframe.analysis import linearise, linearised_period, prove_stability
 from dmframe.catalogue import find_block
 from dmframe.config.experiment import Experiment, load_experiment
 from dmframe.graph import Graph
+from dmframe.results import tracking_error
+from dmframe.results.drawn_runs import coordinate_labels
 from dmframe.simulate import Solver, simulate
 from dmframe_blocks._image import image_regressor
 
@@ -154,6 +156,11 @@ def test_an_error_of_6_hundredths_goes_below_1e_5_with_a_camera_that_is_20_perce
     assert np.min(run["camera.depth"]) > 1.3
     assert np.max(np.abs(run["image.a_c_hat"][-1] - A_C)) > 0.05, "the camera itself need not be found"
     assert not run.notices
+    told = tracking_error(run.recording)
+    assert told is not None
+    assert (told.signal, told.unit) == ("chi - chi_d", "")
+    np.testing.assert_allclose(told.norm, error)
+    assert coordinate_labels(run.recording, told) == [("χ, 1:\nerror", "1", 1.0), ("χ, 2:\nerror", "1", 1.0)]
 
 
 def test_a_tool_that_comes_nearer_than_the_depth_that_is_told_is_told() -> None:
