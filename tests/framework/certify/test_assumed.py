@@ -171,3 +171,26 @@ def test_nobody_pays_with_a_weight_that_is_only_assumed() -> None:
     verdict = verify(scalar_loop("y z", lambda x, u, p: {"y": -x.y, "z": 0 * x.z}, claim))
     assert verdict.outcome == "not_applicable"
     assert "nobody pays for a cascade with a weight that is positive by assumption" in verdict.reason
+
+
+def test_beside_a_residual_nothing_is_ultimately_bounded_by_a_weight_that_may_grow() -> None:
+    """V = z y^2 / 2 falls by y^2 and gains a constant: as z grows without end, y^2 is no share of V."""
+
+    def loop(weight: Any, moves: int) -> Diagram:
+        def rates(x: Any, u: Any, p: Any) -> dict[str, Any]:
+            gained = p.k / 2 - x.y**2 - moves * x.y**3 / 2
+            return {"y": gained / (weight(x, p) * x.y), "z": moves * x.y}
+
+        def claim(x: Any, u: Any, p: Any) -> Certificate:
+            held = Square(x.y, weight(x, p), positive=WHY)
+            return Certificate(storage=(held,), dissipation=(Square(x.y),), excess=(Square(ca.SX(1), p.k / 2),))
+
+        return scalar_loop("y z", rates, claim)
+
+    def ultimately(diagram: Diagram) -> set[str]:
+        verdict = verify(diagram, start=START)
+        assert verdict.outcome == "proved"
+        return {item.signal for item in verdict.statements if item.says == "is ultimately bounded"}
+
+    assert ultimately(loop(lambda x, p: p.k, 0)) == {"y"}
+    assert ultimately(loop(lambda x, p: x.z, 1)) == set()
