@@ -31,6 +31,10 @@ class Signs:
             self._known[id(term)] = self._decide(term)
         return self._known[id(term)]
 
+    def may_grow(self, term: Square) -> bool:
+        """True for a weight that is positive by assumption, of which nothing says that it stays bounded."""
+        return is_assumed(term, self._numbers)
+
     def spends(self, term: Lemma) -> bool:
         """True for a lemma each element of which has a positive weight."""
         return self._least(term.weight)
