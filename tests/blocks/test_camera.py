@@ -19,6 +19,7 @@ from dmframe.graph import Graph
 from dmframe.results import tracking_error
 from dmframe.results.drawn_runs import coordinate_labels
 from dmframe.simulate import Solver, simulate
+from dmframe_blocks import adaptive_camera
 from dmframe_blocks._image import image_regressor
 
 Array = np.ndarray
@@ -137,6 +138,17 @@ def test_it_is_proved_up_to_the_depth_and_the_error_in_the_image_goes_to_zero(gr
     assert not any("knows exactly" in text and "camera" in text for text in texts), "nobody knows the camera"
     concluded = {item.signal for item in verdict.statements if item.concludes}
     assert {"chi - chi_d", "d(chi - chi_d)/dt"} <= concluded
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [lambda chi, e, dx: image_regressor(chi, 0 * e, dx), lambda chi, e, dx: -image_regressor(chi, e, dx)],
+    ids=["not half way", "wrong sign"],
+)
+def test_a_law_with_another_regressor_is_not_what_the_block_claims(monkeypatch: pytest.MonkeyPatch, wrong: Any) -> None:
+    monkeypatch.setattr(adaptive_camera, "image_regressor", wrong)
+    verdict = dm.load("ur10_camera").verify().verdict
+    assert verdict.outcome == "refuted", verdict.reason
 
 
 def test_with_the_tool_behind_the_camera_nothing_is_proved() -> None:
