@@ -31,11 +31,15 @@ class Square:
         W: a matrix, or a column or scalar that stands for a diagonal.
     of
         How a reader writes a; the framework prints it from the expression, and no author says it.
+    positive
+        Of a weight that is made of signals: why it stays above a positive constant along the motion. Nothing in a graph
+        shows it; so it is assumed, by this text, and no more of the weight than parameters leave open.
     """
 
     vector: SX
     weight: SX = 1
     of: str = ""
+    positive: str = ""
 
     def __post_init__(self) -> None:
         if isinstance(self.vector, str):
@@ -53,7 +57,7 @@ class Square:
     def with_pieces(self, pieces: Sequence[SX]) -> Square:
         """The same form of other expressions."""
         vector, weight = pieces
-        return Square(vector, weight, self.of)
+        return Square(vector, weight, self.of, self.positive)
 
     @property
     def value(self) -> SX:

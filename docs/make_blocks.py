@@ -84,7 +84,7 @@ def write(folder: Path) -> list[Path]:
 def family(kind: type[AbstractBlock]) -> str:
     """A key of `FAMILIES`, from what a block is and hands on."""
     if kind.side is not Side.CONTROLLER:
-        if any(port.instead_of or port.told for port in kind.outputs):
+        if any(port.instead_of for port in kind.outputs):
             return "between"
         held = any(port.steps for port in kind.outputs)
         return "paths" if kind.side is Side.SOURCE and not held else "plant"

@@ -2,28 +2,33 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import ClassVar, Final, final
 
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
+from dmframe.errors import listed
 from dmframe.parameter import Real, Vector
 from dmframe.port import Port, Side
 from dmframe_blocks._quaternions import quaternion
 
+GOALS: Final = ("x_d", "q_d", "chi_d")
+
 
 @final
 class Setpoint(AbstractBlock):
-    """A constant goal, in the task or at the joints; of a tool, with its orientation.
+    """A constant goal, in the task, at the joints or in the image of a camera; of a tool, with its orientation.
 
     Parameters
     ----------
     x_d : (m,), m
-        The goal of the tool. Give this one or `q_d`.
+        The goal of the tool. Give this one, `q_d` or `chi_d`.
     q_d : (n,), rad
         The goal of the joints.
     orientation : (3,), rad
         Of the tool in the base's frame, a rotation vector: axis times angle. Absent unless given.
+    chi_d : (2,)
+        The goal of the tool in the image of a `camera`.
 
     Notes
     -----
@@ -35,19 +40,22 @@ class Setpoint(AbstractBlock):
         Port("x_d", "m", "m", optional=True),
         Port("q_d", "n", "rad", optional=True),
         Port("p_d", "4", optional=True),
+        Port("chi_d", "2", optional=True),
     )
 
     x_d: Vector | None = Real("m", "m", default=None, spread=False)
     q_d: Vector | None = Real("n", "rad", default=None, spread=False)
     orientation: Vector | None = Real("3", "rad", default=None, spread=False)
+    chi_d: Vector | None = Real("2", default=None, spread=False)
 
     @model_validator(mode="after")
     def _one_goal(self) -> Setpoint:
-        if (self.x_d is None) == (self.q_d is None):
-            raise ValueError("expected one of x_d and q_d, found " + ("neither" if self.x_d is None else "both"))
+        given = [name for name in GOALS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected one of x_d, q_d and chi_d, found {listed(given) or 'none'}")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The goal that is given."""
-        outputs = {name: getattr(p, name) for name in ("x_d", "q_d") if name in p}
+        outputs = {name: getattr(p, name) for name in GOALS if name in p}
         return Equations(outputs=outputs | ({"p_d": quaternion(p.orientation)} if "orientation" in p else {}))

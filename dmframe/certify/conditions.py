@@ -27,6 +27,7 @@ from dmframe.certificate import (
     Square,
     Stored,
 )
+from dmframe.certify.assumed import SIGNS, assumed_weights, decidable, is_assumed
 from dmframe.certify.checked import Checked, Numbers, decided, lower, upper
 from dmframe.certify.claim import Claim, NotApplicableError, Part
 from dmframe.certify.definite import (
@@ -50,8 +51,6 @@ from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.linalg import ldl
 
-SIGNS = "V is positive, dV/dt not"
-
 
 def conditions_of(
     claim: Claim, numbers: Numbers, start: Mapping[str, Any] | None = None
@@ -61,7 +60,11 @@ def conditions_of(
     checked += _weights(claim, numbers)
     checked += memory_starts(claim, numbers, start or {})
     assumed += dict.fromkeys(_memories(claim))
-    for inside, unknown in (_inside(claim, numbers, start or {}), projection_conditions(claim, numbers, start)):
+    for inside, unknown in (
+        assumed_weights(claim, numbers, start or {}),
+        _inside(claim, numbers, start or {}),
+        projection_conditions(claim, numbers, start),
+    ):
         checked, assumed = [*checked, *inside], [*assumed, *unknown]
     matrices = list(dict.fromkeys(_matrices(claim, numbers)))
     checked += matrices
@@ -140,6 +143,10 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Every square of V and of the dissipation has a positive weight, every other term one that is not negative."""
     for part, role, term in _terms(claim):
         weight = term.weight
+        if isinstance(term, Square) and is_assumed(term, numbers):
+            weight = decidable(weight, numbers)
+            if weight.is_empty():
+                continue
         if isinstance(term, Lemma):
             if not weight.is_zero():
                 text = f"weight of {term.of} in {role} >= 0"
@@ -197,6 +204,8 @@ def _least(part: Part, text: str, numbers: Numbers, expression: SX, strict: bool
 def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     """Every weight that is a matrix is positive definite: by its factors, or as the mass matrix of the robot."""
     for part, role, term in _terms(claim):
+        if isinstance(term, Square) and is_assumed(term, numbers):
+            continue
         if isinstance(term, Square | NormSquare) and not term.weight.is_column():
             weight = (term.weight + term.weight.T) / 2
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):

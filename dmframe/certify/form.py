@@ -52,6 +52,8 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         )
     if not all(type(term) in DISSIPATED for term in terms):
         yield "expected each term of the dissipation to be a Square, a NormSquare, a Lemma or Gathered"
+    if any(isinstance(term, Square) and term.positive for term in certificate.excess):
+        yield "expected no weight of the excess to be positive by assumption: it is a bound that is asked for there"
     if not all(type(term) in BOUNDED for term in certificate.excess):
         yield "expected each term of the excess to be a Square, a NormSquare or a Clipped; nothing else has a bound"
     if not all(type(term) is Square for term in certificate.errors):
@@ -63,6 +65,8 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         pieces, where = [ca.SX(piece) for piece in term.pieces], term.of or f"a {type(term).__name__}"
         if isinstance(term, Lemma) and term.phi not in MONOTONE:
             yield f"{where}: {term.phi} is not known to be monotone; {nearest(term.phi, MONOTONE)}"
+        if isinstance(term, Square) and term.positive and not _is_said(term.positive):
+            yield f"{where}: expected positive to be a text of one line, found {term.positive!r:.60}"
         if not _fits(term, pieces):
             yield f"{where}: expected columns of one length, or a square matrix of weights, found other shapes"
     consumed = certificate.consumes
@@ -88,6 +92,8 @@ def _ill_formed(certificate: Certificate) -> Iterator[str]:
         yield from _ill_paid(certificate)
         if not all(isinstance(term, Square) and ca.SX(term.weight).is_column() for term in paying):
             yield "whoever pays for a cascade must dissipate squares with diagonal weights alone"
+        if any(isinstance(term, Square) and term.positive for term in paying):
+            yield "nobody pays for a cascade with a weight that is positive by assumption"
 
 
 def _stated(certificate: Certificate) -> Iterator[tuple[str, Sequence[SX]]]:
@@ -142,6 +148,10 @@ def _fits(term: object, pieces: Sequence[SX]) -> bool:
         rows = pieces[0].shape[0]
         return pieces[0].is_column() and pieces[1].shape in ((rows, 1), (1, 1), (rows, rows))
     return _columns(pieces)
+
+
+def _is_said(text: str) -> bool:
+    return bool(text.strip()) and text.isprintable()
 
 
 def _columns(pieces: Sequence[SX]) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import final
 
 from dmframe.certificate import SX, Lemma, LogDet, Potential, Square
+from dmframe.certify.assumed import decidable, is_assumed
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import is_mass_matrix, least_body_pivot
@@ -30,6 +31,10 @@ class Signs:
             self._known[id(term)] = self._decide(term)
         return self._known[id(term)]
 
+    def may_grow(self, term: Square) -> bool:
+        """True for a weight that is positive by assumption, of which nothing says that it stays bounded."""
+        return is_assumed(term, self._numbers)
+
     def spends(self, term: Lemma) -> bool:
         """True for a lemma each element of which has a positive weight."""
         return self._least(term.weight)
@@ -39,6 +44,9 @@ class Signs:
             return self._least(term.weight) and self._least(term.width)
         if isinstance(term, LogDet):
             return self._least(term.weight) and self._definite(term.true)
+        if isinstance(term, Square) and is_assumed(term, self._numbers):
+            known = decidable(term.weight, self._numbers)
+            return known.is_empty() or self._least(known)
         if term.weight.is_column():
             return self._least(term.weight)
         try:

@@ -305,7 +305,8 @@ def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
 
 def ultimate(claim: Claim, symbols: Symbols, signs: Signs) -> bool:
     """True where all that V holds is spent, or projected, so that V falls wherever it is large."""
-    if not all(isinstance(term, Square) for part in claim.parts for term in part.certificate.storage):
+    stored = [term for part in claim.parts for term in part.certificate.storage]
+    if not all(isinstance(term, Square) and not signs.may_grow(term) for term in stored):
         return False  # nothing shows that it is spent in proportion
     _, left = residual_bases(claim)
     return not tuple(_assumed(claim)) and all(_is_spent(claim, square, symbols, signs) for square in left)

@@ -45,13 +45,14 @@ class Variable:
 @final
 @dataclass(frozen=True)
 class Signal:
-    """An output of a block."""
+    """An output of a block; `own`, of a plant's, that it stands in for no other signal."""
 
     block: str
     name: str
     shape: str
     unit: str
     expression: SX
+    own: bool = False
 
     @property
     def label(self) -> str:
@@ -187,7 +188,7 @@ class ClosedLoop:
         return [
             Followed(goal[0], signal.label, goal[1], signal.expression)
             for signal in self.outputs
-            if signal.block in plant and (goal := desired.get(f"{signal.name}_d")) is not None
+            if (signal.own or signal.block in plant) and (goal := desired.get(f"{signal.name}_d")) is not None
         ]
 
     @property

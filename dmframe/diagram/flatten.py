@@ -27,7 +27,8 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         for port in model.block.outputs:
             if port.name in model.equations.outputs:
                 expression = _output(resolver, model, port.name)
-                outputs.append(Signal(name, port.name, port.shape, port.unit, expression))
+                own = model.block.side is Side.PLANT and not port.instead_of
+                outputs.append(Signal(name, port.name, port.shape, port.unit, expression, own))
     drawn = {(name, port.name): port.drawn for name, model in resolver.models.items() for port in model.block.inputs}
     return ClosedLoop(
         time=resolver.time,

@@ -18,7 +18,7 @@ from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.robot.chain import Joint, SerialChain
 from dmframe.robot.symbolic import SymbolicRobot
 
-_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4, "r": 5}
+_SIZES: Final = {"n": 3, "m": 2, "k": 12, "p": 33, "h": 4, "r": 5, "c": 9}
 """Letters of shapes: all different, so that what is not square does not look so."""
 
 

@@ -65,7 +65,7 @@ class Signs:
         """Expressions in ports, states, parameters and truths: named parts put in place."""
         out = list(expressions)
         for symbol, meaning in reversed(self.naming.definitions.values()):
-            out = list(ca.substitute(out, [symbol], [self.as_kind(meaning)]))
+            out = list(ca.substitute(out, [symbol], [ca.densify(self.as_kind(meaning))]))
         return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
+from dmframe.formula.names import unicode_name
 from dmframe.plotting import look, verbatim
 from dmframe.results.dataset import axis_labels, joint_labels
 from dmframe.results.metrics import TrackingError, tracking_error
@@ -31,7 +32,7 @@ def coordinate_labels(run: Recording, error: TrackingError) -> list[tuple[str, s
             (f"{short(joint)}\nerror", *shown_unit(sliding(unit) if slide else unit))
             for joint, slide in zip(joints, slides, strict=True)
         ]
-    return [(f"error {row + 1}", *shown_unit(unit)) for row in range(rows)]
+    return [(f"{unicode_name(name)}, {row + 1}:\nerror", *shown_unit(unit)) for row in range(rows)]
 
 
 def errors_of(runs: Runs) -> dict[str, TrackingError]:

@@ -61,15 +61,18 @@ def test_a_circle_begins_at_its_top_and_turns_towards_the_first_axis() -> None:
 def test_a_setpoint_is_its_goal() -> None:
     close(answer("setpoint", {"x_d": [0.1, -0.2]})["x_d"], [0.1, -0.2])
     close(answer("setpoint", {"q_d": ["90 deg", 0]})["q_d"], [np.pi / 2, 0])
+    close(answer("setpoint", {"chi_d": [0.1, 0]})["chi_d"], [0.1, 0])
 
 
 @pytest.mark.parametrize(
-    ("given", "found"), [({}, "neither"), ({"x_d": [0.1], "q_d": [0.2]}, "both")], ids=["neither", "both"]
+    ("given", "found"),
+    [({}, "none"), ({"x_d": [0.1], "q_d": [0.2]}, "x_d and q_d"), ({"q_d": [0.2], "chi_d": [0, 0]}, "q_d and chi_d")],
+    ids=["none", "two", "another two"],
 )
 def test_a_setpoint_has_one_goal(given: dict[str, Any], found: str) -> None:
     with pytest.raises(DmframeError) as caught:
         find_block("setpoint")(**given)
-    assert str(caught.value) == f"setpoint: expected one of x_d and q_d, found {found}"
+    assert str(caught.value) == f"setpoint: expected one of x_d, q_d and chi_d, found {found}"
 
 
 def test_a_sinusoid_swings_each_joint_about_its_middle() -> None:

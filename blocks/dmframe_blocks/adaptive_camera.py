@@ -1,0 +1,96 @@
+"""The Jacobian of an image by a camera that is learnt while the robot moves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, final
+
+import casadi as ca
+
+from dmframe.block import AdaptingBlock, Equations, Signals
+from dmframe.certificate import SX, Certificate, TrueValue
+from dmframe.naming import named
+from dmframe.parameter import Gain, PositiveDefinite, Real, Vector
+from dmframe.port import Adapted, Element, Port
+from dmframe_blocks._image import image_regressor, pinhole
+
+
+@final
+class AdaptiveCamera(AdaptingBlock):
+    r"""Estimates the nine numbers of a fixed camera from its image, and gives the image's Jacobian with them.
+
+    .. math::
+
+        J_{\chi} &= (\hat N - (\chi - \tfrac12 e_{\chi})\, \hat m^\top)\, \hat J     \tag{1} \\
+        \dot{\hat a_c} &= \Gamma_c Y_c^\top e_{\chi}                                    \tag{2}
+
+    with a_c = (right, down, ahead) of `camera`, of which N has the first two as rows and m is the last; Y_c is what
+    makes :math:`Y_c \hat a_c = J_{\chi} \dot q`. With :math:`\tilde a_c = \hat a_c - a_c` and
+    :math:`\alpha = \mathrm{task\_weight}`,
+
+    .. math::
+
+        S &= \tfrac12 \alpha |\tilde a_c|^2_{\Gamma_c^{-1}}                            \tag{3} \\
+        \dot S &= \alpha\, e_{\chi}^\top Y_c \tilde a_c                                 \tag{4}
+
+    It is the Jacobian of the depth times the image, not of the image, and so holds no division by a depth that nobody
+    knows. Without the velocity of the image, with the robot's own geometry known. The scale of all nine numbers
+    together is only that of the depth: a camera twice as far away, of twice the focal length, differs little.
+
+    Parameters
+    ----------
+    Gamma_c : (c, c), 1/m, positive definite, or its diagonal
+        Adaptation gain. Larger learns the camera faster and passes more noise of the image.
+    a_c_hat : (c,)
+        The estimate at the start: three numbers each of right, down and ahead.
+    a_c_hat_box : [lower, upper]
+        Interval onto which the estimate is projected, to keep the Jacobian's rank.
+
+    Notes
+    -----
+    Not for: a camera that moves; a robot whose lengths are uncertain, as the products of both would have to be
+    learnt.
+
+    References
+    ----------
+    [Liu2006]_ for the Jacobian without the depth; [WangTAC2020]_ Theorem 1 for the structure.
+    """
+
+    inputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq", "n", "rad/s"),
+        Port("J_hat", "3 n", "m/rad"),
+        Port("chi", "2"),
+        Port("e_chi", "2"),
+    )
+    outputs: ClassVar[tuple[Port, ...]] = (Port("J_chi", "2 n", "m/rad", full_rank=True),)
+    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_c_hat", "c", gain="Gamma_c"),)
+    driven_by: ClassVar[str] = "e_chi"
+    truth: ClassVar[tuple[Port, ...]] = (Port("a_c", "c"), Port("task_weight"))
+
+    Gamma_c: Gain = PositiveDefinite("c", "1/m")
+    a_c_hat: Vector = Real("c", spread=False)
+
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        """c: three of each direction."""
+        return {"c": [Element(f"{row} {axis}") for row in ("right", "down", "ahead") for axis in "xyz"]}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """(1)."""
+        N, m = pinhole(x.a_c_hat)
+        N, m = named("N_hat", N), named("m_hat", m)
+        return Equations(outputs={"J_chi": (N - (u.chi - u.e_chi / 2) @ m.T) @ u.J_hat})
+
+    def direction(self, u: Signals, x: Signals, p: Signals, e_chi: SX) -> Mapping[str, SX]:
+        """(2), but for the gain."""
+        return {"a_c_hat": self._Y_c(u).T @ e_chi}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        """(3) and (4)."""
+        return Certificate(
+            estimates={"a_c_hat": TrueValue(truth.a_c, truth.task_weight)},
+            supply=truth.task_weight * ca.dot(u.e_chi, self._Y_c(u) @ (x.a_c_hat - truth.a_c)),
+            task=True,
+        )
+
+    def _Y_c(self, u: Signals) -> SX:
+        return named("Y_c", image_regressor(u.chi, u.e_chi, u.J_hat @ u.dq))
