@@ -17,7 +17,7 @@ from dmframe_blocks._bodies import moved, storage
 
 @final
 class ConsistentAdaptation(AbstractBlock):
-    r"""As `direct_adaptation`, but no link's estimate ever leaves the set of bodies that there can be.
+    r"""Adapts by the tracking error, and no link's estimate ever leaves the set of bodies that there can be.
 
     .. math::
 

@@ -16,7 +16,7 @@ from dmframe_blocks._bodies import moved, storage
 
 @final
 class ConsistentCompensator(AbstractBlock):
-    r"""As `dynamic_compensator`, but no link's estimate ever leaves the set of bodies that there can be.
+    r"""Compensates the dynamics, and no link's estimate ever leaves the set of bodies that there can be.
 
     .. math::
 
