@@ -214,8 +214,9 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
         raise NotApplicableError(f"{loop.clocked}; a proof in continuous time does not reach it")
     stated, truths = certificates_of(diagram)
     laws, notices = _laws(diagram, stated, truths, near=near)
-    for name in _unfollowed(diagram, stated):
-        stated[name], laws[name] = Certificate(truth=stated[name].truth), laws[name].silent
+    unfollowed = _unfollowed(diagram, stated)
+    stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
+    laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
     field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())
