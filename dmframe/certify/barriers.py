@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
 from fractions import Fraction
 from typing import Any, Final, final
 
@@ -27,6 +28,9 @@ from dmframe.exact.literal import literal
 from dmframe.exact.rational import as_float
 from dmframe.program import read
 from dmframe.simulate.start import start_state
+
+_OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
+"""In which limits are printed: never tighter than they are."""
 
 OUTWARD: Final = 1 + 1e-9
 """By which floating-point figures are enlarged: more than all rounding on the way to them."""
@@ -72,7 +76,7 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
         room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
-        low, high = (", ".join(f"{value:.6g}" for value in end) for end in tube.ends)
+        low, high = (", ".join(f"{out.create_decimal(x)}" for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
             says, then = f"stays between {limits} at all times", "and the margin is no less"
@@ -91,9 +95,15 @@ def _told(values: np.ndarray, unit: str) -> str:
 
 
 def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, Any]) -> Iterator[Tube]:
-    """The tube of each barrier; none where V may rise, or where it starts is not told by the graph's numbers."""
+    """The tube of each barrier; none where V may rise, or where it starts is not told by the graph's numbers.
+
+    V rises by a residual, and where a source steps: what is said there is not of all times.
+    """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
     if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
+        return
+    resolver = claim.diagram.resolver
+    if any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
         return
     begin = _start(claim, numbers, start)
     if begin is None:
