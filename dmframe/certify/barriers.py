@@ -76,7 +76,7 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
         room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
-        low, high = (", ".join(f"{out.create_decimal(x)}" for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
+        low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
             says, then = f"stays between {limits} at all times", "and the margin is no less"
@@ -87,6 +87,10 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
         spends = "dV/dt spends a square of the error with which the reference is followed"
         step = f"{room}, joint by joint, {then}; {spends}, and V has no more than V(0) <= {tube.spent:.4g} to spend"
         yield Statement(tube.of, says, step, concludes=True)
+
+
+def _limit(out: Context, value: float) -> str:
+    return f"{float(out.create_decimal(f'{value:.12g}')):.6g}"
 
 
 def _told(values: np.ndarray, unit: str) -> str:

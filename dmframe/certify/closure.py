@@ -319,9 +319,11 @@ class Closure:
         """What is assumed of inputs, in words that are not their block's."""
         used = symbols_in(item.inputs)
         of = [v.label for v in self._variables if used & symbols_in([v.symbol])]
-        of += [leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & symbols_in([leaf.symbol])]
-        moving = f", whatever {listed(of)} do" if of else ""
-        return f"the input of the linear equation that drives {listed(list(item.of))} stays bounded{moving}"
+        of += [
+            leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & symbols_in([leaf.symbol])
+        ]
+        made = f", which is made of {listed(of)}," if of else ""
+        return f"the input of the linear equation that drives {listed(list(item.of))}{made} stays bounded"
 
     def _follows_if(self, block: str, item: Driven) -> bool:
         """True where the remainder is bounded but for the inputs, of which its block assumes that they are.

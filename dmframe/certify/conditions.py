@@ -230,7 +230,9 @@ def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
                 assumed[Assumption(text, "property P2")] = None
                 time, least = _least_of_load(claim, label)
                 if not least >= 0:
-                    found = f"least eigenvalue of its pseudo-inertia >= 0, as a share of the largest, at t = {time:.6g} s"
+                    found = (
+                        f"least eigenvalue of its pseudo-inertia >= 0, as a share of the largest, at t = {time:.6g} s"
+                    )
                     name = f"{label} is the inertia of a rigid body"
                     checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
     return list(dict.fromkeys(checked)), list(assumed)
