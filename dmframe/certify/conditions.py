@@ -230,16 +230,14 @@ def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
                 assumed[Assumption(text, "property P2")] = None
                 time, least = _least_of_load(claim, label)
                 if not least >= 0:
-                    found = (
-                        f"least eigenvalue of its pseudo-inertia >= 0, as a share of the largest, at t = {time:.6g} s"
-                    )
+                    found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
                     name = f"{label} is the inertia of a rigid body"
                     checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
     return list(dict.fromkeys(checked)), list(assumed)
 
 
 def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
-    """When a load is furthest from a body, and its least eigenvalue there, as a share of the largest; 0 for rounding."""
+    """When a load is furthest from a body, and its least eigenvalue there over the largest; 0 for rounding."""
     loop = claim.loop
     (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
     function = ca.Function("load", [loop.time, loop.p], [loop.on_path(leaf.symbol)])

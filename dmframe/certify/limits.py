@@ -154,11 +154,12 @@ def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
 
 def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
     """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
-    found, (rows, width) = _sampled(own, symbols, [R], 1), R.shape
-    if found is None:
+    sampled, (rows, width) = _sampled(own, symbols, [R], 1), R.shape
+    if sampled is None:
         return False
-    prime, (values,) = found
-    return rank([[values[column * rows + row] for column in range(width)] for row in range(rows)], prime) == rows
+    prime, (values,) = sampled
+    found = rank([[values[column * rows + row] for column in range(width)] for row in range(rows)], prime)
+    return bool(found == rows)
 
 
 def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:

@@ -1,4 +1,4 @@
-"""Lies in limits, assumed inputs, errors, loads and filters, none of which may be proved; and what is true beside each."""
+"""Lies in limits, assumed inputs, errors, loads and filters, none of which may be proved; what is true beside each."""
 
 from __future__ import annotations
 
