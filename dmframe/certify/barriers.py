@@ -5,25 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context
+from fractions import Fraction
 from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.barrier import Barrier
-from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Square
 from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.definite import Number
 from dmframe.certify.starts import start_expression, start_is_said
 from dmframe.certify.statements import Statement
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.exact.ends import enclosing
+from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
+from dmframe.exact.literal import literal
 from dmframe.exact.rational import as_float
+from dmframe.program import read
 from dmframe.simulate.start import start_state
+
+_OUT: Final = (Context(prec=6, rounding=ROUND_FLOOR), Context(prec=6, rounding=ROUND_CEILING))
+"""In which limits are printed: never tighter than they are."""
 
 OUTWARD: Final = 1 + 1e-9
 """By which floating-point figures are enlarged: more than all rounding on the way to them."""
@@ -69,7 +76,7 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
     """What each barrier of a proved claim keeps, and by how much a joint may pass it."""
     for tube in found:
         room = f"its room before what the reference keeps is h(t) >= h(0) exp(-a t) - {_told(tube.tube, tube.unit)}"
-        low, high = (", ".join(f"{value:.6g}" for value in end) for end in tube.ends)
+        low, high = (", ".join(_limit(out, x) for x in end) for out, end in zip(_OUT, tube.ends, strict=True))
         limits = f"{low} and {high} {tube.unit}".strip()
         if tube.inside:
             says, then = f"stays between {limits} at all times", "and the margin is no less"
@@ -82,32 +89,45 @@ def barrier_statements(found: Sequence[Tube]) -> Iterator[Statement]:
         yield Statement(tube.of, says, step, concludes=True)
 
 
+def _limit(out: Context, value: float) -> str:
+    return f"{float(out.create_decimal(f'{value:.12g}')):.6g}"
+
+
 def _told(values: np.ndarray, unit: str) -> str:
     """Rounded up."""
     return f"{', '.join(f'{math.ceil(1e4 * value) / 1e4:.4f}' for value in values)} {unit}".strip()
 
 
 def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, Any]) -> Iterator[Tube]:
-    """The tube of each barrier; none where V may rise, or where it starts is not told by the graph's numbers."""
+    """The tube of each barrier; none where V may rise, or where it starts is not told by the graph's numbers.
+
+    V rises by a residual, and where a source steps: what is said there is not of all times.
+    """
     stated = [(part, barrier) for part in claim.parts for barrier in part.certificate.barriers]
     if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
+        return
+    resolver = claim.diagram.resolver
+    if any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
         return
     begin = _start(claim, numbers, start)
     if begin is None:
         return
-    spent = _most(claim, numbers, begin, claim.V)
+    spent = max(0.0, _most(claim, numbers, begin, claim.V))
     for _, barrier in stated:
         share = _share(claim, numbers, symbols, barrier)
         if share is None or not math.isfinite(spent):
             continue
-        try:
-            a, v, w, margin, low, high = (_column(numbers, item, len(share)) for item in _constants(barrier))
-        except (ValueFault, ZeroDivisionError):  # of something that moves
+        constants = [_column(numbers, item, len(share)) for item in _constants(barrier)]
+        if any(column is None for column in constants):
             continue
+        a, v, w, margin, low, high = (column for column in constants if column is not None)
         if min(map(np.min, (a, v, w))) <= 0:
             continue
-        q = np.asarray([_most(claim, numbers, begin, element) for element in ca.vertsplit(barrier.position)])
-        outside = np.maximum(0.0, np.maximum(q - high, low - q))
+        elements = ca.vertsplit(barrier.position)
+        least, most = (np.asarray([_most(claim, numbers, begin, sign * x) for x in elements]) for sign in (-1, 1))
+        outside = np.maximum(0.0, np.maximum(most - high, low + least))
+        if not np.all(np.isfinite(outside)):
+            continue
         tube = OUTWARD * np.sqrt(share * spent / (2 * a))
         reach = OUTWARD * outside + tube
         room = high - low
@@ -131,15 +151,28 @@ def _soft_min(first: Any, second: Any, width: Any) -> Any:
     return (first + second - np.hypot(first - second, width)) / 2
 
 
-def _column(numbers: Numbers, expression: SX, size: int) -> np.ndarray:
-    values = [as_float(lower(value)) for value in numbers.of(ca.SX(expression))]
-    return np.broadcast_to(np.asarray(values), (size,))
+def _column(numbers: Numbers, expression: SX, size: int) -> np.ndarray | None:
+    """A column of constants; None of what moves, of what is known up to an interval, and of other shapes."""
+    try:
+        values = numbers.of(ca.SX(expression))
+    except (ValueFault, ZeroDivisionError):
+        return None
+    if len(values) not in (1, size) or any(lower(value) != upper(value) for value in values):
+        return None
+    return np.broadcast_to(np.asarray([as_float(lower(value)) for value in values]), (size,))
 
 
-def _largest(numbers: Numbers, expression: SX, size: int) -> np.ndarray:
-    """The largest absolute values."""
-    values = [max(abs(as_float(lower(x))), abs(as_float(upper(x)))) for x in numbers.of(ca.SX(expression))]
-    return np.broadcast_to(np.asarray(values), (size,))
+def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """The least and the greatest values of a column of parameters; None of anything else."""
+    try:
+        values = numbers.of(ca.SX(expression))
+    except (ValueFault, ZeroDivisionError):
+        return None
+    if len(values) not in (1, size):
+        return None
+    ends = ([as_float(end(value)) for value in values] for end in (lower, upper))
+    low, high = (np.broadcast_to(np.asarray(end), (size,)) for end in ends)
+    return low, high
 
 
 def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier) -> np.ndarray | None:
@@ -148,10 +181,13 @@ def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier) -
     for part in claim.parts:
         if part.certificate.pays and _same(part, error, symbols):
             size = error.numel()
-            shares = [_largest(numbers, share, size) for share in part.certificate.pays]
-            weights = [_column(numbers, term.weight, size) for term in part.paying if isinstance(term, Square)]
-            if len(weights) == len(shares) and all(np.all(weight > 0) for weight in weights):
-                return np.asarray(sum(c**2 / weight for c, weight in zip(shares, weights, strict=True)))
+            shares = [_ends(numbers, share, size) for share in part.certificate.pays]
+            squares = [term for term in part.paying if isinstance(term, Square) and ca.SX(term.weight).is_column()]
+            weights = [_ends(numbers, term.weight, size) for term in squares]
+            known = [(c, w) for c, w in zip(shares, weights, strict=False) if c is not None and w is not None]
+            if len(known) == len(shares) and all(np.all(weight > 0) for _, (weight, _) in known):
+                sizes = [(np.maximum(abs(low), abs(high)), weight) for (low, high), (weight, _) in known]
+                return np.asarray(sum(c**2 / weight for c, weight in sizes))
     return None
 
 
@@ -161,8 +197,22 @@ def _same(part: Part, error: SX, symbols: Symbols) -> bool:
     return bool(zero_test(symbols.function("error", [part.composed - error]), values=symbols.fixed).zero)
 
 
-Begin = Sequence[tuple[SX, SX]]
-"""Each state's symbol with where it starts, those first whose starts hold others."""
+@final
+@dataclass(frozen=True)
+class Begin:
+    """Where all states start.
+
+    Parameters
+    ----------
+    pairs
+        Each state's symbol with its start, those first whose starts hold others.
+    symbols, values
+        What stands for numbers there: CasADi would compute with numbers at once, and round.
+    """
+
+    pairs: Sequence[tuple[SX, SX]]
+    symbols: SX
+    values: Sequence[float]
 
 
 def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | None:
@@ -172,41 +222,48 @@ def _start(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> Begin | 
     except DmframeError:
         return None
     said, found, row = list[tuple[SX, SX]](), list[tuple[SX, SX]](), 0
+    symbols, values = list[SX](), list[float]()
+
+    def unfolded(element: SX) -> SX:
+        if not element.is_constant():
+            return element
+        symbols.append(ca.SX.sym("number"))
+        values.append(float(element))
+        return symbols[-1]
+
     for variable in claim.loop.variables:
         size = variable.symbol.numel()
         number = ca.SX(ca.DM(begin[row : row + size]))
         row += size
-        if start_is_said(variable.label, numbers, given):
-            expression = start_expression(variable.label, numbers, given)
-            if expression is None:
-                return None
-            said.append((ca.vec(variable.symbol), expression))
-        else:
-            found.append((ca.vec(variable.symbol), number))
-    return [*said, *found]
+        is_said = start_is_said(variable.label, numbers, given)
+        expression = start_expression(variable.label, numbers, given) if is_said else number
+        if expression is None:
+            return None
+        elements = ca.vertcat(*map(unfolded, ca.vertsplit(ca.densify(expression))))
+        (said if is_said else found).append((ca.vec(variable.symbol), elements))
+    return Begin([*said, *found], stack(symbols), values)
 
 
 def _most(claim: Claim, numbers: Numbers, begin: Begin, expression: SX) -> float:
     """The most that an expression is at the start, over the intervals; infinite where that is not found."""
     loop = claim.loop
     for _ in range(3):  # a controller's state may start where another one does
-        for symbol, value in begin:
+        for symbol, value in begin.pairs:
             (expression,) = ca.substitute([expression], [symbol], [value])
         expression = loop.joined([expression])[0]
-    expression = ca.substitute(loop.on_path(expression), loop.time, 0)
-    inside, known = dict[int, tuple[float, float]](), list[tuple[SX, SX]]()
-    for parameter in loop.parameters:
-        column = stack([parameter.symbol])
-        if parameter.label in numbers.uncertain:
-            ends = [(as_float(lower(value)), as_float(upper(value))) for value in numbers.values[parameter.label]]
-            inside |= {s.element_hash(): pair for s, pair in zip(ca.vertsplit(column), ends, strict=True)}
-        else:
-            known.append((column, ca.SX(ca.DM(parameter.value.ravel(order="F")))))
-    if known:
-        columns, values = ca.vertcat(*(c for c, _ in known)), ca.vertcat(*(v for _, v in known))
-        expression = ca.substitute(expression, columns, values)
-    try:
-        end = enclosing(expression, inside).upper if symbols_in([expression]) else expression
-        return float(ca.DM(ca.evalf(end)))
-    except (ValueFault, RuntimeError):
+    columns = [loop.time, begin.symbols, *(stack([parameter.symbol]) for parameter in loop.parameters)]
+    function = ca.Function("start", columns, [ca.densify(loop.on_path(expression))], {"allow_free": True})
+    if function.has_free():
         return math.inf
+    given = [Fraction(0)], list(map(literal, begin.values)), *(numbers.values[p.label] for p in loop.parameters)
+    try:
+        program = read(function)
+        ((found,),) = program.dense(fixed_values(program, [list(map(_held, column)) for column in given]), Fixed(0, 0))
+        return math.nextafter(float(Fraction(found.upper, ONE)), math.inf)
+    except (ValueFault, UndecidedError, OverflowError):
+        return math.inf
+
+
+def _held(value: Number) -> Fixed:
+    """All that a number can be."""
+    return Fixed(Fixed.around(lower(value)).lower, Fixed.around(upper(value)).upper)

@@ -33,7 +33,7 @@ from dmframe.diagram.projection import Projection
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import owners_of, view
 from dmframe.diagram.wiring import Wire
-from dmframe.errors import BlockError, DmframeError
+from dmframe.errors import BlockError, DmframeError, nearest
 from dmframe.formula.docstring import check_docstrings
 from dmframe.formula.law import PrintedLaw
 from dmframe.formula.laws import read_blocks
@@ -176,6 +176,10 @@ class Claim:
 def _unfollowed(diagram: Diagram, stated: Mapping[str, Certificate]) -> list[str]:
     """The blocks that give a reference which another one changes before it is followed."""
     ends = [(name, port) for name, certificate in stated.items() for port in certificate.filters]
+    for name, port in ends:
+        known = [item.name for item in diagram.blocks[name].inputs]
+        if port not in known:
+            raise NotApplicableError(f"{name}: filters names {port}, no input of it; {nearest(port, known)}")
     sources = [diagram.sources.get(end) for end in ends]
     return list(
         dict.fromkeys(source.block for source in sources if isinstance(source, Wire) and source.block in stated)
@@ -214,8 +218,9 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
         raise NotApplicableError(f"{loop.clocked}; a proof in continuous time does not reach it")
     stated, truths = certificates_of(diagram)
     laws, notices = _laws(diagram, stated, truths, near=near)
-    for name in _unfollowed(diagram, stated):
-        stated[name], laws[name] = Certificate(truth=stated[name].truth), laws[name].silent
+    unfollowed = _unfollowed(diagram, stated)
+    stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
+    laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
     field = Field(diagram)
     named = labelled(stated, laws)
     parts = tuple(field.part(name, certificate) for name, certificate in named.items())

@@ -37,7 +37,7 @@ from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import Group, exact_values, symbols_of
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Box
-from dmframe.errors import ValueFault
+from dmframe.errors import ValueFault, listed
 from dmframe.exact import Tape, random_prime
 from dmframe.exact.linear import Echelon
 from dmframe.exact.rational import Interval
@@ -111,6 +111,7 @@ class Closure:
     def conditions(self) -> list[tuple[str, Condition]]:
         """What had to be assumed, and what has to stand in for what did not follow; by block."""
         stated = [(block, Assumption(_stays_stable(item), "not decided")) for block, item in self.assumed]
+        stated += [(block, Assumption(self._stays_bounded(item), "not decided")) for block, item in self.given]
         return [
             *stated,
             *(
@@ -314,9 +315,22 @@ class Closure:
             self.assumed.append((block, item))
         return given
 
+    def _stays_bounded(self, item: Driven) -> str:
+        """What is assumed of inputs, in words that are not their block's."""
+        used = symbols_in(item.inputs)
+        of = [v.label for v in self._variables if used & symbols_in([v.symbol])]
+        of += [
+            leaf.name for leaf in self._claim.diagram.resolver.trajectories.values() if used & symbols_in([leaf.symbol])
+        ]
+        made = f", which is made of {listed(of)}," if of else ""
+        return f"the input of the linear equation that drives {listed(list(item.of))}{made} stays bounded"
+
     def _follows_if(self, block: str, item: Driven) -> bool:
-        """True where the remainder is bounded but for the inputs, of which its block assumes that they are."""
-        if not item.inputs:
+        """True where the remainder is bounded but for the inputs, of which its block assumes that they are.
+
+        An input that is made of what is driven would assume what follows from it.
+        """
+        if not item.inputs or symbols_in(item.inputs) & symbols_in(item.vectors):
             return False
         rests = [rest - own for rest, own in zip(self.remainders(item), item.inputs, strict=True)]
         if not (all(self.bounds(rests)) and stable(item, self._numbers, self._claim)):

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
@@ -42,6 +43,7 @@ from dmframe.certify.definite import (
 from dmframe.certify.memories import matrix_start, memory_starts, pivots_at_start
 from dmframe.certify.payment import payment_conditions
 from dmframe.certify.projections import projection_conditions
+from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.stability import common_margin
 from dmframe.certify.wording import worded
 from dmframe.diagram.view import view
@@ -50,6 +52,10 @@ from dmframe.exact.rational import as_float
 from dmframe.fields import fault_of
 from dmframe.formula.reading import place_of
 from dmframe.linalg import ldl
+from dmframe.robot.pseudo_inertia import pseudo_inertia
+
+ROUNDING = 1e-9
+"""Of a load's least eigenvalue, as a share of the largest: a point mass has none above zero."""
 
 
 def conditions_of(
@@ -70,7 +76,8 @@ def conditions_of(
     checked += matrices
     if any(item.how == "sampled" for item in matrices):
         assumed.append(Assumption("M(q) > 0 between the sampled poses; some link is no physical body", "property P2"))
-    assumed += dict.fromkeys(_loads(claim))
+    loads, bodies = _loads(claim)
+    checked, assumed = [*checked, *loads], [*assumed, *bodies]
     if claim.cascaded:
         checked += payment_conditions(claim, numbers)
     return checked, assumed
@@ -221,14 +228,38 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, matrix)
 
 
-def _loads(claim: Claim) -> Iterator[Assumption]:
-    """Loads that a mass matrix holds: what a source hands out at other times nobody sees from the graph."""
+def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
+    """Loads that a mass matrix holds: what a source hands out at all times nobody sees from the graph, but at some."""
+    checked, assumed = list[Checked](), dict[Assumption, None]()
     for _, _, term in _terms(claim):
         if isinstance(term, Square | NormSquare) and not term.weight.is_column():
             label = load_in(claim, (term.weight + term.weight.T) / 2)
             if label:
                 text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"
-                yield Assumption(text, "property P2")
+                assumed[Assumption(text, "property P2")] = None
+                time, least = _least_of_load(claim, label)
+                if not least >= 0:
+                    found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
+                    name = f"{label} is the inertia of a rigid body"
+                    checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
+    return list(dict.fromkeys(checked)), list(assumed)
+
+
+def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
+    """When a load is furthest from a body, and its least eigenvalue there over the largest; 0 for rounding."""
+    loop = claim.loop
+    (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
+    function = ca.Function("load", [loop.time, loop.p], [loop.on_path(leaf.symbol)])
+    times = np.linspace(0.0, HORIZON, SAMPLES)
+    rows = np.unique(np.column_stack([function(times[None, :], loop.p_values).full().T, times]).round(12), axis=0)
+    _, first = np.unique(rows[:, :-1], axis=0, return_index=True)  # most loads are the same at most times
+    found = list[tuple[float, float]]()
+    for *body, time in rows[first]:
+        values = np.linalg.eigvalsh(np.array(pseudo_inertia(body), dtype=float))
+        share = values[0] / max(values[-1], -values[0], np.finfo(float).tiny)
+        found.append((0.0 if abs(share) < ROUNDING else float(share), float(time)))
+    least, time = min(found)
+    return time, least
 
 
 def _mass_matrix(claim: Claim, weight: SX) -> Checked:

@@ -110,7 +110,7 @@ def empty_terms(claim: Claim, symbols: Symbols, seed: int) -> list[str]:
     squares = [
         (f"{part.block}: {term.of}", term.vector)
         for part in claim.parts
-        for term in (*part.certificate.storage, *part.certificate.dissipation)
+        for term in (*part.certificate.storage, *part.certificate.dissipation, *part.certificate.errors)
         if isinstance(term, Square | NormSquare | Gathered | Potential)
     ]
     named = [("V", claim.V), ("dV/dt", claim.rate), *squares]

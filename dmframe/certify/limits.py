@@ -115,6 +115,8 @@ def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Va
     if used is not None:
         return Made(f"it is made of {listed(used)}")
     for name, R in full_rank(claim):
+        if not _can_have(own, symbols, R):
+            continue
         if R.shape[0] == goal.vector.shape[0]:
             seen = R.T @ goal.vector
             used = _made_of(own, symbols, seen, vanishing)
@@ -148,6 +150,16 @@ def full_rank(claim: Claim) -> Iterator[tuple[str, SX]]:
             if port.full_rank and port.name in model.equations.outputs:
                 R = claim.loop.joined([diagram.resolver.output(name, port.name)])[0]
                 yield port.name if given.count(port.name) == 1 else f"{port.name} ({name})", R
+
+
+def _can_have(own: Own, symbols: Symbols, R: SX) -> bool:
+    """True for a matrix whose rows are independent at a random point, as almost everywhere then."""
+    sampled, (rows, width) = _sampled(own, symbols, [R], 1), R.shape
+    if sampled is None:
+        return False
+    prime, (values,) = sampled
+    found = rank([[values[column * rows + row] for column in range(width)] for row in range(rows)], prime)
+    return bool(found == rows)
 
 
 def _made_of(own: Own, symbols: Symbols, target: SX, vanishing: Sequence[Vanishing]) -> list[str] | None:

@@ -30,6 +30,9 @@ from dmframe.exact.digits import UndefinedHere
 from dmframe.exact.pieces import Course, NotFollowed, follow, moving_operations
 from dmframe.program import CONST, DIVISIONS, EDGES, JUMPS, KINKS, codes, sign_of
 
+SMOOTH_ABOVE: Final = frozenset((ca.OP_SQRT, ca.OP_LOG, ca.OP_LOG1P, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_HYPOT))
+"""Those with an edge that are smooth wherever their operands are above zero; others, such as asin, have edges there."""
+
 HORIZON: Final = 100.0
 """Time over which a function that cannot be followed exactly is looked at [s]."""
 
@@ -121,7 +124,7 @@ def _operations(claim: Claim, part: Part) -> Told:
                 yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
             elif code in KINKS and not is_smooth_over(tape, k):
                 yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
-            elif code in EDGES and not is_above(tape, k):
+            elif code in EDGES and not (code in SMOOTH_ABOVE and is_above(tape, k)):
                 text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
                 yield "assumed", text
 

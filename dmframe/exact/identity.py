@@ -7,6 +7,7 @@ import random
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from hashlib import sha256
 from typing import final
 
 import casadi as ca
@@ -56,7 +57,7 @@ def zero_test(
     *,
     values: Values | None = None,
     trials: int = 3,
-    seed: int = 0,
+    seed: int | None = None,
     bits: int = 127,
     primes: Sequence[int] = (),
 ) -> ZeroTest:
@@ -79,7 +80,8 @@ def zero_test(
     f : SX function of any number of inputs and outputs.
     values : known values of inputs; all others are free symbols, so the answer holds for every value of them.
     trials : number of points, >= 1; each has its own prime.
-    seed : of the random primes and points.
+    seed : of the random primes and points; without it, one that is made of `f` itself, so that nobody can write an
+        expression that vanishes modulo primes known before.
     bits : size of the random primes, >= 121.
     primes : take these primes, one trial each, instead of random ones.
 
@@ -96,6 +98,7 @@ def zero_test(
     tape = Tape.from_function(f)
     known = _known(tape, values or {})
     bound = tape.degrees(known)
+    seed = _own_seed(f) if seed is None else seed
     rng = random.Random(seed)
     used: list[int] = []
     for k in range(len(primes) or trials):
@@ -105,6 +108,10 @@ def zero_test(
             return ZeroTest(False, len(used), tuple(used), bound.degree_total, -math.inf, witness, seed)
     errors = [_log2_error(bound, prime, bits, bool(primes)) for prime in used]
     return ZeroTest(True, len(used), tuple(used), bound.degree_total, sum(errors), None, seed)
+
+
+def _own_seed(f: ca.Function) -> int:
+    return int.from_bytes(sha256(f.serialize().encode()).digest()[:8], "big")
 
 
 def _log2_error(bound: Bound, prime: int, bits: int, given: bool) -> float:

@@ -131,6 +131,7 @@ class PrintedLaw:
             storage=(),
             dissipation=(),
             excess=(),
+            errors=(),
             driven=(),
             estimates=(),
             supply=None,

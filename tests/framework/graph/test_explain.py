@@ -85,7 +85,9 @@ def test_signals_are_told_with_unit_origin_and_reader() -> None:
 
 def test_what_nobody_drives_and_what_nobody_reads_depends_on_the_graph() -> None:
     assert "Nothing drives q̇_null, which is zero here." in said("ur10_fast", "task")
-    assert "Nothing drives τ_task, τ_known, a_d,nominal, Y_f and e_f, which are zero here." in said("ur10_fast", "dynamics")
+    assert "Nothing drives τ_task, τ_known, a_d,nominal, Y_f and e_f, which are zero here." in said(
+        "ur10_fast", "dynamics"
+    )
     assert "Nothing drives" not in said("torque_direct_pi", "adaptation")  # it takes a_d_nominal from its model
     assert "No block reads w or w_I." in said("theorem_3", "inverse")
     assert "No block reads" not in said("torque_indirect_filtered_pi", "inverse")
