@@ -97,8 +97,8 @@ def test_every_block_that_has_equations_of_motion_and_a_certificate_stands_in_a_
     continuous = {k: b for k, b in answering.items() if not any(s.sampled for s in b.states)}
     without = {kind for kind in continuous if not homes(kind, loops())}
     stand_ins = {kind for kind, block in continuous.items() if any(port.instead_of for port in block.outputs)}
-    # they have no certificate; a turn is a source that no small loop follows, held to rotations by hand
-    assert without - stand_ins == {"kinematic_command", "sampled_tracking", "extended_state_observer", "turning"}
+    # they have no certificate
+    assert without - stand_ins == {"kinematic_command", "sampled_tracking", "extended_state_observer"}
 
 
 def test_a_fault_in_the_kinematic_baseline_changes_nothing_since_it_claims_nothing() -> None:
