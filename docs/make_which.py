@@ -181,7 +181,9 @@ def error_of(run: dm.Run) -> str:
 
 
 def shown(value: float, unit: str) -> str:
-    """Three digits in mm or degrees."""
+    """Three digits in mm or degrees; of what has no unit, such as a point of an image, two."""
+    if not unit:
+        return f"{value:.2g}"
     scale, sign = {"m": (1e3, " mm"), "rad": (57.29577951308232, "°")}.get(unit, (1.0, f" {unit}".rstrip()))
     return f"{digits(scale * value)}{sign}"
 
