@@ -7,6 +7,7 @@ from typing import ClassVar, final
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate, Condition, Inequality
+from dmframe.parameter import Real, Scalar
 from dmframe.port import Access, Port
 
 
@@ -18,11 +19,19 @@ class InverseDynamics(AbstractBlock):
 
         \tau_c = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q)   \tag{1}
 
+    and with a model that is wrong
+
+    .. math::
+
+        \tau_c = (1 + \mathrm{off}) (M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + g(q))   \tag{2}
+
     Nothing is estimated and nothing stored. It knows the links, and no friction.
 
     Parameters
     ----------
-    None.
+    off : scalar
+        By what share all masses and inertias of the model are wrong: -0.2 makes it a fifth too light. Left out, the
+        model fits. It is there to show what a wrong model costs: of (2) the proof is refuted.
 
     Notes
     -----
@@ -49,9 +58,12 @@ class InverseDynamics(AbstractBlock):
         Port("g_share"),
     )
 
+    off: Scalar | None = Real(default=None)
+
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """(1)."""
-        return Equations(outputs={"tau_c": p.robot.inverse_dynamics(u.q, u.dq, u.dq_ref, u.ddq_ref)})
+        """(1), or (2)."""
+        torque = p.robot.inverse_dynamics(u.q, u.dq, u.dq_ref, u.ddq_ref)
+        return Equations(outputs={"tau_c": (1 + p.off) * torque if "off" in p else torque})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored."""

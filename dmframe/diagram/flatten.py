@@ -54,7 +54,16 @@ def _led(resolver: Resolver) -> Iterator[tuple[str, str]]:
         if port.endswith("_d") and isinstance(goal, Wire) and isinstance(actual, Wire):
             sides = resolver.models[actual.block].block.side, resolver.models[goal.block].block.side
             if sides == (Side.PLANT, Side.CONTROLLER):
-                yield f"{actual.block}.{actual.port}", f"{goal.block}.{goal.port}"
+                true = _behind(resolver, actual)  # a sensor that stands in for the signal is not what is led
+                yield f"{true.block}.{true.port}", f"{goal.block}.{goal.port}"
+
+
+def _behind(resolver: Resolver, wire: Wire) -> Wire:
+    """The signal for which others may stand in."""
+    block = resolver.models[wire.block].block
+    port = next(port for port in block.outputs if port.name == wire.port)
+    before = resolver.sources.get((wire.block, port.instead_of)) if port.instead_of else None
+    return _behind(resolver, before) if isinstance(before, Wire) else wire
 
 
 def _output(resolver: Resolver, model: BlockModel, port: str) -> SX:

@@ -1,8 +1,8 @@
-"""Ten thousand robots for every packaged controller: ``python docs/study/every_controller.py [RUNS]``.
+"""Ten thousand robots for every packaged controller: ``python docs/study/every_controller.py [RUNS] [GRAPH...]``.
 
 Of each graph the servo's gains and the robot's friction are drawn for each run within a factor of two, and it runs for
 20 s at most. Results go to ``studies/every_controller``, where what is there already is not computed again; the table
-goes to ``every_controller.csv`` and to the page.
+goes to ``every_controller.csv`` and to the page. With names, only their rows are put in, among those that are there.
 """
 
 from __future__ import annotations
@@ -86,11 +86,15 @@ def write(rows: list[dict[str, Any]]) -> None:
 
 def main(words: list[str]) -> None:
     """Run one graph after the other; the table grows with each."""
-    runs, rows = int(words[0]) if words else RUNS, list[dict[str, Any]]()
-    for name in dm.graphs():
+    runs, names = int(words[0]) if words else RUNS, words[1:]
+    rows = dict[str, dict[str, Any]]()
+    if names:
+        with TABLE.open(encoding="utf-8", newline="") as file:
+            rows = {row["graph"]: row for row in csv.DictReader(file)}
+    for name in names or dm.graphs():
         if study_of(name, runs)["sample"].keys() & VARIED.keys():  # others have neither
-            rows.append(row_of(name, runs))
-            write(rows)
+            rows[name] = row_of(name, runs)
+            write([rows[key] for key in sorted(rows)])
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from faulty import verdict_with
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+import dmframe as dm
 from dmframe.block import AbstractBlock
 from dmframe.certificate import Assumption, Certificate, Driven
 from dmframe.certify import Verdict, verify
@@ -137,6 +138,16 @@ def test_the_run_is_judged_by_the_goal_that_the_force_has_moved() -> None:
     assert (error.signal, error.desired) == ("x - x_c", "compliance.x_c")
     assert error.rms_by_eighth[-1] < 0.5e-3
     assert np.linalg.norm((ran(8.0)["arm.x"] - ran(8.0)["path.x_d"])[-1]) > 30e-3
+
+
+def test_behind_an_encoder_it_is_judged_by_the_same_goal_and_the_tools_true_place() -> None:
+    graph = dm.load("ur10_admittance").reality({"encoder": {"step": "1 urad"}, "transport_delay": {"samples": 1}})
+    (goal,) = graph.diagram.loop.goals
+    assert (goal.actual, goal.desired) == ("arm.x", "compliance.x_c")
+    error = graph.run(until="8 s", progress=False, judge=False).error
+    assert error is not None
+    assert error.rms_by_eighth[-1] is not None
+    assert error.rms_by_eighth[-1] < 0.5e-3  # 35 mm from path.x_d
 
 
 def test_a_stiff_wall_asks_for_a_damping_of_more_than_its_stiffness_times_the_period() -> None:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import dmframe as dm
 from dmframe.block import AbstractBlock, Signals
 from dmframe.block.model import model_block
 from dmframe.block.sizes import bind_sizes, parameter_arrays
@@ -124,6 +125,17 @@ def test_inverse_dynamics_is_the_textbooks() -> None:
     found = answer("inverse_dynamics", robot=load("arm2"), q=Q, dq=DQ, dq_ref=dq_ref, ddq_ref=ddq_ref)
     moving = closed_form.mass_matrix(Q) @ ddq_ref + closed_form.coriolis(Q, DQ) @ dq_ref
     np.testing.assert_allclose(found["tau_c"], moving + closed_form.gravity_torque(Q), rtol=1e-11)
+
+
+def test_inverse_dynamics_of_a_wrong_model_is_the_torque_of_a_lighter_arm_and_is_refuted() -> None:
+    signals = {"q": Q, "dq": DQ, "dq_ref": np.array([0.3, 0.8]), "ddq_ref": np.array([-1.0, 2.0])}
+    whole = answer("inverse_dynamics", robot=load("arm2"), **signals)["tau_c"]
+    light = answer("inverse_dynamics", {"off": -0.2}, robot=load("arm2"), **signals)["tau_c"]
+    np.testing.assert_allclose(light, 0.8 * whole, rtol=1e-12)
+    graph = dm.load("computed_torque")
+    assert graph.verify().outcome == "proved"
+    for off in (-0.2, 0.0):  # none but a model that fits by its very equations
+        assert graph.set({"torque.off": off}).verify().outcome == "refuted"
 
 
 def test_a_torque_interface_gives_the_voltage_of_a_torque() -> None:

@@ -1,0 +1,303 @@
+"""Write the tables of docs/how_to/which.md: which controller for which task, and how competitors do on one plant.
+
+    python docs/make_which.py [--draw] [GRAPH...]
+
+What a graph follows, takes, measures, knows and learns is read from it, its verdict is asked for, and its error is that
+of a run; `which.yaml` says only when to take it. All cells are kept in `which.csv` and `which_laws.csv`, of which
+``--draw`` makes the tables without a run. With names only their rows are made anew, and those that are not there.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import casadi as ca
+from ruamel.yaml import YAML
+
+import dmframe as dm
+from dmframe.catalogue import find_graph
+from dmframe.diagram import Diagram
+from dmframe.diagram.knowledge import known_truths
+from dmframe.errors import listed
+from dmframe.formula.names import unicode_name
+from dmframe.port import Side
+from dmframe.results.metrics import goal_of
+from dmframe.simulate.keep import apart_of
+from dmframe.units import plain
+
+DOCS = Path(__file__).parent
+PAGE, WORDS = DOCS / "how_to" / "which.md", DOCS / "which.yaml"
+TABLE, LAWS = DOCS / "which.csv", DOCS / "which_laws.csv"
+FACTS: Final = ("follows", "robot", "servo", "takes", "clock", "measured", "known", "learnt")
+HEADS: Final = ("graph", *FACTS, "proved", "error")
+LAW_HEADS: Final = ("law", "circle", "rms_final", "unit", "diverged_at")
+BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
+LAWS_BEGIN, LAWS_END = "<!-- laws: begin -->", "<!-- laws: end -->"
+
+FOLLOWED: Final = {"q": "joints", "x": "position", "chi": "point of an image"}
+TAKEN: Final = {"rad": "position", "rad/s": "velocity", "N m": "torque"}
+KNOWN: Final = {
+    "lengths": "lengths",
+    "axes": "axes",
+    "tool": "tool",
+    "tool_rotation": "tool's turn",
+    "gravity": "gravity",
+    "friction_velocity": "v₀",
+    "inertia": "masses",
+}
+"""Groups of `dmframe.diagram.knowledge`, short."""
+LEARNT: Final = {
+    "a_k_hat": "lengths",
+    "a_c_hat": "camera",
+    "a_d_hat": "dynamics",
+    "theta": "servo and dynamics over samples",
+    "w": "servo",
+    "w_P": "servo",
+    "w_I": "servo",
+}
+"""States that are estimates of constants."""
+
+
+def words() -> dict[str, Any]:
+    """The hand-written part."""
+    return dict(YAML(typ="safe").load(WORDS.read_text(encoding="utf-8")))
+
+
+def faults(said: Mapping[str, Any], names: Sequence[str]) -> Iterator[str]:
+    """Packaged graphs of which nothing is said, or twice, and words about graphs that there are not."""
+    told, left = said["graphs"].keys(), said["left_out"].keys()
+    yield from (f"{name} has no line in which.yaml" for name in names if name not in told | left)
+    yield from (f"{name} has a line and is left out" for name in sorted(told & left))
+    yield from (f"{name} is no packaged graph" for name in sorted((told | left) - set(names)))
+
+
+def facts(graph: dm.Graph) -> dict[str, str]:
+    """What stands in a graph, cell by cell; its verdict and its error are not here."""
+    diagram, file, robot = graph.diagram, graph.experiment.file, graph.robot
+    return {
+        "follows": followed(diagram),
+        "robot": f"{file.robot.model}, {robot.n} joint{'s' * (robot.n > 1)}" if file.robot and robot else "-",
+        "servo": servo(diagram),
+        "takes": " and ".join(dict.fromkeys(TAKEN[unit] for unit in units_taken(diagram))),
+        "clock": "continuous" if graph.clock is None else plain(graph.clock, "s"),
+        "measured": measured(diagram),
+        "known": known(diagram),
+        "learnt": learnt(diagram),
+    }
+
+
+def followed(diagram: Diagram) -> str:
+    """What is led where, and by how many joints more than that takes."""
+    goal = goal_of(diagram.loop)
+    if goal is None:
+        return "-"
+    what = FOLLOWED[goal.actual.partition(".")[2]]
+    rows = int(goal.found.numel())
+    if apart_of(diagram.loop) is not None:
+        what, rows = f"{what} and orientation", rows + 3
+    moves = ca.depends_on(goal.wanted, diagram.loop.time) or any(
+        ca.depends_on(leaf.expression, diagram.loop.time)
+        for leaf in diagram.loop.trajectories
+        if ca.depends_on(goal.wanted, leaf.symbol)
+    )
+    led = goal.desired.partition(".")[0]
+    block = diagram.blocks.get(led)
+    if block is not None and block.side is Side.CONTROLLER:
+        what, moves = f"{what}, as `{diagram.type_of(led)}` shifts it", True
+    free = diagram.robot.n - rows if diagram.robot is not None else 0
+    told = "a path that waits" if diagram.loop.paced else "a path" if moves else "a point"
+    return f"{what}; {told}" + (f"; {free} joint{'s' * (free > 1)} redundant" if free > 0 else "")
+
+
+def servo(diagram: Diagram) -> str:
+    """The kind of the closed servo, by its block's name."""
+    types = [diagram.type_of(name) for name, block in diagram.blocks.items() if block.side is Side.PLANT]
+    return next((kind.removesuffix("_servo").upper() for kind in types if kind.endswith("_servo")), "none")
+
+
+def units_taken(diagram: Diagram) -> list[str]:
+    """Units of what the plant takes."""
+    units = {signal.label: signal.unit for signal in diagram.loop.outputs}
+    return [units[leaf.name] for leaf in diagram.loop.commanded]
+
+
+def measured(diagram: Diagram) -> str:
+    """Ports of the plant that the controller reads; what it has commanded itself is none."""
+    own = {end.partition(".")[2] for end in (leaf.name for leaf in diagram.loop.measured)}
+    return ", ".join(unicode_name(name) for name in sorted(own - {"q_c"}, key=lambda name: (len(name), name)))
+
+
+def known(diagram: Diagram) -> str:
+    """The robot's true numbers that the controller holds; the regressor has true lengths where the task learns them."""
+    holds = known_truths(diagram)
+    groups = {group for block in holds for group in block.groups}
+    cells = []
+    for group, word in KNOWN.items():
+        if group in groups:
+            alone = group == "lengths" and "a_k_hat" in estimates(diagram)
+            cells.append(f"{word} (of the regressor)" if alone else word)
+    return ", ".join(cells) or "-"
+
+
+def estimates(diagram: Diagram) -> dict[str, int]:
+    """Estimates of constants, and how many numbers each has."""
+    return {
+        variable.name: int(variable.symbol.numel()) for variable in diagram.loop.controller if variable.name in LEARNT
+    }
+
+
+def learnt(diagram: Diagram) -> str:
+    """What is estimated, with the count of its numbers."""
+    declared = {item.name for model in diagram.models.values() for item in model.estimates}
+    found, counts = estimates(diagram), dict[str, int]()
+    if missing := declared - found.keys():
+        raise KeyError(f"{listed(sorted(missing))}: no words in LEARNT")
+    for name in (name for name in LEARNT if name in found):
+        counts[LEARNT[name]] = counts.get(LEARNT[name], 0) + found[name]
+    return ", ".join(f"{word} ({count})" for word, count in counts.items()) or "nothing"
+
+
+def row_of(name: str) -> dict[str, str]:
+    """The row of a graph, all of it."""
+    graph = dm.load(name)
+    verdict = graph.verify()
+    proved = "no: nothing is claimed" if verdict.outcome == "not_applicable" else verdict.headline
+    return {"graph": name, **facts(graph), "proved": proved, "error": error_of(graph.run(progress=False, judge=False))}
+
+
+def error_of(run: dm.Run) -> str:
+    """The RMS over the last eighth in mm and degrees."""
+    if run.divergence is not None:
+        return f"diverges at {plain(run.divergence.time, 's')}"
+    error, turn = run.error, run.turn
+    if error is None or error.rms_final is None:
+        return "-"
+    told = shown(error.rms_final, error.unit)
+    return told if turn is None or turn.rms_final is None else f"{told}, {turn.rms_final:.2g}°"
+
+
+def shown(value: float, unit: str) -> str:
+    """Three digits in mm or degrees; of what has no unit, such as a point of an image, two."""
+    if not unit:
+        return f"{value:.2g}"
+    scale, sign = {"m": (1e3, " mm"), "rad": (57.29577951308232, "°")}.get(unit, (1.0, f" {unit}".rstrip()))
+    return f"{digits(scale * value)}{sign}"
+
+
+def digits(value: float) -> str:
+    """Three significant ones without an exponent."""
+    places = max(0, 2 - int(f"{value:e}".partition("e")[2]))
+    return f"{value:.{min(places, 6)}f}"
+
+
+def law_of(cell: str | Mapping[str, Any], on: str) -> dm.Graph:
+    """The controller of a cell on the plant, path and clock of a packaged graph."""
+    if isinstance(cell, str):
+        return dm.load(cell)
+    plant = _document(on)
+    keep = {name for name, block in dm.load(on).blocks.items() if block.side is not Side.CONTROLLER}
+    other = _document(cell["of"]) if "of" in cell else cell
+    own = {name: block for name, block in plant["blocks"].items() if name in keep}
+    blocks = {name: block for name, block in other["blocks"].items() if name not in keep or "of" not in cell}
+    plant["blocks"] = own | blocks
+    plant["wires"] = dict(other.get("wires", {}))
+    plant.pop("baseline", None)
+    return dm.load(plant).set(cell.get("set", {}))
+
+
+def _document(name: str) -> dict[str, Any]:
+    return dict(YAML(typ="safe").load(find_graph(name).read_text(encoding="utf-8")))
+
+
+def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[str, Any]:
+    """What a law does on a circle."""
+    run = law_of(law["cells"][k], circle["on"]).run(progress=False, judge=False)
+    row = {"law": law["title"], "circle": circle["title"], "rms_final": "", "unit": "", "diverged_at": ""}
+    if run.divergence is not None:
+        return row | {"diverged_at": run.divergence.time}
+    assert run.error is not None  # each follows a circle
+    return row | {"rms_final": run.error.rms_final, "unit": run.error.unit}
+
+
+def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+    """The table of graphs, in the order of the words."""
+    by_name = {row["graph"]: row for row in rows}
+    heads = ["take it when", "graph", "follows", "robot", "servo, takes, clock"]
+    heads += ["measured", "known exactly", "learnt", "proved", "error"]
+    yield f"| {' | '.join(heads)} |"
+    yield "|" + "---|" * len(heads)
+    for name, word in said["graphs"].items():
+        row = by_name[name]
+        interface = f"{row['servo']}, {row['takes']}, {row['clock']}"
+        cells = [word["when"], f"[`{name}`]({word['page']})", row["follows"], row["robot"], interface]
+        yield f"| {' | '.join([*cells, *(row[key] for key in HEADS[6:])])} |"
+
+
+def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+    """The table of laws, one column a circle."""
+    titles = [circle["title"] for circle in said["circles"]]
+    by_cell = {(row["law"], row["circle"]): row for row in rows}
+    yield f"| law | {' | '.join(titles)} |"
+    yield "|" + "---|" * (1 + len(titles))
+    for law in said["laws"]:
+        yield f"| {law['title']} | {' | '.join(_cell(by_cell[law['title'], title]) for title in titles)} |"
+
+
+def _cell(row: Mapping[str, str]) -> str:
+    if row["diverged_at"]:
+        return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
+    return shown(float(row["rms_final"]), row["unit"])
+
+
+def read(path: Path) -> list[dict[str, str]]:
+    """The rows that are kept."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def write(path: Path, heads: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
+    """Keep rows."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, heads, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def fill(text: str, rows: list[dict[str, str]], laws: list[dict[str, str]], said: Mapping[str, Any]) -> str:
+    """The page with its tables put in."""
+    parts = ((BEGIN, END, table(rows, said)), (LAWS_BEGIN, LAWS_END, law_table(laws, said)))
+    for begin, end, lines in parts:
+        before, _, rest = text.partition(begin)
+        text = "".join([before, begin, "\n", "\n".join(lines), "\n", end, rest.partition(end)[2]])
+    return text
+
+
+def draw() -> None:
+    """The page from what is kept."""
+    text = fill(PAGE.read_text(encoding="utf-8"), read(TABLE), read(LAWS), words())
+    PAGE.write_text(text, encoding="utf-8")
+
+
+def main(names: list[str]) -> None:
+    """Make rows, keep them, and draw the page."""
+    said = words()
+    if wrong := list(faults(said, dm.graphs())):
+        sys.exit("\n".join(wrong))
+    if "--draw" not in names:
+        kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
+        for name in said["graphs"]:
+            if name not in kept or name in names:
+                kept[name] = row_of(name)
+                sys.stderr.write(f"{name}\n")
+        write(TABLE, HEADS, [kept[name] for name in said["graphs"]])
+        if not names or not LAWS.exists():
+            write(LAWS, LAW_HEADS, [law_row(law, k, c) for law in said["laws"] for k, c in enumerate(said["circles"])])
+    draw()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
