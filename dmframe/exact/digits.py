@@ -131,6 +131,10 @@ def _cosh(x: Decimal) -> Decimal:
     return (x.exp() + (-x).exp()) / 2
 
 
+def _tanh(x: Decimal) -> Decimal:
+    return _sinh(x) / _cosh(x) if abs(x) < 2 * CONTEXT.prec else _sign(x)  # beyond, 1 to all digits
+
+
 def _asinh(x: Decimal) -> Decimal:
     return _sign(x) * (abs(x) + (x * x + 1).sqrt()).ln()
 
@@ -192,7 +196,7 @@ FUNCTIONS: Final[dict[int, Callable[..., Decimal]]] = ARITHMETIC | by_code(
         "fmax": max,
         "sinh": _sinh,
         "cosh": _cosh,
-        "tanh": lambda x: _sinh(x) / _cosh(x),
+        "tanh": _tanh,
         "asinh": _asinh,
         "acosh": lambda x: (x + (x * x - 1).sqrt()).ln(),
         "atanh": lambda x: ((1 + x) / (1 - x)).ln() / 2,

@@ -19,7 +19,20 @@ from dmframe.formula.elements import Elements
 from dmframe.formula.fold import folded, is_difference, names_of
 from dmframe.formula.formula import Formula
 from dmframe.formula.law import ROLES, Energy, Line, PrintedLaw, line, lines, rate_of
-from dmframe.formula.points import MOST, NEAR, POINTS, Draw, Sides, differs, equal, is_rounding, jittered, switching
+from dmframe.formula.points import (
+    MOST,
+    NEAR,
+    POINTS,
+    Draw,
+    Sides,
+    agree,
+    differs,
+    equal,
+    in_digits,
+    is_rounding,
+    jittered,
+    switching,
+)
 from dmframe.formula.read import UnreadableError, read
 from dmframe.formula.reading import Evaluated, Reading, Signs, place_of
 from dmframe.formula.robot import RobotFunctions
@@ -223,7 +236,9 @@ class ReadBlock:
             numbers = first.at(values), second.at(values)
             for place, (label, one, two) in enumerate(zip(open_labels, *numbers, strict=True)):
                 moved = ((first.at(near)[place], second.at(near)[place]) for near in jittered(values))
-                if differs(one, two) and not is_rounding(one, two, moved):
+                if not differs(one, two) or is_rounding(one, two, moved):
+                    continue
+                if not agree(first.in_digits(values, place), second.in_digits(values, place)):
                     raise self._fault(method, label)
             for side, found in zip(sides, turns, strict=True):
                 side.see(found.at(values)[0])
@@ -276,7 +291,9 @@ class ReadBlock:
                 one, two = numbers[place], numbers[place + len(open_labels)]
                 near = (function.call([moved["point"], values]) for moved in jittered({"point": point}))
                 moved = ((found[place].full(), found[place + len(open_labels)].full()) for found in near)
-                if differs(one, two) and not is_rounding(one, two, moved):
+                if not differs(one, two) or is_rounding(one, two, moved):
+                    continue
+                if not agree(*(in_digits(function, [point, values], k) for k in (place, place + len(open_labels)))):
                     raise self._fault("certificate", label)
             sides.see(turned)
             if seed + 1 >= POINTS and sides.complete:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from decimal import Decimal
 from functools import partial
 from typing import Any, Final, final
 
@@ -10,7 +11,8 @@ import casadi as ca
 import numpy as np
 
 from dmframe.errors import ValueFault
-from dmframe.exact import zero_test
+from dmframe.exact import Tape, zero_test
+from dmframe.exact.digits import UndefinedHere, at_point
 from dmframe.program import OPERATIONS, codes, read, run
 
 POINTS: Final = 6
@@ -110,6 +112,27 @@ def is_rounding(first: np.ndarray, second: np.ndarray, moved: Iterable[tuple[np.
             spreads[place] = np.fmax(spreads[place], np.abs(np.nan_to_num(there - here)))
     allowed = _CLOSE * np.maximum(np.abs(first), np.abs(second)) + _SPREADS * np.min(spreads, axis=0)
     return bool(np.all(np.abs(first - second)[finite] <= allowed[finite]))
+
+
+def in_digits(function: Any, given: Sequence[Any], place: int) -> np.ndarray | None:
+    """One result of a function, computed with so many digits that rounding leaves no trace; None where that fails.
+
+    Where a matrix is inverted that has no inverse but for rounding, or a sign taken of what is zero but for it, floats
+    are no witnesses: not one of their digits is right.
+    """
+    symbols = [ca.SX.sym(f"given{k}", function.size_in(k)) for k in range(function.n_in())]
+    try:
+        scalars = ca.Function("scalars", symbols, [function.call(symbols)[place]])
+        numbers = [[*map(Decimal, ca.densify(ca.DM(value)).nonzeros())] for value in given]
+        (found,) = at_point(Tape.from_function(scalars), numbers)
+    except (RuntimeError, ValueFault, UndefinedHere):  # no scalars, another operation, no value at this point
+        return None
+    return np.array(found, float).reshape(scalars.size_out(0), order="F")
+
+
+def agree(first: np.ndarray | None, second: np.ndarray | None) -> bool:
+    """True for numbers `in_digits` that are there, and the same."""
+    return first is not None and second is not None and not differs(first, second)
 
 
 def jittered(values: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

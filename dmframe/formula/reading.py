@@ -19,7 +19,7 @@ from dmframe.block.model import BlockModel
 from dmframe.block.symmetric import full_gains, lower_triangle
 from dmframe.certificate import Certificate, Consumed
 from dmframe.errors import BlockError
-from dmframe.formula.points import Draw, switching
+from dmframe.formula.points import Draw, in_digits, switching
 from dmframe.formula.robot import CONSTANTS, ReadRobot, RobotFunctions
 from dmframe.naming import Expression, Naming, NamingError, as_mx, expression_of, reading
 from dmframe.port import PERIOD
@@ -228,12 +228,19 @@ class Evaluated:
 
     def at(self, values: Mapping[str, Any]) -> list[np.ndarray]:
         """Their numbers."""
+        return [value.full() for value in self._function.call(self._given(values))]
+
+    def in_digits(self, values: Mapping[str, Any], place: int) -> np.ndarray | None:
+        """The numbers of one of them, as `dmframe.formula.points.in_digits` has them."""
+        return in_digits(self._function, self._given(values), place)
+
+    def _given(self, values: Mapping[str, Any]) -> list[Any]:
         given = [ca.DM(*s.shape) if name in self.zero else values[name] for name, s in self.symbols.items()]
         for place, name in enumerate(self.symbols):
             if name in self._lower:
                 _, rows, columns = self._lower[name]
                 given[place] = np.asarray(values[name])[rows, columns]
-        return [value.full() for value in self._function.call(given)]
+        return given
 
     def of(self, symbols: Mapping[str, Any]) -> list[Any]:
         """The same expressions in other symbols, SX."""

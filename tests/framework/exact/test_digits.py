@@ -37,6 +37,13 @@ def test_functions_agree_with_mpmath_to_fifty_digits(name: str, at: str) -> None
         assert abs(mpmath.mpf(str(value_of(e, at))) / reference - 1) < mpmath.mpf("1e-50")
 
 
+@pytest.mark.parametrize("at", ["139.9", "140.1", "-3e18", "1e99"])
+def test_a_large_argument_of_tanh_is_no_overflow(at: str) -> None:
+    with mpmath.workdps(200):
+        reference = mpmath.tanh(mpmath.mpf(at))
+    assert abs(mpmath.mpf(str(value_of(ca.tanh(x), at))) - reference) < mpmath.mpf("1e-69")
+
+
 @pytest.mark.parametrize(("a", "b"), [("0.4", "-1.3"), ("-0.4", "-1.3"), ("2", "0.5"), ("-7.5", "2"), ("1", "0.25")])
 def test_functions_of_two_arguments_agree_with_the_mathematics_library(a: str, b: str) -> None:
     p, q = float(a), float(b)

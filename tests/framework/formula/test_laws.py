@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from copy import copy
+from dataclasses import fields, replace
 from itertools import chain, repeat
 from typing import ClassVar, final
 
 import casadi as ca
+import numpy as np
 import pytest
 
 from dmframe.block import AbstractBlock, Equations, Signals
@@ -17,8 +19,9 @@ from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
-from dmframe.formula.alone import law_of_type, options_of, plainest, variants
+from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
 from dmframe.formula.names import unicode_name
+from dmframe.formula.points import agree, in_digits
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
 from dmframe.naming import named
@@ -26,6 +29,7 @@ from dmframe.parameter import Diagonal, Positive
 from dmframe.port import Port, Side, State
 from dmframe_blocks.adaptive_kinematics import links, tool
 from dmframe_blocks.regressor import heavy
+from dmframe_blocks.sampled_inverse import SampledInverse
 
 
 @pytest.mark.parametrize("name", list(block_types()))
@@ -299,3 +303,27 @@ class FarTwice(AbstractBlock):
 def test_a_difference_that_lives_far_away_is_seen(block):
     with pytest.raises(BlockError, match="is not the same when"):
         laws_of(Diagram.build({"far": block}))
+
+
+def test_where_floats_are_no_witnesses_more_digits_are():
+    """At some points of this law a matrix has no inverse but for rounding, and signs are rounding's."""
+    assert law_of_type(SampledInverse, delay=2) is not None
+
+
+@pytest.mark.parametrize("name", ["dq_c", "q_start"])
+def test_what_lies_in_the_eighth_digit_is_told_there_too(name):
+    read = read_type(SampledInverse, delay=2)
+    outputs = {**read.stated.outputs, name: read.stated.outputs[name] * (1 + 3e-7)}
+    lying = copy(read)
+    lying.stated = replace(read.stated, outputs=outputs)
+    with pytest.raises(BlockError, match=f"the output {name}[^;]*is not the same"):
+        lying.compare()
+
+
+def test_digits_are_as_many_as_the_expression_loses():
+    x = ca.MX.sym("x", 2)
+    lost = ca.Function("lost", [x], [ca.sin(x), ca.inv(ca.vertcat(ca.horzcat(x[0], 1), ca.horzcat(1, 1 / x[0]))) @ x])
+    lost_less = ca.Function("less", [x], [(x[0] + 1e25 * x) - 1e25 * x])
+    assert in_digits(lost, [[3, 1]], 1) is None  # no inverse at all: no digits help
+    assert in_digits(lost_less, [[3, 1]], 0) == pytest.approx(np.full((2, 1), 3), rel=1e-15)
+    assert not agree(None, None)
