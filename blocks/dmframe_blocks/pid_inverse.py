@@ -39,7 +39,7 @@ class PidInverse(AdaptingBlock):
         \dot w_I &= \Lambda_I z \sigma                                    \tag{5}
 
     So the velocity reference is tied to the robot, eq. (32): what Section V runs, and what a cascade such as
-    `task_tracking` asks for, which then consumes :math:`|s|^2, s = \dot q - \dot q_r`. With ``tie: position`` the
+    `known_tracking` asks for, which then consumes :math:`|s|^2, s = \dot q - \dot q_r`. With ``tie: position`` the
     reference position is tied instead, eq. (34), under a name of its own: :math:`\dot q_{ref} = \dot q_r` and
     :math:`\dot q_{tie} = \dot q_r + K_c (q - q_{tie})` stands for :math:`q_r` everywhere. A passive filter
     needs that one.

@@ -35,7 +35,7 @@ class PoseTracking(AbstractBlock):
     twice the sine of its angle.
 
     With :math:`b = J_{pose}^\top e` and :math:`s = \dot q - \dot q_r` it is a cascade on the servo level, of which it
-    consumes :math:`|s|^2 / \gamma`, as `task_tracking`:
+    consumes :math:`|s|^2 / \gamma`, as `known_tracking`:
 
     .. math::
 

@@ -40,7 +40,7 @@ class SaturatedTracking(AbstractBlock):
     Parameters
     ----------
     gamma : scalar, rad^2/(m^2 s), > 0
-        Task gain near the path, as of `task_tracking`.
+        Task gain near the path, as of `known_tracking`.
     width : diagonal (m,), m, > 0
         Error of a coordinate at which its force is down to 0.71 of the linear one; far away it is the width.
 

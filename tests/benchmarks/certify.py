@@ -58,7 +58,7 @@ class Case:
         robot, n, m = ROBOTS[self.robot]
         kind, gains, boxes = INVERSES[self.servo]
         goal = f"q_d: {[0.5] * n}" if self.task == "joint" else f"x_d: {[0.3] * m}"
-        task = "{type: joint_tracking, alpha_bar: 2}" if self.task == "joint" else "{type: task_tracking, gamma: 0.8}"
+        task = "{type: joint_tracking, alpha_bar: 2}" if self.task == "joint" else "{type: known_tracking, gamma: 0.8}"
         extra = f", w_box: [0, 0.01], {boxes}" if self.projection else ""
         estimate = ", a_d_hat_box: [-100, 100]" if self.projection else ""
         lines = [

@@ -33,7 +33,7 @@ GENERATORS = {
     "filtered_regulation": (GOAL, FILTERED, tuple(KINEMATICS)),
     "observed_regulation": (GOAL, OBSERVED, tuple(KINEMATICS)),
     "observed_tracking": (CIRCLE, OBSERVED, tuple(KINEMATICS)),
-    "known_tracking": (CIRCLE, "  task: {type: task_tracking, gamma: 1}\n", ("known",)),
+    "known_tracking": (CIRCLE, "  task: {type: known_tracking, gamma: 1}\n", ("known",)),
     "joint_tracking": ("", "  task: {type: joint_tracking, alpha_bar: 2}\n", ("",)),
 }
 SERVOS = {

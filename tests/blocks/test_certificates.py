@@ -43,7 +43,7 @@ def build(robot: str, task: str, servo: str, folder: Path) -> Diagram:
     inverse, law, _ = SERVOS[servo]
     if task == "task":
         source = "{type: circle, rate: 1, " + circle[1:]
-        generator = "  geometry: {type: kinematics}\n  task: {type: task_tracking, gamma: 0.8}\n"
+        generator = "  geometry: {type: kinematics}\n  task: {type: known_tracking, gamma: 0.8}\n"
     else:
         source = f"{{type: sinusoid, center: {[0.4] * n}, amplitude: 0.3, rate: 1.1}}"
         generator = "  task: {type: joint_tracking, alpha_bar: 1.7}\n"

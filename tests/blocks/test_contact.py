@@ -178,7 +178,7 @@ blocks:
   path:       {type: circle, center: [0.5, 0.4], radius: 0.1, rate: 1 rad/s}
   geometry:   {type: kinematics}
   compliance: {type: admittance, M_a: 10, D_a: 200, K_a: 400}
-  task:       {type: task_tracking, gamma: 1}
+  task:       {type: known_tracking, gamma: 1}
   model:      {type: regressor}
   dynamics:   {type: dynamic_compensator, Gamma: 1}
   inverse:    {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 4, w_I_box: [1, 10]}

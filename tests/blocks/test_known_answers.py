@@ -94,10 +94,10 @@ def test_joint_tracking_leads_the_error_back() -> None:
     close(found["dq_r"], [0.1 - 1.5, 0.2 + 1.5])
 
 
-def test_task_tracking_inverts_the_jacobian_and_pulls_towards_the_path() -> None:
+def test_known_tracking_inverts_the_jacobian_and_pulls_towards_the_path() -> None:
     J = np.array([[1.0, 2.0], [0.5, -1.0]])
     x, x_d, dx_d = np.array([0.3, 0.1]), np.array([0.2, 0.4]), np.array([1.0, -0.5])
-    found = answer("task_tracking", {"gamma": 0.8}, J_hat=J, x=x, x_d=x_d, dx_d=dx_d)
+    found = answer("known_tracking", {"gamma": 0.8}, J_hat=J, x=x, x_d=x_d, dx_d=dx_d)
     close(found["dq_r"], np.linalg.solve(J, dx_d) - 0.8 * J.T @ (x - x_d))
 
 

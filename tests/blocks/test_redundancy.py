@@ -29,7 +29,7 @@ SERVOS = {
     ),
 }
 GENERATORS = {
-    "known": "  geometry: {type: kinematics}\n  task: {type: task_tracking, gamma: 1}\n",
+    "known": "  geometry: {type: kinematics}\n  task: {type: known_tracking, gamma: 1}\n",
     "observed": (
         "  geometry: {type: adaptive_kinematics, Gamma_k: 0.5, start_error: 0.02}\n"
         "  observer: {type: task_observer, beta: 2}\n  task: {type: observed_tracking, gamma: 2}\n"
@@ -90,7 +90,7 @@ def test_the_reference_gains_the_null_space_velocity_without_what_the_tool_would
 def test_a_generator_that_does_not_keep_it_out_of_the_task_is_refuted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kind: Any = find_block("task_tracking")
+    kind: Any = find_block("known_tracking")
     honest = kind.equations
 
     def leaking(self: Any, u: Any, x: Any, p: Any) -> Equations:

@@ -33,12 +33,12 @@ def test_its_feedback_is_the_slope_of_the_energy_and_never_beyond_its_reach(size
     feedback = np.linalg.norm(found - np.linalg.pinv(J) @ dx_d)
     assert feedback <= GAMMA * np.linalg.norm(J, 2) * np.linalg.norm(WIDTH)
     if size < 1e-3:
-        np.testing.assert_allclose(found, reference("task_tracking", x, J, dx_d), rtol=1e-8)
+        np.testing.assert_allclose(found, reference("known_tracking", x, J, dx_d), rtol=1e-8)
 
 
 def test_from_far_away_it_asks_for_less_than_a_linear_feedback_and_arrives() -> None:
     graph = dm.load("ur10_saturated")
-    linear = graph.set({"blocks.task": {"type": "task_tracking", "gamma": 2}})
+    linear = graph.set({"blocks.task": {"type": "known_tracking", "gamma": 2}})
     first = [float(np.max(np.abs(each.run(until=2).data["inverse.dq_c"].values))) for each in (graph, linear)]
     assert first[0] < 0.25 < 0.7 < first[1]
     run = graph.run(until=30)

@@ -33,7 +33,7 @@ start: {q: [0.5, 0.9]}
 blocks:
   goal:     {type: setpoint, x_d: [0.5, 0.4]}
   geometry: {type: kinematics}
-  task:     {type: task_tracking, gamma: 1}
+  task:     {type: known_tracking, gamma: 1}
   inverse:  {type: kinematic_command}
   servo:    {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}
   arm:      {type: manipulator}

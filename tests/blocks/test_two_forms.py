@@ -16,7 +16,7 @@ GENERATORS = {
     ),
     "known": (
         "{type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1}",
-        "  geometry: {type: kinematics}\n  task: {type: task_tracking, gamma: 2}\n",
+        "  geometry: {type: kinematics}\n  task: {type: known_tracking, gamma: 2}\n",
     ),
     "passive": (
         "{type: setpoint, x_d: [0.5, 0.3]}",

@@ -49,7 +49,7 @@ def test_each_block_is_in_one_family_and_the_index_links_to_each_page_once() -> 
     assert sorted(LINK.findall(re.sub(r"```.*?```", "", index, flags=re.DOTALL))) == sorted(KINDS)
     families = {name: make_blocks.family(kind) for name, kind in KINDS.items()}
     assert {families[name] for name in ("circle", "setpoint")} == {"paths"}
-    assert (families["task_tracking"], families["task_observer"]) == ("references", "models")
+    assert (families["known_tracking"], families["task_observer"]) == ("references", "models")
     assert (families["dynamic_compensator"], families["pid_inverse"]) == ("adaptation", "commands")
     assert families["pid_servo"] == "plant"
 
@@ -94,7 +94,7 @@ def test_the_example_is_the_smallest_graph_that_holds_the_block_and_claims_somet
     assert (shown.graph, shown.block) == ("pendulum", "dynamics")
     assert "ur10_fast" in shown.others
     assert "pendulum" not in shown.others
-    tracking = block_examples.example("task_tracking")
+    tracking = block_examples.example("known_tracking")
     assert tracking is not None
     assert not tracking.graph.endswith("kinematic")  # smaller, and proves nothing
     assert block_examples.example("no_such_block") is None

@@ -37,7 +37,7 @@ start: {{q: [{q1}, {q2}]}}
 blocks:
   path:     {{type: setpoint, x_d: [{x}, {z}]}}
   geometry: {{type: {geometry}}}
-  task:     {{type: task_tracking, gamma: 1}}
+  task:     {{type: known_tracking, gamma: 1}}
   model:    {{type: regressor}}
   dynamics: {{type: dynamic_compensator, Gamma: 1}}
   inverse:  {{type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 1}}

@@ -103,7 +103,7 @@ def loop_of(
     source = source or {"task": "circle" if m > 1 else "setpoint", "joint": "sinusoid"}[task]
     specs = {"path": (source, _path(source, task, n, m))}
     if task == "task":
-        specs |= {"geometry": ("kinematics", {}), "task": ("task_tracking", {"gamma": 0.8})}
+        specs |= {"geometry": ("kinematics", {}), "task": ("known_tracking", {"gamma": 0.8})}
     else:
         specs |= {"task": ("joint_tracking", {"alpha_bar": 2})}
     kinds = FRICTION[friction]

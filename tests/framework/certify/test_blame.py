@@ -22,7 +22,7 @@ from dmframe.exact import zero_test
 from dmframe.robot.library import load
 
 PROVABLE = {
-    "PI": ["kinematics", "task_tracking"],
+    "PI": ["kinematics", "known_tracking"],
     "joint PI": ["joint_tracking", "regressor", "dynamic_compensator", "pi_inverse", "pi_servo", "manipulator"],
     "joint PID": ["pid_inverse", "pid_servo"],
 }

@@ -29,7 +29,7 @@ solver: {method: rk4}
 blocks:
   path:     {type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
   geometry: {type: kinematics}
-  task:     {type: task_tracking, gamma: 0.8}
+  task:     {type: known_tracking, gamma: 0.8}
   model:    {type: regressor, friction: [viscous]}
   dynamics: {type: dynamic_compensator, Gamma: 1}
   inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}
@@ -152,6 +152,6 @@ def test_several_faults_are_told_in_the_order_of_the_file(tmp_path: Path, monkey
     assert [fault.location for fault in caught.value.faults] == [
         "g.yaml:3:8",
         "g.yaml:4:8",
-        "g.yaml:11:35",
+        "g.yaml:11:36",
         "g.yaml:15:35",
     ]

@@ -12,7 +12,7 @@ from dmframe.errors import DmframeError, DocumentError, Faults, MissingError, Va
 GRAPH = """\
 dmframe: 1
 blocks:
-  task: {type: task_tracking, gama: 0.8}
+  task: {type: known_tracking, gama: 0.8}
   arm:
     viscous: [5, 5,
       2]
@@ -31,7 +31,7 @@ def test_a_graph_becomes_plain_data() -> None:
     assert document.name == "graph.yaml"
     assert document.data == {
         "dmframe": 1,
-        "blocks": {"task": {"type": "task_tracking", "gama": 0.8}, "arm": {"viscous": [5, 5, 2]}},
+        "blocks": {"task": {"type": "known_tracking", "gama": 0.8}, "arm": {"viscous": [5, 5, 2]}},
     }
 
 
@@ -43,8 +43,8 @@ def test_a_graph_becomes_plain_data() -> None:
         (("dmframe",), True, "1:1"),
         (("blocks",), True, "2:1"),
         (("blocks", "task"), False, "3:9"),
-        (("blocks", "task", "gama"), True, "3:31"),
-        (("blocks", "task", "gama"), False, "3:37"),
+        (("blocks", "task", "gama"), True, "3:32"),
+        (("blocks", "task", "gama"), False, "3:38"),
         (("blocks", "arm", "viscous", 2), False, "6:7"),
         (("blocks", "arm", "viscous", 2), True, "6:7"),
     ],

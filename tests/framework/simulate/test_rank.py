@@ -20,7 +20,7 @@ def graph(folder: Path, goal: str, start: str) -> Path:
     file = folder / "graph.yaml"
     file.write_text(
         f"dmframe: 1\nrobot: arm2\nclock: 4 ms\nduration: 4\nstart: {{q: {start}}}\nblocks:\n"
-        f"  goal: {goal}\n  geometry: {{type: kinematics}}\n  task: {{type: task_tracking, gamma: 4}}\n"
+        f"  goal: {goal}\n  geometry: {{type: kinematics}}\n  task: {{type: known_tracking, gamma: 4}}\n"
         "  inverse: {type: kinematic_command}\n  servo: {type: pi_servo, K_P: [60, 30], K_I: [240, 120]}\n"
         "  arm: {type: manipulator}\n",
         encoding="utf-8",
@@ -84,7 +84,7 @@ def test_an_arm_that_swings_through_its_stretched_pose_is_told_as_its_closed_for
     swing = "{type: sinusoid, center: [0.3, 0], amplitude: [0.1, 0.5], rate: 2, phase: 1}"
     file = graph(tmp_path, swing, "[0.3, 0.4]")
     text = file.read_text(encoding="utf-8").replace(
-        "{type: task_tracking, gamma: 4}", "{type: joint_tracking, alpha: 4}"
+        "{type: known_tracking, gamma: 4}", "{type: joint_tracking, alpha: 4}"
     )
     file.write_text(text, encoding="utf-8")
     done = run(file, 2.0)

@@ -34,7 +34,7 @@ PID = ("{type: pi_servo, K_P: [60, 30], K_I: [240, 120]}", "{type: pid_servo, K_
 TASK = (
     "  goal:    {type: setpoint, q_d: [0.6, 0.9]}\n  task:    {type: joint_tracking, alpha_bar: 2}\n",
     "  goal:    {type: setpoint, x_d: [0.5, 0.4]}\n  geometry: {type: kinematics}\n"
-    "  task:     {type: task_tracking, gamma: 1}\n",
+    "  task:     {type: known_tracking, gamma: 1}\n",
 )
 
 

@@ -25,7 +25,7 @@ start: {near: [0.5, 0.5]}
 blocks:
   path:     {type: circle, center: [0.5, 0.3], radius: 0.1, rate: 1 rad/s}
   geometry: {type: kinematics}
-  task:     {type: task_tracking, gamma: 0.8}
+  task:     {type: known_tracking, gamma: 0.8}
   model:    {type: regressor, friction: [viscous]}
   dynamics: {type: dynamic_compensator, Gamma: 1}
   inverse:  {type: pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 2}

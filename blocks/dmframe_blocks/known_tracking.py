@@ -14,7 +14,7 @@ from dmframe.port import Port
 
 
 @final
-class TaskTracking(AbstractBlock):
+class KnownTracking(AbstractBlock):
     r"""Joint reference that leads the tool onto its path.
 
     .. math::
