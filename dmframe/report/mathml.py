@@ -16,6 +16,7 @@ _BRACES: Final = {"{": 1, "}": -1}
 LONG: Final = 120
 """Characters of LaTeX beyond which a term may be broken inside of its brackets."""
 _WORDS: Final = re.compile(r"(?<=_)\{([A-Za-z]{2,})\}|\\mathrm\{([A-Za-z]+)\}")
+_UNDERSCORED: Final = re.compile(r"\\operatorname\{([A-Za-z0-9]+(?:\\_[A-Za-z0-9]+)+)\}")
 _FUNCTION: Final = re.compile(r"(</m(?:i|n|sub|sup|subsup|frac)>)(<m([io])>(?:sin|cos|tanh|min|max)</m\3>)")
 _ACCENT: Final = re.compile(r"<mo[^>]*>&#x0(007E|02D9|00A8|00AF|005E);</mo></mover>")
 _ACCENTS: Final = {"005E": "&#x02C6;", "007E": "&#x02DC;", "02D9": "&#x02D9;", "00A8": "&#x00A8;", "00AF": "&#x00AF;"}
@@ -100,6 +101,7 @@ def _cut(latex: str, brackets: Mapping[str, int]) -> list[str]:
 
 def _prepared(latex: str) -> str:
     """Words in indices upright, bars that grow with what they hold."""
+    latex = _UNDERSCORED.sub(lambda found: rf"{{\text{{{found[1]}}}}}".replace(r"\_", "_"), latex)
     latex = _WORDS.sub(lambda found: rf"{{\text{{{found[1] or found[2]}}}}}", latex)
     out, opened = list[str](), False
     for token in _TOKEN.findall(latex):

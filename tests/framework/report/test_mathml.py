@@ -77,3 +77,7 @@ def test_accents_are_accents(latex, sign):
 
 def test_latex_that_cannot_be_read_stays_as_it_was_typed():
     assert mathml(r"\left( a < b") == r"<code>\left( a &lt; b</code>"
+
+
+def test_the_name_of_a_function_is_one_word_whatever_it_is_made_of():
+    assert "<mtext>of_joint</mtext>" in mathml(r"\operatorname{of\_joint}(x) h")
