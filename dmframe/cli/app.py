@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from dmframe.cli.arguments import (
+    NOTHING,
     TUBE,
     AsJson,
     Boxes,
@@ -66,12 +68,13 @@ def common(
     """Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved."""
 
 
+command: Callable[..., Any]
 for command in (study, tune, graphs, robots, new):
     app.command()(command)
 
 
 @app.command()
-def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> None:  # noqa: B006 - typer reads it, nobody changes it
+def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False) -> None:
     """Build a graph and print its blocks, wires, shapes, units and clock.
 
     Of block files that others may have written, which are not run without --trust, print what they declare.
@@ -91,7 +94,7 @@ def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> N
 @app.command()
 def explain(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> None:
@@ -108,7 +111,7 @@ def run(
     until: Annotated[
         str | None, typer.Option(metavar="S", help="Simulated time, instead of the graph's: 20 s.")
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
@@ -150,7 +153,7 @@ def run(
 @app.command()
 def verify(
     graph: Graphs,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write a report: .html, .md or .json.")
     ] = None,
@@ -171,7 +174,7 @@ def verify(
 @app.command()
 def analyse(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     horizon: Annotated[
         str | None,
         typer.Option(metavar="S", help="Length of the runs that look for the period.", show_default=HORIZON),
@@ -217,7 +220,7 @@ def analyse(
 @app.command()
 def delay(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     until: Annotated[str | None, typer.Option(metavar="S", help="Length of the record.", show_default=RECORD)] = None,
     as_json: AsJson = False,
     trust: Trust = False,
@@ -247,7 +250,7 @@ def draw(
             "-o", "--out", metavar="FILE", callback=home, help=".svg, .png, .pdf, .mmd; Mermaid text without it."
         ),
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
@@ -278,7 +281,7 @@ def page(
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
     """Write a live page of a graph: it runs in a browser, under sliders, beside its proof."""
@@ -312,7 +315,7 @@ def regressor(
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
     ] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
-    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006 - as above
+    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = NOTHING,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:
