@@ -22,7 +22,8 @@ from typing import TYPE_CHECKING, Any, Final
 if TYPE_CHECKING:
     from dmframe.analysis.delay import fitted_delay
     from dmframe.errors import DmframeError
-    from dmframe.graph.graph import Graph, load
+    from dmframe.graph.graph import Graph
+    from dmframe.graph.load import load
     from dmframe.graph.runs import Runs, compare
     from dmframe.graph.shelf import blocks, graphs, robots
     from dmframe.graph.shortcuts import analyse, draw, run, verify
@@ -44,7 +45,7 @@ _HOMES: Final = {
     "draw": "graph.shortcuts",
     "fitted_delay": "analysis.delay",
     "graphs": "graph.shelf",
-    "load": "graph.graph",
+    "load": "graph.load",
     "load_study": "study.plan",
     "robots": "graph.shelf",
     "run": "graph.shortcuts",

@@ -13,7 +13,8 @@ from dmframe.certificate import SX, Certificate, Lemma, Square
 from dmframe.linalg import solve_spd
 from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
-from dmframe.port import TIME, Access, Port, Side, State
+from dmframe.port import TIME, Port, Side, State
+from dmframe_blocks.manipulator import Manipulator
 
 
 @final
@@ -60,31 +61,10 @@ class LoadedManipulator(AbstractBlock):
 
     side: ClassVar[Side] = Side.PLANT
     uses_robot: ClassVar[bool] = True
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("u", "n", "V"),
-        Port("tau_ext", "n", "N m", optional=True),
-        Port("a_load", "10", optional=True),
-        TIME,
-    )
-    outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad", Access.MEASURED),
-        Port("dq", "n", "rad/s", Access.MEASURED, derivative_of="q"),
-        Port("x", "m", "m", Access.MEASURED),
-        Port("dx", "m", "m/s", derivative_of="x"),
-        Port("ddq", "n", "rad/s^2", derivative_of="dq"),
-        Port("g", "n", "N m"),
-        Port("K", "n", "N m/V"),
-        Port("B", "n", "N m s/rad"),
-        Port("D", "n", "N m"),
-        Port("g_share"),
-        Port("load", "", "kg"),
-    )
-    states: ClassVar[tuple[State, ...]] = (State("q", "n", "rad"), State("dq", "n", "rad/s"))
-    truth: ClassVar[tuple[Port, ...]] = (
-        Port("sigma", "n", "rad/s"),
-        Port("dq_ref", "n", "rad/s"),
-        Port("ddq_ref", "n", "rad/s^2", derivative_of="dq_ref"),
-    )
+    inputs: ClassVar[tuple[Port, ...]] = (*Manipulator.inputs, Port("a_load", "10", optional=True), TIME)
+    outputs: ClassVar[tuple[Port, ...]] = (*Manipulator.outputs, Port("load", "", "kg"))
+    states: ClassVar[tuple[State, ...]] = Manipulator.states
+    truth: ClassVar[tuple[Port, ...]] = Manipulator.truth
 
     payload: Vector | None = Real("*", "kg", default=None, spread=False)
     payload_at: Vector | None = Real("*", "s", default=None, spread=False)

@@ -10,18 +10,18 @@ import numpy as np
 
 from dmframe.diagram import Diagram, Variable
 from dmframe.errors import DmframeError
+from dmframe.simulate.block_starts import Made
 from dmframe.simulate.instants import DRAWN, Instants
 from dmframe.simulate.start import (
     NEAR,
     ROUNDING,
-    Made,
     goal_and_place,
     on_path,
     pose_on_path,
     start_state,
-    symbolic_start,
     told_starts,
 )
+from dmframe.simulate.start_expressions import symbolic_start
 
 Varied = Callable[[int], Diagram]
 """The diagram of one run, with its numbers."""

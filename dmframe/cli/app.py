@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from dmframe.cli.arguments import (
+    NOTHING,
     TUBE,
     AsJson,
     Boxes,
@@ -16,7 +18,6 @@ from dmframe.cli.arguments import (
     FigureFormats,
     Graphs,
     Least,
-    Listed,
     OneGraph,
     Overrides,
     Rank,
@@ -24,20 +25,17 @@ from dmframe.cli.arguments import (
     Shape,
     Trust,
     Tube,
-    graph_names,
     home,
-    lesson_numbers,
     robot_names,
-    type_names,
 )
+from dmframe.cli.catalogue import blocks, graphs, learn, new, robots, schema
 from dmframe.cli.robots import drive, export, rehearse, replay, robot
 from dmframe.cli.streams import tell
 from dmframe.cli.studies import study, tune
-from dmframe.errors import UnknownNameError, raise_all, visible
-from dmframe.files import check_place, write_text
+from dmframe.errors import raise_all, visible
+from dmframe.files import check_place
 
 if TYPE_CHECKING:
-    from dmframe.graph.named import Named
     from dmframe.simulate.engine import Choice
 
 app = typer.Typer(
@@ -49,8 +47,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-SCHEMA = "dmframe.schema.json"
-"""Beside a new graph; the editors' YAML server finds it by the graph's first line."""
 HORIZON = "20"
 RECORD = "3"
 
@@ -63,10 +59,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-app.command()(study)
-app.command()(tune)
-
-
 @app.callback()
 def common(
     version: Annotated[
@@ -76,57 +68,13 @@ def common(
     """Controllers for robots whose joint servo is closed: written as graphs, simulated, drawn and proved."""
 
 
-@app.command()
-def graphs(as_json: Listed = False) -> None:
-    """List the packaged graphs, with how long each runs, its clock and its title."""
-    from dmframe.graph import graphs as shelf
-
-    _tell_shelf(shelf(), as_json)
+command: Callable[..., Any]
+for command in (study, tune, graphs, robots, new):
+    app.command()(command)
 
 
 @app.command()
-def robots(
-    name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="Print this robot's page.", autocompletion=robot_names)
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, a list or the one robot.")] = False,
-) -> None:
-    """List the robots that come with the installed packages, or print one's joints, masses, tool and known errors."""
-    from dmframe.graph import robots as shelf
-    from dmframe.graph.robot_page import robot_data, robot_page
-
-    if name is None:
-        _tell_shelf(shelf(), as_json)
-    else:
-        tell(json.dumps(robot_data(name), indent=2) if as_json else robot_page(name))
-
-
-def _tell_shelf(shelf: Named[Any], as_json: bool) -> None:
-    tell(json.dumps(shelf.summary, indent=2) if as_json else str(shelf))
-
-
-@app.command()
-def new(
-    name: Annotated[str, typer.Argument(help="A packaged graph, as a start.", autocompletion=graph_names)],
-    file: Annotated[Path | None, typer.Argument(callback=home, help="The new file; NAME.yaml without it.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
-) -> None:
-    """Copy a packaged graph to a file of your own, to edit it; an editor completes it from the schema beside it."""
-    from dmframe.catalogue import graphs as packaged
-    from dmframe.config.schema import json_schema
-
-    known = packaged()
-    if name not in known:
-        raise UnknownNameError(name, "graph", name, known)
-    target = file or Path(f"{name}.yaml")
-    text = known[name].read_text(encoding="utf-8")
-    write_text(target, f"# yaml-language-server: $schema={SCHEMA}\n{text}", new=not force)
-    write_text(target.with_name(SCHEMA), json.dumps(json_schema(), indent=1) + "\n")
-    tell(f"wrote {target}; try: dmframe run {target}")
-
-
-@app.command()
-def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> None:  # noqa: B006 - typer reads it, nobody changes it
+def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False) -> None:
     """Build a graph and print its blocks, wires, shapes, units and clock.
 
     Of block files that others may have written, which are not run without --trust, print what they declare.
@@ -146,7 +94,7 @@ def check(graph: OneGraph, overrides: Overrides = [], trust: Trust = False) -> N
 @app.command()
 def explain(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,
 ) -> None:
@@ -163,7 +111,7 @@ def run(
     until: Annotated[
         str | None, typer.Option(metavar="S", help="Simulated time, instead of the graph's: 20 s.")
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
@@ -205,7 +153,7 @@ def run(
 @app.command()
 def verify(
     graph: Graphs,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     report: Annotated[
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write a report: .html, .md or .json.")
     ] = None,
@@ -226,7 +174,7 @@ def verify(
 @app.command()
 def analyse(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     horizon: Annotated[
         str | None,
         typer.Option(metavar="S", help="Length of the runs that look for the period.", show_default=HORIZON),
@@ -272,7 +220,7 @@ def analyse(
 @app.command()
 def delay(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     until: Annotated[str | None, typer.Option(metavar="S", help="Length of the record.", show_default=RECORD)] = None,
     as_json: AsJson = False,
     trust: Trust = False,
@@ -302,7 +250,7 @@ def draw(
             "-o", "--out", metavar="FILE", callback=home, help=".svg, .png, .pdf, .mmd; Mermaid text without it."
         ),
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
     """Draw the block diagram of a graph."""
@@ -333,7 +281,7 @@ def page(
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
     ] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
     """Write a live page of a graph: it runs in a browser, under sliders, beside its proof."""
@@ -348,64 +296,8 @@ def page(
     tell(f"wrote {place}")
 
 
-@app.command()
-def blocks(
-    kind: Annotated[
-        str | None, typer.Argument(metavar="TYPE", help="Print this block's page.", autocompletion=type_names)
-    ] = None,
-    as_json: Listed = False,
-) -> None:
-    """List the block types, or print one block's page."""
-    from dmframe.catalogue import block_types, find_block
-    from dmframe.cli.options import refuse
-    from dmframe.graph import blocks as shelf
-    from dmframe.graph.pages import block_list, block_page
-
-    if kind is not None:
-        refuse({"--json": as_json}, "a block's page is text; leave the type out for a list")
-        tell(block_page(find_block(kind, Path(), "blocks")))
-    elif as_json:
-        _tell_shelf(shelf(), as_json)
-    else:
-        tell(block_list(block_types()))
-
-
-@app.command()
-def learn(
-    lesson: Annotated[
-        str | None, typer.Argument(metavar="LESSON", help="Open this one.", autocompletion=lesson_numbers)
-    ] = None,
-    read: Annotated[bool, typer.Option("--read", help="Print it instead of writing a notebook.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write over a notebook that is there.")] = False,
-    as_json: Listed = False,
-) -> None:
-    """List the lessons of the course, or open one: write it as a notebook into this folder."""
-    from dmframe.cli.learn import list_lessons, open_lesson
-    from dmframe.cli.options import refuse
-
-    if lesson is None:
-        refuse({"--read": read, "--force": force}, "it does nothing without a lesson; name one")
-        list_lessons(as_json=as_json)
-    else:
-        refuse({"--json": as_json}, "it does nothing with a lesson; leave the lesson out for a list")
-        refuse({"--force": force and read}, "it does nothing with --read; leave one out")
-        open_lesson(lesson, read=read, force=force)
-
-
-@app.command()
-def schema(
-    verdict: Annotated[bool, typer.Option("--verdict", help="Of what verify --json prints, instead.")] = False,
-    study: Annotated[bool, typer.Option("--study", help="Of study files, instead.")] = False,
-) -> None:
-    """Print the JSON Schema of graph files, for an editor."""
-    from dmframe.certify.schema import verdict_schema
-    from dmframe.cli.options import refuse
-    from dmframe.config.schema import json_schema
-    from dmframe.study.grammar import study_schema
-
-    refuse({"--study": study and verdict}, "it does nothing with --verdict; leave one out")
-    made = study_schema() if study else verdict_schema() if verdict else json_schema()
-    tell(json.dumps(made, indent=2))
+for command in (blocks, learn, schema):
+    app.command()(command)
 
 
 @app.command()
@@ -423,7 +315,7 @@ def regressor(
         Path | None, typer.Option(metavar="FILE", callback=home, help="Write M, C, g, Y_d, Y_k; up to 3 joints.")
     ] = None,
     free: Annotated[str | None, typer.Option(metavar="J1,J2,...", help="The joints that move.")] = None,
-    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = [],  # noqa: B006 - as above
+    hold: Annotated[list[str], typer.Option(metavar="JOINT=ANGLE", help="A joint held still.")] = NOTHING,
     tool: Annotated[str | None, typer.Option(metavar="FRAME", help="The tool's frame.")] = None,
     friction: Annotated[str, typer.Option(metavar="KINDS", help="viscous, coulomb, or viscous,coulomb.")] = "",
 ) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -48,6 +48,8 @@ def lesson_numbers(begin: str) -> list[tuple[str, str]]:
     return [(str(number), lesson.title) for number, lesson in lessons().items() if str(number).startswith(begin)]
 
 
+NOTHING: Final[list[str]] = []
+"""What an option that may be repeated holds where it is not given; typer reads it, nobody changes it."""
 TUBE = "0.05 rad"
 
 Graphs = Annotated[

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from dmframe.cli.arguments import AsJson, FigureFormats, LimitsFile, OneGraph, Overrides, Trust, home
+from dmframe.cli.arguments import NOTHING, AsJson, FigureFormats, LimitsFile, OneGraph, Overrides, Trust, home
 from dmframe.cli.streams import tell
 from dmframe.errors import MissingError
 
@@ -21,7 +21,7 @@ def rehearse(
         str | None, typer.Option(metavar="M", help="At the tool, not told; a twentieth of what moves without it.")
     ] = None,
     limits: LimitsFile = None,
-    overrides: Overrides = [],  # noqa: B006 - typer reads it, nobody changes it
+    overrides: Overrides = NOTHING,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -59,7 +59,7 @@ def drive(
     unrehearsed: Annotated[
         bool, typer.Option("--without-a-passed-rehearsal", help="Drive a real robot all the same.")
     ] = False,
-    overrides: Overrides = [],  # noqa: B006 - typer reads it, nobody changes it
+    overrides: Overrides = NOTHING,
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", callback=home, help="Folder of the results; new or empty.")
     ] = None,
@@ -96,7 +96,7 @@ def drive(
 def replay(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="The folder of a drive or a run.", callback=home)],
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - typer reads it, nobody changes it
+    overrides: Overrides = NOTHING,
     as_json: AsJson = False,
     trust: Trust = False,
 ) -> int:
@@ -110,7 +110,7 @@ def replay(
 def export(
     graph: OneGraph,
     out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder.", callback=home)],
-    overrides: Overrides = [],  # noqa: B006 - typer reads it, nobody changes it
+    overrides: Overrides = NOTHING,
     c: Annotated[bool, typer.Option("--c", help="The controller as C99, with an example and a test.")] = False,
     fmi2: Annotated[bool, typer.Option("--fmi2", help="Controller and robot as units of FMI 2.0.")] = False,
     fmi3: Annotated[bool, typer.Option("--fmi3", help="Controller and robot as units of FMI 3.0.")] = False,
@@ -132,12 +132,12 @@ def export(
 
 def robot(
     graph: OneGraph,
-    overrides: Overrides = [],  # noqa: B006 - typer reads it, nobody changes it
+    overrides: Overrides = NOTHING,
     host: Annotated[str, typer.Option(metavar="ADDRESS", help="Of this machine, on which to listen.")] = "127.0.0.1",
     port: Annotated[
         list[str],
         typer.Option(metavar="NAME=NUMBER", help="Another port, rtde=40004; 0 for any free one. May be repeated."),
-    ] = [],  # noqa: B006 - typer reads it, nobody changes it
+    ] = NOTHING,
     series: Annotated[str, typer.Option(metavar="SERIES", help="cb3, 125 cycles a second, or e, 500.")] = "e",
     slider: Annotated[str, typer.Option(metavar="SHARE", help="Where the speed slider stands, 0 to 1.")] = "1",
     command_delay: Annotated[str, typer.Option(metavar="N", help="Cycles until what a client writes is taken.")] = "0",
@@ -160,7 +160,7 @@ def robot(
     from dmframe.cli.graphs import one_graph
     from dmframe.cli.options import quantity, whole
     from dmframe.cli.robot import ports_of, serve
-    from dmframe.graph.graph import seconds as time_of
+    from dmframe.graph.arguments import seconds as time_of
 
     serve(
         one_graph(graph, overrides, trust=trust),

@@ -14,7 +14,7 @@ from dmframe.cli.signals import held_off
 from dmframe.cli.streams import tell
 from dmframe.errors import OutputError
 from dmframe.graph import Graph
-from dmframe.graph.graph import seconds
+from dmframe.graph.arguments import seconds
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled, labels_of
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dmframe.cli.arguments import Overrides, Trust, home
+from dmframe.cli.arguments import NOTHING, Overrides, Trust, home
 from dmframe.errors import ValueFault
 
 
@@ -81,7 +81,7 @@ def tune(
         typer.Option(metavar="DIR", callback=home, help="Folder of the search; one that is there goes on."),
     ] = None,
     trials: Annotated[str | None, typer.Option(metavar="N", help="Trials in all, instead of the file's.")] = None,
-    overrides: Overrides = [],  # noqa: B006 - as above
+    overrides: Overrides = NOTHING,
     workers: Annotated[str | None, typer.Option(metavar="N", help="Threads; as many as cores without it.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
     trust: Trust = False,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,23 +11,23 @@ from typing import TYPE_CHECKING, Any, final
 
 from pydantic import ValidationError
 
-from dmframe.block import AbstractBlock, type_name
+from dmframe.block import AbstractBlock
 from dmframe.block.model import SYMBOLIC
 from dmframe.catalogue import find_block, find_graph
 from dmframe.config.document import Document, mapping_of, read_file
-from dmframe.config.grammar import KEYS, GraphFile, RobotSection, fault_of, robot_name, shown
+from dmframe.config.grammar import KEYS, GraphFile, fault_of
 from dmframe.config.overrides import changed, overridden, put, texts_of
 from dmframe.config.places import placed
 from dmframe.config.reality import KEY, names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
+from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault, raise_all, visible
+from dmframe.errors import DmframeError, MissingError, raise_all, visible
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.march import Progress
 from dmframe.simulate.run import check_run
-from dmframe.units import to_unit
 
 if TYPE_CHECKING:
     from dmframe.certify import Verdict
@@ -354,137 +353,15 @@ def _made(document: Document, path: Path, find: Find = find_block) -> Experiment
     except ValidationError as error:
         faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
-    blocks = _blocks("blocks", data.get("blocks"), path.parent, faults, find)
-    _check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
-    robot = _robot(_section(RobotSection, robot_name(data.get("robot"))), path.parent, faults)
+    blocks = blocks_of("blocks", data.get("blocks"), path.parent, faults, find)
+    check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
+    robot = robot_of(data.get("robot"), path.parent, faults)
     if isinstance(data.get("robot"), str):
-        faults = [_at_name(fault) for fault in faults]
-    start = _start(data["start"], faults) if isinstance(data.get("start"), dict) else {}
+        faults = [at_name(fault) for fault in faults]
+    start = start_of(data.get("start"), faults)
     try:
         raise_all(faults)
     except DmframeError as error:
         raise placed(error, document) from None
     assert file is not None  # a file that is not valid left a fault
     return Experiment(path.stem, file, data, document, blocks, robot, start)
-
-
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-
-
-def _check_baseline(
-    section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find
-) -> None:
-    """Its blocks can be made, and what it leaves out is there."""
-    entries = section if isinstance(section, dict) else {}
-    if entries:
-        made = {name: spec for name, spec in entries.items() if spec is not None}
-        _blocks("baseline", made or None, base, faults, find)
-    faults += [
-        UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
-        for name, spec in entries.items()
-        if spec is None and name not in blocks
-    ]
-
-
-def _blocks(key: str, section: Any, base: Path, faults: list[DmframeError], find: Find) -> dict[str, AbstractBlock]:
-    """The blocks of a section, ``blocks`` or ``baseline``."""
-    made = dict[str, AbstractBlock]()
-    for name, spec in section.items() if isinstance(section, dict) else ():
-        where, path = f"{key}.{name}", (key, name)
-        if not NAME.fullmatch(name) or name == "robot":
-            faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
-        elif isinstance(spec, dict) and "type" not in spec:
-            faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
-        elif isinstance(spec, dict) and not isinstance(spec["type"], str):
-            found = shown(spec["type"])
-            faults.append(
-                ValueFault(f"{where}.type: expected the name of a block type, found {found}", path=(*path, "type"))
-            )
-        elif isinstance(spec, dict):
-            try:
-                made[name] = _block(path, spec, base, find)
-            except DmframeError as error:
-                for fault in error.faults:
-                    faults.append(fault)
-    if isinstance(section, dict) and not section:
-        faults.append(MissingError(f"{key}: expected at least one block, found none", path=(key,)))
-    return made
-
-
-def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Find) -> AbstractBlock:
-    where = ".".join(path)
-    try:
-        kind = find(spec["type"], base, f"{where}.type")
-    except DmframeError as error:
-        error.path = (*path, "type")
-        raise
-    values = {key: value for key, value in spec.items() if key != "type"}
-    try:
-        return kind(**values)
-    except DmframeError as error:
-        for fault in error.faults:
-            fault.path = (*path, *fault.path)
-            fault.text = where + fault.text.removeprefix(type_name(kind))
-        raise
-
-
-def _section(kind: type[RobotSection], value: Any) -> RobotSection | None:
-    """A section of its own, so that its faults are told along with those of others; None where it is not valid."""
-    try:
-        return None if value is None else kind.model_validate(value)
-    except ValidationError:
-        return None
-
-
-def _at_name(fault: DmframeError) -> DmframeError:
-    """Where a graph writes a robot as its name alone, that is the place of all that is wrong with the model."""
-    if fault.path == ("robot", "model"):
-        fault.path = ("robot",)
-    return fault
-
-
-def _robot(section: RobotSection | None, base: Path, faults: list[DmframeError]) -> Any:
-    if section is None:
-        return None
-    from dmframe.robot.library import load
-
-    try:
-        return load(
-            section.model,
-            base=base,
-            free=section.free,
-            hold=section.hold,
-            tool=section.tool,
-            axes=section.axes,
-            friction_velocity=section.friction_velocity,
-        )
-    except DmframeError as error:
-        for fault in error.faults:
-            fault.path = fault.path or ("robot", "model")
-            faults.append(fault)
-        return None
-
-
-def _start(section: Mapping[str, Any], faults: list[DmframeError]) -> dict[str, Any]:
-    """Start values as numbers; angles may carry a unit."""
-    values = dict[str, Any]()
-    for key, value in section.items():
-        try:
-            values[key] = _start_numbers(value)
-        except DmframeError as error:
-            faults.append(ValueFault(f"start.{key}: {error.text}", path=("start", key)))
-    return values
-
-
-def _start_numbers(item: Any, depth: int = 0) -> Any:
-    """A number, a list, or the rows of a matrix."""
-    if isinstance(item, list) and depth < 2:
-        return [_start_numbers(below, depth + 1) for below in item]
-    if isinstance(item, str):
-        return to_unit(item, "rad")
-    if isinstance(item, bool) or not isinstance(item, int | float):
-        raise ValueFault(f"expected numbers, found {shown(item)}")
-    try:
-        return float(item)
-    except OverflowError:
-        raise ValueFault("expected a finite number, found one of hundreds of digits") from None

@@ -7,8 +7,8 @@ from typing import Any
 from dmframe.block import AbstractBlock
 from dmframe.block.prose import about
 from dmframe.catalogue import block_types
-from dmframe.config.experiment import NAME
 from dmframe.config.grammar import GraphFile
+from dmframe.config.sections import NAME
 from dmframe.formula.unmarked import unmarked
 from dmframe.parameter import Spec, spec_of
 from dmframe.robot.library import robots

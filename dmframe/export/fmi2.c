@@ -94,10 +94,7 @@ DM_NO_VARIABLES(int, Boolean)
 DM_NO_VARIABLES(dm_text, String)
 
 DM_API int fmi2GetFMUstate(void *c, void **state) {
-  if (*state == NULL) *state = malloc(sizeof(dm_kept));
-  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
-  memcpy(*state, &((dm_instance *)c)->now, sizeof(dm_kept));
-  return DM_OK;
+  return dm_keep(c, &((dm_instance *)c)->now, state);
 }
 
 DM_API int fmi2SetFMUstate(void *c, void *state) {
@@ -107,9 +104,7 @@ DM_API int fmi2SetFMUstate(void *c, void *state) {
 
 DM_API int fmi2FreeFMUstate(void *c, void **state) {
   (void)c;
-  free(*state);
-  *state = NULL;
-  return DM_OK;
+  return dm_drop(state);
 }
 
 DM_API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size) {
@@ -120,17 +115,11 @@ DM_API int fmi2SerializedFMUstateSize(void *c, void *state, size_t *size) {
 }
 
 DM_API int fmi2SerializeFMUstate(void *c, void *state, char bytes[], size_t size) {
-  if (size < sizeof(dm_kept)) return dm_fail(c, "expected room for the whole state");
-  memcpy(bytes, state, sizeof(dm_kept));
-  return DM_OK;
+  return dm_serialize(c, state, bytes, size);
 }
 
 DM_API int fmi2DeSerializeFMUstate(void *c, const char bytes[], size_t size, void **state) {
-  if (size != sizeof(dm_kept)) return dm_fail(c, "expected a state that this FMU has saved");
-  if (*state == NULL) *state = malloc(sizeof(dm_kept));
-  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
-  memcpy(*state, bytes, sizeof(dm_kept));
-  return DM_OK;
+  return dm_deserialize(c, bytes, size, state);
 }
 
 DM_API int fmi2GetDirectionalDerivative(void *c, const unsigned unknown[], size_t unknowns, const unsigned known[],

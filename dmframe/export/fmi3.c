@@ -154,10 +154,7 @@ DM_API int fmi3GetVariableDependencies(void *c, uint32_t at, size_t mine[], uint
 }
 
 DM_API int fmi3GetFMUState(void *c, void **state) {
-  if (*state == NULL) *state = malloc(sizeof(dm_kept));
-  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
-  memcpy(*state, &((dm_instance *)c)->now, sizeof(dm_kept));
-  return DM_OK;
+  return dm_keep(c, &((dm_instance *)c)->now, state);
 }
 
 DM_API int fmi3SetFMUState(void *c, void *state) {
@@ -167,9 +164,7 @@ DM_API int fmi3SetFMUState(void *c, void *state) {
 
 DM_API int fmi3FreeFMUState(void *c, void **state) {
   (void)c;
-  free(*state);
-  *state = NULL;
-  return DM_OK;
+  return dm_drop(state);
 }
 
 DM_API int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size) {
@@ -179,17 +174,11 @@ DM_API int fmi3SerializedFMUStateSize(void *c, void *state, size_t *size) {
 }
 
 DM_API int fmi3SerializeFMUState(void *c, void *state, uint8_t bytes[], size_t size) {
-  if (size < sizeof(dm_kept)) return dm_fail(c, "expected room for the whole state");
-  memcpy(bytes, state, sizeof(dm_kept));
-  return DM_OK;
+  return dm_serialize(c, state, bytes, size);
 }
 
 DM_API int fmi3DeserializeFMUState(void *c, const uint8_t bytes[], size_t size, void **state) {
-  if (size != sizeof(dm_kept)) return dm_fail(c, "expected a state that this FMU has saved");
-  if (*state == NULL) *state = malloc(sizeof(dm_kept));
-  if (*state == NULL) return dm_fail(c, "there is no memory for a saved state");
-  memcpy(*state, bytes, sizeof(dm_kept));
-  return DM_OK;
+  return dm_deserialize(c, bytes, size, state);
 }
 
 DM_API int fmi3GetDirectionalDerivative(void *c, const uint32_t unknown[], size_t unknowns, const uint32_t known[],

@@ -124,3 +124,28 @@ static int dm_do_step(dm_instance *it, double t, double h) {
   it->now.time = (ticks + 1) * DM_PERIOD;
   return DM_OK;
 }
+
+/* Saved states: where there is no place for one, memory is asked for. */
+static int dm_keep(const dm_instance *it, const void *from, void **state) {
+  if (*state == NULL) *state = malloc(sizeof(dm_kept));
+  if (*state == NULL) return dm_fail(it, "there is no memory for a saved state");
+  memcpy(*state, from, sizeof(dm_kept));
+  return DM_OK;
+}
+
+static int dm_drop(void **state) {
+  free(*state);
+  *state = NULL;
+  return DM_OK;
+}
+
+static int dm_serialize(const dm_instance *it, const void *state, void *bytes, size_t size) {
+  if (size < sizeof(dm_kept)) return dm_fail(it, "expected room for the whole state");
+  memcpy(bytes, state, sizeof(dm_kept));
+  return DM_OK;
+}
+
+static int dm_deserialize(const dm_instance *it, const void *bytes, size_t size, void **state) {
+  if (size != sizeof(dm_kept)) return dm_fail(it, "expected a state that this FMU has saved");
+  return dm_keep(it, bytes, state);
+}

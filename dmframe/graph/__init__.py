@@ -1,6 +1,7 @@
 """One object to hold: a graph that is changed, run, proved, analysed and drawn; and several, compared."""
 
-from dmframe.graph.graph import Graph, load
+from dmframe.graph.graph import Graph
+from dmframe.graph.load import load
 from dmframe.graph.runs import Runs, compare
 from dmframe.graph.shelf import blocks, graphs, robots
 from dmframe.graph.sweep import sweep

@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any, Literal, final
 from dmframe import notebook
 from dmframe.block import AbstractBlock, type_name
 from dmframe.block.model import SYMBOLIC
-from dmframe.config import Experiment, load_experiment
-from dmframe.config.document import read_document
-from dmframe.config.experiment import experiment_of
-from dmframe.config.given import document_of
+from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, ValueFault, raise_all
+from dmframe.graph.arguments import listed, seconds
 from dmframe.graph.named import Named
 from dmframe.graph.progress import Bar, shown, telling
 from dmframe.results.run import Run
-from dmframe.units import plain, shorten, to_unit
+from dmframe.units import plain, to_unit
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing
@@ -35,8 +33,6 @@ if TYPE_CHECKING:
 
 LONG = 10.0
 """Runs of so many seconds are worth a look at how they might go on, which takes a fraction of one."""
-TEXT = "graph"
-"""What messages call a graph that came from no file."""
 
 
 @final
@@ -484,79 +480,3 @@ class Graph:
             + notebook.paragraphs([f"{clock}, for {plain(self.duration, 's')}"])
             + self.blocks._repr_html_()
         )
-
-
-def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trust: bool = False) -> Graph:
-    """A graph from its name, a path, a text or data.
-
-    Parameters
-    ----------
-    source
-        The name of a packaged graph, ``"ur10_fast"``; the path of a graph file; its text, of more than one line; a
-        dictionary as the file would hold it; a `Graph` is returned as it is.
-    name
-        What a graph from a text or a dictionary is called.
-    trust
-        Run the code of blocks that lie in the graph's folder from now on, whoever wrote it; see the notes.
-
-    Raises
-    ------
-    DmframeError
-        All faults of the graph at once, each with its line and column.
-
-    Notes
-    -----
-    A block type ``my_file.py:MyBlock`` runs that file as a part of your program. One that others may have written, as
-    it
-    belongs to another user, or all may write to it, or it was downloaded, is run in trusted folders alone.
-    """
-    if trust:
-        from dmframe.catalogue import find_graph
-        from dmframe.trust import remember
-
-        named = isinstance(source, Path) or (isinstance(source, str) and "\n" not in source)
-        remember(find_graph(str(source)).parent if named else Path())
-    if not isinstance(name, str):
-        raise ValueFault(f"load: expected a text as name, found {name!r:.40}")
-    if isinstance(source, Graph):
-        return source
-    if isinstance(source, Mapping):
-        return Graph(experiment_of(document_of(source, name or TEXT)))
-    if isinstance(source, str) and "\n" in source:
-        return Graph(experiment_of(read_document(source, name or TEXT)))
-    if not isinstance(source, str | Path):
-        found = type(source).__name__
-        raise ValueFault(f"load: expected a graph's name, its path, its text or a dictionary, found {found}")
-    return Graph(load_experiment(source))
-
-
-def listed(values: Mapping[str, Iterable[Any]]) -> dict[str, list[Any]]:
-    """Several values by name. Raises `ValueFault` where they are none."""
-    example = '{"dynamics.Gamma": [1, 10]}'
-    if not isinstance(values, Mapping):
-        raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(values), 30)}")
-    tried = dict[str, list[Any]]()
-    for label, several in values.items():
-        if not isinstance(label, str):
-            raise ValueFault(f"values: expected values by name, {example}, found {shorten(repr(label), 30)}")
-        some = isinstance(several, Iterable) and getattr(several, "ndim", 1) > 0  # an array may hold one number
-        if isinstance(several, str | bytes | Mapping) or not some:
-            raise ValueFault(
-                f"values {label}: expected a list of values, {example}, found {shorten(repr(several), 30)}"
-            )
-        tried[label] = list(several)
-    for label, several in tried.items():
-        if not several:
-            raise ValueFault(f"values {label}: expected at least one value, found none")
-    return tried
-
-
-def seconds(what: str, value: float | str) -> float:
-    """A time above zero. Raises `ValueFault`."""
-    try:
-        found = to_unit(value, "s")
-    except DmframeError as error:
-        raise ValueFault(f"{what} {shorten(str(value))}: {error.text}") from None
-    if not found > 0:
-        raise ValueFault(f"{what} {shorten(str(value))}: expected a time above zero")
-    return found

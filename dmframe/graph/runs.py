@@ -13,7 +13,9 @@ from dmframe.config import Experiment
 from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault, raise_all
 from dmframe.files import told_apart
-from dmframe.graph.graph import Graph, load, seconds
+from dmframe.graph.arguments import seconds
+from dmframe.graph.graph import Graph
+from dmframe.graph.load import load
 from dmframe.graph.progress import Bars
 from dmframe.plotting import FORMATS
 from dmframe.results.run import HEADS, NOTE, Run, drawn, ended, row, saved, table_of

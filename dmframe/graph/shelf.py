@@ -8,7 +8,8 @@ from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
 from dmframe.errors import DmframeError
-from dmframe.graph.graph import Graph, load
+from dmframe.graph.graph import Graph
+from dmframe.graph.load import load
 from dmframe.graph.named import Named
 from dmframe.robot.chain import SerialChain
 from dmframe.units import to_unit

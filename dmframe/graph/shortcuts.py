@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dmframe.graph.graph import Graph, load
+from dmframe.graph.graph import Graph
+from dmframe.graph.load import load
 
 if TYPE_CHECKING:
     from dmframe.drawing import Drawing

@@ -13,7 +13,9 @@ import numpy as np
 from dmframe.batch import Batch, Measured, Wanted
 from dmframe.batch.figures import ERROR, Board
 from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault, raise_all
-from dmframe.graph.graph import Graph, listed, load
+from dmframe.graph.arguments import listed
+from dmframe.graph.graph import Graph
+from dmframe.graph.load import load
 from dmframe.parameter import Spec, specs
 from dmframe.results.metrics import EIGHTHS, goal_of
 from dmframe.units import shorten, to_unit

@@ -19,7 +19,8 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.results.metrics import goal_of
 from dmframe.robot.frames import frames, tool
-from dmframe.simulate.start import NEAR, symbolic_start
+from dmframe.simulate.start import NEAR
+from dmframe.simulate.start_expressions import symbolic_start
 from dmframe.simulate.step import build_parts
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, final
@@ -19,9 +19,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.robot.bodies import Link, acceleration_field, bodies_of, carry, joint_torques, matrix, skew
 from dmframe.robot.chain import SerialChain
-from dmframe.robot.parameters import INERTIAL, Inertial
-from dmframe.robot.rational import Matrix, Vector, decimal
+from dmframe.robot.rational import Vector, decimal
 
 NO_LIMIT = 1e9
 """What stands for a limit that a robot does not state: a number, since infinity is none in compiled code."""
@@ -36,25 +36,6 @@ class Constant:
     symbol: Any
     values: Vector
     unit: str
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Link:
-    """One joint and the body behind it, at q: what every recursion needs.
-
-    `rotation` carries the joint frame's coordinates to the parent's; `offset` is the joint frame's origin there.
-    """
-
-    revolute: bool
-    axis: Any
-    rotation: Any
-    offset: Any
-
-
-def skew(v: Any) -> Any:
-    r"""The matrix :math:`[v]_\times` of the cross product with v."""
-    return ca.skew(v)
 
 
 @final
@@ -97,8 +78,8 @@ class SymbolicRobot:
         for joint in chain.joints:
             rotation = [[_entry(x, symbols) for x in row] for row in joint.rotation]
             axis = [_entry(x, symbols) for x in joint.axis]
-            self._placements.append((_matrix(rotation), ca.vertcat(*axis)))
-        self._tool_rotation = _matrix([[_entry(x, symbols) for x in row] for row in chain.tool_rotation])
+            self._placements.append((matrix(rotation), ca.vertcat(*axis)))
+        self._tool_rotation = matrix([[_entry(x, symbols) for x in row] for row in chain.tool_rotation])
         symbols = iter(ca.vertsplit(self._gravity.symbol) if self._gravity.values else [])
         self.gravity = ca.vertcat(*(ca.SX(0) if x == 0 else next(symbols) for x in chain.gravity))
         pairs = zip(ca.vertsplit(self._a_k.symbol), kinematic, strict=True)
@@ -223,7 +204,7 @@ class SymbolicRobot:
         [SlotineLi1987]_; [NiemeyerSlotine1991]_ for the recursion.
         """
         links = self.links(q)
-        h = _bodies(self.inertia if inertia is None else inertia)
+        h = bodies_of(self.inertia if inertia is None else inertia)
         omega = nu = dnu = ca.SX(3, 1)
         plain = dq_ref is dq
         acceleration = -self.gravity * gravity_share
@@ -239,9 +220,9 @@ class SymbolicRobot:
                 omega, nu = omega + a * dq[i], nu + a * dq_ref[i]
             else:
                 acceleration += a * ddq_ref[i] + ca.cross(omega * dq_ref[i] + nu * dq[i], a)
-            A, B = _acceleration_field(omega, omega if plain else nu, dnu)
+            A, B = acceleration_field(omega, omega if plain else nu, dnu)
             forces.append(h[i].wrench(acceleration, dnu, A, B))
-        return _project(links, forces)
+        return joint_torques(links, forces)
 
     def regressor(self, q: Any, dq: Any, dq_ref: Any, ddq_ref: Any) -> Any:
         r"""Y_d(q, dq, dq_ref, ddq_ref), eq. (5) without friction, SX (n, 10 n): the torque's slope in the inertia."""
@@ -275,14 +256,14 @@ class SymbolicRobot:
         [Featherstone2008]_ section 6.2.
         """
         links = self.links(q)
-        composites = _bodies(self.inertia if inertia is None else inertia)
+        composites = bodies_of(self.inertia if inertia is None else inertia)
         M = ca.SX(self.n, self.n)
         for i in reversed(range(self.n)):
             force, moment = composites[i].momentum(links[i])
             for j in range(i, -1, -1):
                 link = links[j]
                 M[i, j] = M[j, i] = ca.dot(link.axis, moment if link.revolute else force)
-                force, moment = _carry(link, force, moment)
+                force, moment = carry(link, force, moment)
             if i:
                 composites[i - 1] = composites[i - 1] + composites[i].in_parent(links[i])
         return ca.densify(M)
@@ -350,96 +331,8 @@ class SymbolicRobot:
         return links
 
 
-@final
-@dataclass(frozen=True, eq=False)
-class Body:
-    """Ten inertial parameters in a joint's frame: mass, first moment (3), inertia about the frame's origin (3, 3)."""
-
-    mass: Any
-    moment: Any
-    inertia: Any
-
-    def __add__(self, other: Body) -> Body:
-        return Body(self.mass + other.mass, self.moment + other.moment, self.inertia + other.inertia)
-
-    def wrench(self, acceleration: Any, dnu: Any, A: Any, B: Any) -> tuple[Any, Any]:
-        r"""Force and moment about the origin that the motion takes, linear in the ten parameters.
-
-        A point r of the body accelerates by :math:`\dot v + A r`, so with :math:`\Sigma = \int r r^\top dm` the force
-        is :math:`m \dot v + A h`, the moment :math:`h \times \dot v + \mathrm{vee}(A \Sigma - \Sigma A^\top)`. Below,
-        :math:`\Sigma` is written in the entries of I, in which the antisymmetric part of A gives :math:`I \dot\nu`.
-        """
-        J = self.inertia
-        turning = [
-            dnu[i] * J[i, i]
-            + A[j, i] * J[k, i]
-            - A[k, i] * J[j, i]
-            + (B[j, j] - B[k, k]) * J[j, k]
-            + B[j, k] * (J[k, k] - J[j, j])
-            for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-        ]
-        force = self.mass * acceleration + A @ self.moment
-        return force, ca.vertcat(*turning) + ca.cross(self.moment, acceleration)
-
-    def momentum(self, link: Link) -> tuple[Any, Any]:
-        """Linear momentum, and angular about the origin, of a unit velocity of the body's joint."""
-        if link.revolute:
-            return ca.cross(link.axis, self.moment), self.inertia @ link.axis
-        return self.mass * link.axis, ca.cross(self.moment, link.axis)
-
-    def in_parent(self, link: Link) -> Body:
-        r"""The same body in the parent's frame: :math:`I_p = R I R^\top - [p][R h] - [R h][p] - m [p][p]`."""
-        R, p = link.rotation, link.offset
-        h = R @ self.moment
-        shift = skew(p)
-        # -[p][h] - [h][p] - m [p]^2 = -[p][h + m p / 2] - its transpose: symmetric, one product.
-        product = shift @ skew(h + self.mass * p * 0.5)
-        turned = R @ self.inertia @ R.T
-        return Body(self.mass, h + self.mass * p, _symmetric(turned - product - product.T))
-
-
 def _limits(values: Iterable[float]) -> Any:
     return ca.DM([min(value, NO_LIMIT) for value in values])
-
-
-def _bodies(parameters: Any) -> list[Body]:
-    bodies = []
-    for b in (Inertial(*ca.vertsplit(row)) for row in ca.vertsplit(parameters, len(INERTIAL))):
-        inertia = _matrix([[b.I_xx, b.I_xy, b.I_xz], [b.I_xy, b.I_yy, b.I_yz], [b.I_xz, b.I_yz, b.I_zz]])
-        bodies.append(Body(b.m, ca.vertcat(b.mc_x, b.mc_y, b.mc_z), inertia))
-    return bodies
-
-
-def _acceleration_field(omega: Any, nu: Any, dnu: Any) -> tuple[Any, Any]:
-    r"""A and its symmetric part B: a point r of the body accelerates, relative to the origin, by A r.
-
-    :math:`A = [\dot\nu]_\times + B`,
-    :math:`B r = \tfrac12(\omega \times (\nu \times r) + \nu \times (\omega \times r))`.
-    """
-
-    def product(i: int, j: int) -> Any:
-        return omega[i] * nu[j] if nu is omega or i == j else (omega[i] * nu[j] + omega[j] * nu[i]) * 0.5
-
-    (wx, wy, wz), (xy, xz, yz) = (product(i, i) for i in range(3)), (product(*ij) for ij in ((0, 1), (0, 2), (1, 2)))
-    B = _matrix([[-wy - wz, xy, xz], [xy, -wx - wz, yz], [xz, yz, -wx - wy]])
-    return skew(dnu) + B, B
-
-
-def _carry(link: Link, force: Any, moment: Any) -> tuple[Any, Any]:
-    """A wrench about a joint's origin, taken to its parent's origin and frame."""
-    carried = link.rotation @ force
-    return carried, link.rotation @ moment + ca.cross(link.offset, carried)
-
-
-def _project(links: Sequence[Link], wrenches: Sequence[tuple[Any, Any]]) -> Any:
-    """Joint torques of each body's own wrench: sum from the tool to the base, project on each axis."""
-    torques = []
-    force = moment = ca.SX(3, 1)
-    for link, (own_force, own_moment) in zip(reversed(links), reversed(wrenches), strict=True):
-        force, moment = force + own_force, moment + own_moment
-        torques.append(ca.dot(link.axis, moment if link.revolute else force))
-        force, moment = _carry(link, force, moment)
-    return ca.vertcat(*reversed(torques))
 
 
 def _kinematic(chain: SerialChain) -> Vector:
@@ -465,12 +358,3 @@ def _nonzero(values: Vector) -> Vector:
 def _entry(value: Fraction, symbols: Any) -> Any:
     """A literal where the value is 0 or +-1, else the next symbol."""
     return ca.SX(int(value)) if value in (0, 1, -1) else next(symbols)
-
-
-def _matrix(rows: Matrix | Sequence[Sequence[Any]]) -> Any:
-    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
-
-
-def _symmetric(A: Any) -> Any:
-    """The lower triangle of A on both sides, so that equal entries are one expression."""
-    return ca.tril(A) + ca.tril(A, False).T

@@ -22,7 +22,8 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, ValueFault, listed
 from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
-from dmframe.simulate.start import measured_start, start_state
+from dmframe.simulate.start import start_state
+from dmframe.simulate.start_expressions import measured_start
 
 
 @final

@@ -16,13 +16,14 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, Variable, stack
 from dmframe.errors import DmframeError, EngineError, ValueFault, raise_all
+from dmframe.simulate.block_starts import Made
 from dmframe.simulate.bounds import Divergence, bounds_of
 from dmframe.simulate.engine import Choice, Compiled, Engine, choose
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.keep import Keeping, Log, keeping
 from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import Rank, ranks, watched
-from dmframe.simulate.start import Made, check_start, start_state
+from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
 from dmframe.simulate.told import between, exceptions, telling, too_fast

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from dmframe.block.faults import told_by
-from dmframe.block.model import symbols_in
-from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
-from dmframe.diagram.closed_loop import Followed, columns, stack
+from dmframe.diagram.closed_loop import Followed, stack
 from dmframe.diagram.projection import Projection
-from dmframe.diagram.view import view
-from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, listed, raise_all
+from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
 from dmframe.port import Side
+from dmframe.simulate.block_starts import Made, at_start, has_start, in_order, once, said_by
 from dmframe.simulate.instants import DRAWN, Instants
 
 NEAR = "near"
@@ -31,10 +28,6 @@ FARTHEST = 1e100
 
 ROUNDING = 1e-9
 """A start is in its box if it misses it by less, relative to one plus its size."""
-
-
-Made = dict[tuple[str, ...], Any]
-"""Expressions and functions that serve every set of numbers of one diagram."""
 
 
 def start_state(
@@ -53,7 +46,7 @@ def start_state(
     values = told_starts(diagram, given)
     _onto_path(diagram, values, given.get(NEAR), made)
     for variable in loop.plant:
-        if not _has_start(diagram, variable, made):
+        if not has_start(diagram, variable, made):
             values.setdefault(variable.label, np.zeros(variable.symbol.shape))
     _as_blocks_say(diagram, values, made, instants or Instants.of(loop, 1.0))
     _check_finite(variables, values)
@@ -70,7 +63,7 @@ def pose_on_path(diagram: Diagram, given: Mapping[str, Any], made: Made, variabl
 
 def told_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """The states that `given` or a parameter of their block says; see `start_state`."""
-    values = _given(diagram, diagram.loop.variables, given)
+    values = given_starts(diagram, diagram.loop.variables, given)
     for variable in diagram.loop.variables:
         model = diagram.models[variable.block]
         if variable.label not in values and variable.name in model.values:
@@ -80,9 +73,9 @@ def told_starts(diagram: Diagram, given: Mapping[str, Any]) -> dict[str, np.ndar
 
 def check_start(diagram: Diagram, given: Mapping[str, Any]) -> None:
     """Refuse start values of states that there are not, of another size or outside the joints' limits."""
-    _given(diagram, diagram.loop.variables, given)
+    given_starts(diagram, diagram.loop.variables, given)
     for name in diagram.blocks:
-        _said(diagram, name, {})
+        said_by(diagram, name, {})
 
 
 def _into_sets(loop: ClosedLoop, values: dict[str, np.ndarray]) -> None:
@@ -122,7 +115,8 @@ def _check_finite(variables: Sequence[Variable], values: Mapping[str, np.ndarray
     )
 
 
-def _given(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def given_starts(diagram: Diagram, variables: Sequence[Variable], given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The states that `given` says, by label. Raises `DmframeError` for what `check_start` refuses there."""
     values, faults = dict[str, np.ndarray](), list[DmframeError]()
     plant_first = sorted(variables, key=lambda v: diagram.blocks[v.block].side is not Side.PLANT)
     for key, value in given.items():
@@ -170,7 +164,7 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
 
 def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tuple[Followed, Variable]]:
     """The plant's states that nothing else says and that a trajectory decides, each with what it follows."""
-    open_states = [v for v in diagram.loop.plant if v.label not in known and not _has_start(diagram, v, made)]
+    open_states = [v for v in diagram.loop.plant if v.label not in known and not has_start(diagram, v, made)]
     for followed in diagram.loop.followed if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(followed.found), ca.vec(v.symbol))]
         if len(used) == 1:
@@ -186,9 +180,9 @@ def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made
     if (source := followed.desired.partition(".")[0]) in loop.paced:
         text = f"start: expected {unknown.label}, found none; of a path whose time a block keeps, as that of {source}, "
         raise StartError(f"{text}the beginning is not looked for")
-    goal = _once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
+    goal = once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
     key = ("residual", followed.actual, unknown.label)
-    return goal, _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))
+    return goal, once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))
 
 
 def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:
@@ -196,7 +190,7 @@ def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made:
     for followed, unknown in on_path(diagram, values, made):
         goal_now, residual = goal_and_place(loop, followed, unknown, made)
         goal = goal_now(0, loop.p_values).full().ravel()
-        jacobian = _once(made, ("jacobian", followed.actual, unknown.label), residual.jacobian)
+        jacobian = once(made, ("jacobian", followed.actual, unknown.label), residual.jacobian)
         desired, actual = f"{followed.desired}(0)", followed.actual
         values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, desired, actual)
 
@@ -254,102 +248,23 @@ def _limits(diagram: Diagram, size: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array([joint.lower for joint in joints]), np.array([joint.upper for joint in joints])
 
 
-def _once(made: Made, key: tuple[str, ...], make: Callable[[], Any]) -> Any:
-    if key not in made:
-        made[key] = make()
-    return made[key]
-
-
-def _said(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
-    """What a block says of its start, as expressions."""
-
-    def ask() -> Mapping[str, Any]:
-        try:
-            return _asked(diagram, block)
-        except BlockError as fault:
-            fault.path = fault.path or ("blocks", block)
-            raise
-
-    found: Mapping[str, Any] = _once(made, ("said", block), ask)
-    return found
-
-
-def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
-    seen, states = view(diagram, block), diagram.models[block].states
-    with told_by(block, "start()"):
-        said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
-    if not isinstance(said, Mapping):
-        raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
-    for name in states.keys() & said.keys():
-        with told_by(block, f"start() of {name}"):
-            found, expected = ca.SX(said[name]).numel(), states[name].numel()
-        if found != expected:
-            raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
-    return said
-
-
-def _has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
-    return variable.name in _said(diagram, variable.block, made)
-
-
 def _as_blocks_say(diagram: Diagram, values: dict[str, np.ndarray], made: Made, instants: Instants) -> None:
     """Evaluate the blocks' own starts, which may depend on the plant's pose and rest."""
     loop, drawn = diagram.loop, instants.rows(0, 1)[0, DRAWN:]
-    for variable, expression in _in_order(diagram, [v for v in loop.variables if v.label not in values], made):
+    for variable, expression in in_order(diagram, [v for v in loop.variables if v.label not in values], made):
         if expression is None:
             values[variable.label] = np.zeros(variable.symbol.shape)
             continue
         known = [v for v in loop.variables if v.label in values]
         key = ("start", variable.label, *(v.label for v in known))
-        function = _once(made, key, partial(_function, diagram, expression, known))
+        function = once(made, key, partial(at_start, diagram, expression, known))
         now = function(0, loop.p_values, _column(known, values), drawn, instants.period)
         values[variable.label] = np.asarray(now.full().ravel())
-
-
-def _in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Iterator[tuple[Variable, SX | None]]:
-    """Open states with what their blocks say, in the leaves of states, those first on which others depend."""
-    said = dict[str, SX | None]()
-    for variable in waiting:
-        stated = _said(diagram, variable.block, made).get(variable.name)
-        key = ("joined", variable.label)
-        said[variable.label] = None if stated is None else _once(made, key, partial(_joined, diagram, stated))
-    open_states = list(waiting)
-    while open_states:
-        symbols = {v.label: ca.vec(v.symbol) for v in open_states}
-
-        def ready(variable: Variable, symbols: Mapping[str, SX] = symbols) -> bool:
-            expression = said[variable.label]
-            return expression is None or not ca.depends_on(expression, stack(symbols.values()))
-
-        free = [variable for variable in open_states if ready(variable)]
-        if not free:
-            names = listed([variable.label for variable in open_states])
-            path = ("blocks", open_states[0].block)
-            raise StartError(f"start: {names} each wait for another's start; give one of them under start", path=path)
-        for variable in free:
-            yield variable, said[variable.label]
-        open_states = [variable for variable in open_states if variable not in free]
 
 
 def _goal(loop: ClosedLoop, wanted: Any) -> Any:
     """(t, p) -> a trajectory."""
     return ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(wanted))])
-
-
-def _joined(diagram: Diagram, expression: Any) -> Any:
-    """What a block says, in states, parameters, time, what is drawn, and T."""
-    loop = diagram.loop
-    resolver = diagram.resolver
-    leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some for this start alone
-    (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
-    return ca.vec(joined)
-
-
-def _function(diagram: Diagram, joined: Any, known: Sequence[Variable]) -> Any:
-    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
-    loop = diagram.loop
-    inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
-    return ca.Function("at_start", inputs, [joined])
 
 
 def _column(variables: Sequence[Variable], values: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -363,83 +278,3 @@ def evaluate(loop: ClosedLoop, expression: Any, values: Mapping[str, np.ndarray]
     inputs = [loop.time, loop.p, stack(v.symbol for v in known)]
     function = ca.Function("at_start", inputs, [ca.vec(expression)])
     return np.asarray(function(0, loop.p_values, _column(known, values)).full().ravel())
-
-
-def symbolic_start(
-    diagram: Diagram, given: Mapping[str, Any], posed: Variable | None, drawn: np.ndarray | None = None
-) -> tuple[SX, SX]:
-    """`start_state` as an expression in the parameters, the period, and the pose: the symbol of `posed`.
-
-    Twice: with states of a box or a ball where they are said to be, and put into it; where these differ by more than
-    rounding, `start_state` refuses. `drawn` is what is drawn for the first tick, zeros without it.
-    """
-    loop, made = diagram.loop, Made()
-    symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
-    first = ca.SX.zeros(loop.drawn.numel()) if drawn is None else ca.SX(ca.DM(drawn))
-    values = dict[str, SX]()
-    for label, number in _given(diagram, loop.variables, given).items():
-        values[label] = ca.SX(ca.DM(number))
-    for variable in loop.variables:
-        if posed is not None and variable.label == posed.label:
-            values[variable.label] = posed.symbol
-        elif variable.label in values:
-            continue
-        elif variable.name in diagram.models[variable.block].values:
-            number = diagram.models[variable.block].values[variable.name]
-            values[variable.label] = symbols.get(variable.label, ca.SX(ca.DM(np.ravel(number, order="F"))))
-    for variable in loop.plant:
-        if not _has_start(diagram, variable, made):
-            values.setdefault(variable.label, ca.SX.zeros(variable.symbol.numel()))
-    for variable, said in _in_order(diagram, [v for v in loop.variables if v.label not in values], made):
-        known = [v for v in loop.variables if v.label in values]
-        column = stack(values[v.label] for v in known)
-        values[variable.label] = (
-            ca.SX.zeros(variable.symbol.numel())
-            if said is None
-            else _function(diagram, said, known)(0, loop.p, column, first, loop.period)
-        )
-    found = stack(values[variable.label] for variable in loop.variables)
-    return found, ca.substitute(loop.held(loop.state), loop.state, found)
-
-
-def measured_start(diagram: Diagram, given: Mapping[str, Any]) -> tuple[SX, tuple[str, ...]]:
-    """Where the controller's states start, in the leaves of what is measured, t, T and the parameters.
-
-    On a robot nobody knows more. With the states whose start needs more, such as a true parameter; these start at the
-    numbers that a simulation would give them.
-    """
-    loop, made = diagram.loop, Made()
-    symbols = {parameter.label: parameter.symbol for parameter in loop.parameters}
-    mine = {variable.label for variable in loop.controller}
-    told = _given(diagram, loop.variables, given)
-    values = {label: ca.SX(ca.DM(np.ravel(number, order="F"))) for label, number in told.items() if label in mine}
-    waiting = dict[str, SX]()
-    for variable in (variable for variable in loop.controller if variable.label not in values):
-        model, stated = diagram.models[variable.block], _said(diagram, variable.block, made).get(variable.name)
-        if variable.name in model.values:
-            number = ca.SX(ca.DM(np.ravel(model.values[variable.name], order="F")))
-            values[variable.label] = ca.vec(symbols.get(variable.label, number))
-        elif stated is None:
-            values[variable.label] = ca.SX.zeros(variable.symbol.numel())
-        else:
-            waiting[variable.label] = ca.vec(ca.densify(loop.on_path(stated)))
-    own = {variable.label: ca.vec(variable.symbol) for variable in loop.controller}
-    while ready := [
-        label for label, said in waiting.items() if not ca.depends_on(said, stack(own[other] for other in waiting))
-    ]:
-        leaves, meanings = stack(own[label] for label in values), stack(values.values())
-        for label in ready:
-            values[label] = ca.substitute(waiting.pop(label), leaves, meanings)
-    allowed = [*(leaf.symbol for leaf in loop.measured), loop.time, loop.period, loop.p]
-    known = symbols_in([ca.vec(item) for item in allowed])
-    unknown = [*waiting, *(label for label, value in values.items() if not symbols_in([value]) <= known)]
-    if unknown:
-        simulated = start_state(diagram, given, made)
-        edges = np.cumsum([0, *(variable.symbol.numel() for variable in loop.controller)])
-        for k, variable in enumerate(loop.controller):
-            if variable.label in unknown:
-                values[variable.label] = ca.SX(ca.DM(simulated[edges[k] : edges[k + 1]]))
-    found = stack(values[variable.label] for variable in loop.controller)
-    rest = stack(variable.symbol for variable in loop.plant)
-    state = ca.vertcat(found, ca.SX.zeros(rest.numel()))
-    return ca.substitute(loop.held(loop.state), loop.state, state)[: found.numel()], tuple(unknown)

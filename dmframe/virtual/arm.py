@@ -27,6 +27,8 @@ JOINTS: Final = (
 BASE: Final = ("base",)
 """A UR tells poses in this frame, which is turned by pi against the URDF's base_link."""
 FLANGE: Final = ("tool0", "ee_link")
+TOLERANCE: Final = 1e-3
+"""Faster than this a joint that is held is told to move [rad/s]."""
 NEAR: Final = 1e-9
 """Of an inverse kinematics: metres and radians."""
 MOST_STEPS: Final = 100
@@ -74,6 +76,20 @@ class Arm:
         found = np.zeros(len(JOINTS)) + rest
         found[list(self.places)] = values
         return found
+
+    def refused(self, speed: np.ndarray, ahead: np.ndarray) -> str:
+        """Why target speeds of the six stop the robot, which lead to the angles `ahead`; empty where they do not."""
+        if not np.isfinite(speed).all():
+            return "a target speed is not a number"
+        for k, joint in enumerate(JOINTS):
+            if k not in self.places:
+                if abs(speed[k]) > TOLERANCE:
+                    return f"{joint} is told to move, and the graph holds it"
+            elif abs(speed[k]) > self.velocity[k] * (1 + 1e-9):
+                return f"{joint} is told {speed[k]:.4g} rad/s, its limit is {self.velocity[k]:.4g} rad/s"
+            elif (ahead[k] > self.upper[k] and speed[k] > 0) or (ahead[k] < self.lower[k] and speed[k] < 0):
+                return f"{joint} is told to go to {ahead[k]:.4g} rad, outside of its limits"
+        return ""
 
     def pose(self, q: np.ndarray) -> np.ndarray:
         """Where the flange is at six angles [rad], in the frame of a UR's base: position [m], rotation vector [rad]."""

@@ -32,8 +32,6 @@ VERSIONS: Final[Mapping[str, tuple[int, int, int, int]]] = {"cb3": (3, 15, 8, 10
 """What the controller says that it is."""
 SAFE_DECELERATION: Final = 20.0
 """Of a stop for safety [rad/s^2]; the makers tell stopping times instead, which depend on the load."""
-TOLERANCE: Final = 1e-3
-"""Faster than this a joint that is held is told to move [rad/s]."""
 OVER: Final = 1.05
 """A measured speed over the limit by this factor stops the robot, for a servo overshoots what it is commanded."""
 
@@ -244,7 +242,7 @@ class VirtualRobot:
     def _move(self) -> None:
         target = self.target
         speed = np.zeros(6) if self.motion is None else self.motion.speed(target, self.dt, self._slider)
-        if self.safety.ready and (fault := self._refused(speed)):
+        if self.safety.ready and (fault := self.arm.refused(speed, target.q + speed * self.dt)):
             self.protective_stop(fault)
             assert self.motion is not None
             speed = self.motion.speed(target, self.dt, self._slider)
@@ -255,21 +253,6 @@ class VirtualRobot:
             self.emergency_stop("the arm's state is no longer finite")
         if isinstance(self.motion, Stop) and self.motion.done:
             self.motion = None
-
-    def _refused(self, speed: np.ndarray) -> str:
-        """Why these target speeds stop the robot; empty where they do not."""
-        if not np.isfinite(speed).all():
-            return "a target speed is not a number"
-        ahead = self.target.q + speed * self.dt
-        for k, joint in enumerate(JOINTS):
-            if k not in self.arm.places:
-                if abs(speed[k]) > TOLERANCE:
-                    return f"{joint} is told to move, and the graph holds it"
-            elif abs(speed[k]) > self.arm.velocity[k] * (1 + 1e-9):
-                return f"{joint} is told {speed[k]:.4g} rad/s, its limit is {self.arm.velocity[k]:.4g} rad/s"
-            elif (ahead[k] > self.arm.upper[k] and speed[k] > 0) or (ahead[k] < self.arm.lower[k] and speed[k] < 0):
-                return f"{joint} is told to go to {ahead[k]:.4g} rad, outside of its limits"
-        return ""
 
     def _measure(self) -> None:
         self.q = self.arm.six(self.plant.q, self.arm.held)

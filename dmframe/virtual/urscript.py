@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, final
 
-from dmframe.virtual.words import OPENING, ScriptError, Token, tokens
+from dmframe.virtual.words import OPENING, ScriptError, Token, assigned, tokens
 
 
 @final
@@ -111,7 +111,7 @@ class _Reader:
             name = self._name()
             for end in ("(", ")", ":"):
                 self._expect(end)
-        plain, local, shared = self._assigned(self._at)
+        plain, local, shared = assigned(self._tokens[self._at :])
         self._globals = plain | local | shared
         self._put(0, "def main():", self._next.line)
         self._body(1, ("end",) if whole else ("",))
@@ -123,27 +123,6 @@ class _Reader:
         if self._next.kind != "over":
             raise self._fault("nothing after the program's end")
         return Transpiled(name, secondary, "\n".join(self._out) + "\n", tuple(self._lines))
-
-    def _assigned(self, start: int) -> tuple[set[str], set[str], set[str]]:
-        """Of the block from here on: assigned plainly, declared local; declared global, also within functions."""
-        plain, local, shared, depth = set[str](), set[str](), set[str](), list[str]()
-        words = self._tokens[start:]
-        for k, token in enumerate(words[:-1]):
-            follows, inner = words[k + 1], {"def", "thread"} & set(depth)
-            if token.kind == "word" and token.text in OPENING:
-                depth.append(token.text)
-            elif token.kind == "word" and token.text == "end":
-                if not depth:
-                    break
-                depth.pop()
-            elif token.text == "global" and token.kind == "word":
-                shared.add(follows.text)
-            elif token.text == "local" and token.kind == "word" and not inner:
-                local.add(follows.text)
-            first = k == 0 or words[k - 1].kind == "newline" or words[k - 1].text == ":"
-            if first and token.kind == "name" and follows.text == "=" and not inner:
-                plain.add(token.text)
-        return plain, local, shared
 
     def _body(self, depth: int, ends: tuple[str, ...]) -> None:
         begun = len(self._out)
@@ -253,7 +232,7 @@ class _Reader:
                 self._expect(",")
         self._expect(":")
         loops, self._loops = self._loops, 0
-        plain, local, _ = self._assigned(self._at)
+        plain, local, _ = assigned(self._tokens[self._at :])
         self._scopes.append(arguments | local | plain - self._globals)
         self._put(depth, f"def f_{name}({', '.join(given)}):", line)
         self._put(depth + 1, "_turn()", line)

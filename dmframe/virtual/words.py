@@ -1,8 +1,9 @@
-"""The words of a script, and when it is complete."""
+"""The words of a script, which names they assign, and when it is complete."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Final, NamedTuple, final
 
 from dmframe.errors import DmframeError
@@ -54,6 +55,27 @@ def tokens(text: str) -> list[Token]:
         line += kind == "newline"
     found.append(Token("newline", "\n", line))
     return [*found, Token("over", "", line)]
+
+
+def assigned(words: Sequence[Token]) -> tuple[set[str], set[str], set[str]]:
+    """Of the block that begins here: assigned plainly, declared local; declared global, also within functions."""
+    plain, local, shared, depth = set[str](), set[str](), set[str](), list[str]()
+    for k, token in enumerate(words[:-1]):
+        follows, inner = words[k + 1], {"def", "thread"} & set(depth)
+        if token.kind == "word" and token.text in OPENING:
+            depth.append(token.text)
+        elif token.kind == "word" and token.text == "end":
+            if not depth:
+                break
+            depth.pop()
+        elif token.text == "global" and token.kind == "word":
+            shared.add(follows.text)
+        elif token.text == "local" and token.kind == "word" and not inner:
+            local.add(follows.text)
+        first = k == 0 or words[k - 1].kind == "newline" or words[k - 1].text == ":"
+        if first and token.kind == "name" and follows.text == "=" and not inner:
+            plain.add(token.text)
+    return plain, local, shared
 
 
 def complete(text: str) -> int:

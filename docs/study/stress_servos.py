@@ -26,9 +26,8 @@ class VelocityServo(AbstractBlock):
         return Equations(outputs={"u": -p.K_P * (u.dq - u.dq_c)})
 
 
-@final
-class DriftingServo(AbstractBlock):
-    """PID servo of the joint positions whose target integrates a share of the commands alone."""
+class AbstractPositionServo(AbstractBlock):
+    """PID servo of the joint positions; what kind of one, its equations say."""
 
     side: ClassVar[Side] = Side.PLANT
     inputs: ClassVar[tuple[Port, ...]] = (
@@ -43,12 +42,6 @@ class DriftingServo(AbstractBlock):
     K_D: Diagonal = Positive("n", "V s/rad")
     K_P: Diagonal = Positive("n", "V/rad")
     K_I: Diagonal = Positive("n", "V/(rad s)")
-    share: Scalar = Positive(default=0.99)
-
-    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The voltage, and a target that falls behind."""
-        voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
-        return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.share * u.dq_c, "i": u.q - x.q_c})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """At rest, holding gravity."""
@@ -56,26 +49,23 @@ class DriftingServo(AbstractBlock):
 
 
 @final
-class FilteredServo(AbstractBlock):
+class DriftingServo(AbstractPositionServo):
+    """PID servo of the joint positions whose target integrates a share of the commands alone."""
+
+    share: Scalar = Positive(default=0.99)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        """The voltage, and a target that falls behind."""
+        voltage = -p.K_D * (u.dq - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
+        return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.share * u.dq_c, "i": u.q - x.q_c})
+
+
+@final
+class FilteredServo(AbstractPositionServo):
     """PID servo of the joint positions that filters the velocity error."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_c", "n", "rad/s"),
-    )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad", Access.MEASURED), Port("u", "n", "V"))
-    states: ClassVar[tuple[State, ...]] = (
-        State("q_c", "n", "rad"),
-        State("i", "n", "rad s"),
-        State("slip", "n", "rad/s"),
-    )
-    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"), Port("K", "n", "N m/V"))
+    states: ClassVar[tuple[State, ...]] = (*AbstractPositionServo.states, State("slip", "n", "rad/s"))
 
-    K_D: Diagonal = Positive("n", "V s/rad")
-    K_P: Diagonal = Positive("n", "V/rad")
-    K_I: Diagonal = Positive("n", "V/(rad s)")
     time_constant: Scalar = Positive("", "s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
@@ -84,35 +74,14 @@ class FilteredServo(AbstractBlock):
         behind = (u.dq - u.dq_c - x.slip) / p.time_constant
         return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": u.dq_c, "i": u.q - x.q_c, "slip": behind})
 
-    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, holding gravity."""
-        return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}
-
 
 @final
-class HurriedServo(AbstractBlock):
+class HurriedServo(AbstractPositionServo):
     """PID servo of the joint positions whose clock is fast: `pace` of its seconds pass in one."""
 
-    side: ClassVar[Side] = Side.PLANT
-    inputs: ClassVar[tuple[Port, ...]] = (
-        Port("q", "n", "rad"),
-        Port("dq", "n", "rad/s"),
-        Port("dq_c", "n", "rad/s"),
-    )
-    outputs: ClassVar[tuple[Port, ...]] = (Port("q_c", "n", "rad", Access.MEASURED), Port("u", "n", "V"))
-    states: ClassVar[tuple[State, ...]] = (State("q_c", "n", "rad"), State("i", "n", "rad s"))
-    truth: ClassVar[tuple[Port, ...]] = (Port("g", "n", "N m"), Port("K", "n", "N m/V"))
-
-    K_D: Diagonal = Positive("n", "V s/rad")
-    K_P: Diagonal = Positive("n", "V/rad")
-    K_I: Diagonal = Positive("n", "V/(rad s)")
     pace: Scalar = Positive()
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The voltage; what it integrates, and the velocity that it sees, are by its own clock."""
         voltage = -p.K_D * (u.dq / p.pace - u.dq_c) - p.K_P * (u.q - x.q_c) - p.K_I * x.i
         return Equations({"q_c": x.q_c, "u": voltage}, rates={"q_c": p.pace * u.dq_c, "i": p.pace * (u.q - x.q_c)})
-
-    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
-        """At rest, holding gravity."""
-        return {"q_c": u.q, "i": -truth.g / (truth.K * p.K_I)}

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_robot import ClosedRobot
 from scipy.integrate import solve_ivp
 
 import dmframe as dm
@@ -180,7 +181,6 @@ def test_a_tool_that_comes_nearer_than_the_depth_that_is_told_is_told() -> None:
     assert any("the tool is nearer to the camera than depth_min" in notice for notice in run.notices)
 
 
-V_0 = 0.005  # [rad/s] of Coulomb friction
 K_D = np.array([800.0, 800, 400])
 K_P, K_I = 2.2 * K_D, 0.7 * K_D
 VISCOUS, COULOMB = np.array([5.0, 5, 2]), np.array([8.0, 8, 4])
@@ -193,6 +193,7 @@ class ByHand:
     def __init__(self, experiment: Experiment) -> None:
         self.model = experiment.diagram().robot.model
         self.data, self.tool = self.model.createData(), self.model.getFrameId("ee_link")
+        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
     def image(self, q: Array) -> tuple[Array, Array]:
         """Of the tool: where it is seen, and the Jacobian of where it is."""
@@ -200,31 +201,9 @@ class ByHand:
         pin.framesForwardKinematics(self.model, self.data, q)
         return seen(self.data.oMf[self.tool].translation)[0], J
 
-    def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
-        """Of M a + C(q, dq) v + g, the products of two velocities polarised, and of friction."""
-
-        def Y(dq: Array, ddq: Array) -> Array:
-            return np.array(pin.computeJointTorqueRegressor(self.model, self.data, q, dq, ddq))
-
-        zero = np.zeros(3)
-        inertial = Y(zero, a) + (Y(dq + v, zero) - Y(dq, zero) - Y(v, zero) + Y(zero, zero)) / 2
-        return np.hstack([inertial, np.diag(v), np.diag(np.tanh(v / V_0))])
-
-    def moved(self, plant: Array, dq_c: Array) -> Array:
-        """Servo and robot over one period, the command held."""
-
-        def rate(_: float, s: Array) -> Array:
-            q, dq, q_c, i = s.reshape(4, 3)
-            u = -K_D * (dq - dq_c) - K_P * (q - q_c) - K_I * i
-            ddq = pin.aba(self.model, self.data, q, dq, u - VISCOUS * dq - COULOMB * np.tanh(dq / V_0))
-            return np.concatenate([dq, ddq, dq_c, q - q_c])
-
-        return np.array(solve_ivp(rate, (0, T), plant, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1])
-
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
         """The signals, sample by sample; Euler for the controller's states."""
-        gravity = np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
-        plant = np.concatenate([q, np.zeros(3), q, -gravity / K_I])
+        plant = self.robot.held(q)
         q_tie, z, y, w, w_P, w_I = q, np.zeros(3), np.zeros(3), np.zeros(3), np.full(3, 2.0), np.full(3, 0.7)
         a, a_c = np.zeros(36), GUESS
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "e", "a_c", "a")}
@@ -235,7 +214,7 @@ class ByHand:
             J_chi = motion(a_c, chi, e) @ J
             pull = J_chi.T @ e
             dq_ref, ddq_ref = -K_2 * y, -K_2 * K_1 * (pull - y)
-            Y = self.regressor(q, dq, dq_ref, ddq_ref)
+            Y = self.robot.regressor(q, dq, dq_ref, ddq_ref)
             tau_dc, sigma = Y @ a - ALPHA * pull, dq - dq_ref
             dq_c = dq_ref + w_P * (q_tie - q_c) + w * tau_dc - w_I * z
             for name, value in zip(kept, (q, dq_c, e, a_c, a), strict=True):
@@ -251,7 +230,7 @@ class ByHand:
                 a - T * GAMMA * Y.T @ sigma,
                 a_c + T * GAMMA_C * np.concatenate([e[0] * dx, e[1] * dx, -((chi - e / 2) @ e) * dx]),
             )
-            plant = self.moved(plant, dq_c)
+            plant = self.robot.moved(plant, dq_c, T)
         return {name: np.array(values) for name, values in kept.items()}
 
 

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_robot import ClosedRobot
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 import dmframe as dm
 from dmframe.catalogue import find_block
@@ -223,7 +223,6 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     assert concluded(task.storage[1].vector[:3]) is None
 
 
-V_0 = 0.005  # [rad/s] of Coulomb friction
 K_D = np.array([800, 800, 400, 16, 8, 0.8])
 K_P, K_I = 2.2 * K_D, 0.7 * K_D
 VISCOUS, COULOMB = np.array([5, 5, 2, 0.2, 0.1, 0.01]), np.array([8.0, 8, 4, 0, 0, 0])
@@ -236,6 +235,7 @@ class ByHand:
     def __init__(self) -> None:
         self.model = load("ur10").model
         self.tool, self.data = self.model.getFrameId("ee_link"), self.model.createData()
+        self.robot = ClosedRobot(self.model, VISCOUS, COULOMB, K_D, K_P, K_I)
 
     def path(self, t: float) -> tuple[Array, Array, Array]:
         """R_d, x_d, and the velocity of both: the tool leans by b about the horizontal axis n."""
@@ -257,31 +257,9 @@ class ByHand:
         e = np.concatenate([place.translation - x_d, LEVER**2 * 2 * np.sin(angle) / angle * turn])
         return np.array(np.linalg.solve(J, moving) - GAMMA * J.T @ e)
 
-    def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
-        """Of M a + C(q, dq) v + g, the products of two velocities polarised, and of friction."""
-
-        def Y(dq: Array, ddq: Array) -> Array:
-            return np.array(pin.computeJointTorqueRegressor(self.model, self.data, q, dq, ddq))
-
-        zero = np.zeros(6)
-        inertial = Y(zero, a) + (Y(dq + v, zero) - Y(dq, zero) - Y(v, zero) + Y(zero, zero)) / 2
-        return np.hstack([inertial, np.diag(v), np.diag(np.tanh(v / V_0))])
-
-    def moved(self, plant: Array, dq_c: Array) -> Array:
-        """Servo and robot over one period, the command held."""
-
-        def rate(_: float, y: Array) -> Array:
-            q, dq, q_c, i = y.reshape(4, 6)
-            u = -K_D * (dq - dq_c) - K_P * (q - q_c) - K_I * i
-            ddq = pin.aba(self.model, self.data, q, dq, u - VISCOUS * dq - COULOMB * np.tanh(dq / V_0))
-            return np.concatenate([dq, ddq, dq_c, q - q_c])
-
-        return np.array(solve_ivp(rate, (0, T), plant, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1])
-
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
         """The controller's signals, sample by sample; Euler for its states."""
-        gravity = np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
-        plant = np.concatenate([q, np.zeros(6), q, -gravity / K_I])
+        plant = self.robot.held(q)
         q_r, z, w, w_P, w_I, a = q, np.zeros(6), np.zeros(6), np.full(6, 2.0), np.full(6, 0.7), np.zeros(72)
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "w", "a", "turn")}
         most, h = np.array([0.004, 0.004, 0.008, 0.2, 0.4, 4]), 1e-5
@@ -290,7 +268,7 @@ class ByHand:
             first = self.reference(k * T, q)
             ends = [self.reference(k * T + way * h, q + way * h * dq) for way in (1, -1)]
             dq_ref, ddq_ref = first - K_C * (q - q_r), (ends[0] - ends[1]) / (2 * h) - K_C * (dq - first)
-            Y = self.regressor(q, dq, dq_ref, ddq_ref)
+            Y = self.robot.regressor(q, dq, dq_ref, ddq_ref)
             tau_dc, sigma = Y @ a, dq - dq_ref
             dq_c = dq_ref + w_P * (q_r - q_c) + w * tau_dc - w_I * z
             pin.framesForwardKinematics(self.model, self.data, q)
@@ -305,7 +283,7 @@ class ByHand:
                 q_r + T * first,
                 a - T * GAIN * Y.T @ sigma,
             )
-            plant = self.moved(plant, dq_c)
+            plant = self.robot.moved(plant, dq_c, T)
         return {name: np.array(values) for name, values in kept.items()}
 
 

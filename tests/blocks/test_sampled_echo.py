@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
 from dmframe.catalogue import block_types
@@ -86,18 +87,4 @@ def test_the_target_has_to_be_wired() -> None:
 
 
 def arm2() -> dict[str, Any]:
-    return {
-        "dmframe": 1,
-        "robot": "arm2",
-        "clock": "40 ms",
-        "duration": "4 s",
-        "start": {"q": [0.5, 0.9]},
-        "blocks": {
-            "path": {"type": "circle", "center": [0.6, 0.2], "radius": 0.1, "rate": "0.5 rad/s"},
-            "task": {"type": "sampled_tracking", "gamma": 1},
-            "inverse": {"type": "sampled_inverse", "w_0": 0.02, "replay": 2, "echoed": True},
-            "servo": {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]},
-            "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2]},
-        },
-        "wires": {"inverse.q_echo": "servo.q_c"},
-    }
+    return {**sampled_arm2(replay=2, echoed=True), "wires": {"inverse.q_echo": "servo.q_c"}}

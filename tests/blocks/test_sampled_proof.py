@@ -6,6 +6,7 @@ from typing import Any
 
 import casadi as ca
 import pytest
+from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
 from dmframe.certify import Verdict, verify
@@ -22,23 +23,10 @@ PI = {"type": "pi_servo", "K_P": [60, 30], "K_I": [120, 60]}
 def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **inverse: Any) -> Verdict:
     kind = maker["type"].partition("_")[0]
     memory = {} if "estimator" in inverse else {"replay": 2}
-    graph = dm.load(
-        {
-            "dmframe": 1,
-            "robot": "arm2",
-            "clock": "40 ms",
-            "duration": "4 s",
-            "start": {"q": [0.5, 0.9]},
-            "blocks": {
-                "path": {"type": "circle", "center": [0.6, 0.2], "radius": 0.1, "rate": "0.5 rad/s"},
-                "task": {"type": "sampled_tracking", "gamma": 1},
-                "inverse": {"type": "sampled_inverse", "servo": kind, "w_0": 0.02, **memory, **inverse},
-                "servo": maker,
-                "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2], **(arm or {})},
-            },
-        }
-    )
-    return verify(graph.diagram)
+    graph = sampled_arm2(**{"servo": kind, **memory, **inverse})
+    graph["blocks"]["servo"] = maker
+    graph["blocks"]["arm"] |= arm or {}
+    return verify(dm.load(graph).diagram)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 import pytest
+from sampled_arm2 import sampled_arm2
 from sampled_by_hand import Array, Circle, Known, Observer, Plant, SampledLaw, closed_loop, rms
 from test_sampled_by_hand import K_D, K_I, K_P, PATH, START, T, ur10
 
@@ -234,27 +235,17 @@ def test_reality_stands_in_for_what_is_sent_and_not_for_what_a_predictor_would_s
 
 
 def arm2() -> dict[str, Any]:
-    return {
-        "dmframe": 1,
-        "robot": "arm2",
-        "clock": "40 ms",
-        "duration": "4 s",
-        "start": {"q": [0.5, 0.9]},
-        "blocks": {
-            "path": {"type": "circle", "center": [0.6, 0.2], "radius": 0.1, "rate": "0.5 rad/s"},
-            "task": {"type": "sampled_tracking", "gamma": 1},
-            "inverse": {"type": "sampled_inverse", "w_0": 0.02, "replay": 2, "supervised": True},
-            "column": {"type": "disturbance_observer", "supervised": True},
-            "supervisor": {"type": "sampled_supervisor", "demand_max": 1},
-            "servo": {"type": "pid_servo", "K_D": [60, 30], "K_P": [120, 60], "K_I": [40, 20]},
-            "arm": {"type": "manipulator", "viscous": [1, 0.5], "coulomb": [0.5, 0.2]},
-        },
-        "wires": {
-            "supervisor.dq_full": "inverse.dq_c",
-            "supervisor.q_full": "inverse.q_start",
-            "supervisor.dq_column": "column.dq_c",
-            "supervisor.q_column": "column.q_start",
-            "task.q_start": "supervisor.q_start",
-            "servo.dq_c": "supervisor.dq_sent",
-        },
+    graph = sampled_arm2(replay=2, supervised=True)
+    graph["blocks"] |= {
+        "column": {"type": "disturbance_observer", "supervised": True},
+        "supervisor": {"type": "sampled_supervisor", "demand_max": 1},
     }
+    graph["wires"] = {
+        "supervisor.dq_full": "inverse.dq_c",
+        "supervisor.q_full": "inverse.q_start",
+        "supervisor.dq_column": "column.dq_c",
+        "supervisor.q_column": "column.q_start",
+        "task.q_start": "supervisor.q_start",
+        "servo.dq_c": "supervisor.dq_sent",
+    }
+    return graph

@@ -26,6 +26,7 @@ from unittest import mock
 from closed_loops import FULL, Loop, known_blocks, loops, same_field, true_in_numbers
 
 import dmframe.linalg
+import dmframe.robot.bodies
 import dmframe.robot.symbolic
 from dmframe.block import AbstractBlock
 from dmframe.block.model import symbols_in
@@ -39,6 +40,8 @@ from dmframe.errors import DmframeError
 from dmframe.exact import zero_test
 from dmframe.parameter import specs
 from dmframe.port import Side
+from dmframe.robot.bodies import Body
+from dmframe.robot.symbolic import SymbolicRobot
 
 OUTCOMES = {
     "refuted": "the certifier refutes it",
@@ -221,12 +224,13 @@ LIBRARY: Mapping[str, Sequence[Callable[..., Any]]] = {
     "gain": [dmframe.linalg.times, dmframe.linalg.metric, dmframe.linalg.inverse_spd, dmframe.linalg.square],
     "symbolic": [
         function
-        for holder in (dmframe.robot.symbolic, dmframe.robot.symbolic.SymbolicRobot, dmframe.robot.symbolic.Body)
+        for module, kind in ((dmframe.robot.symbolic, SymbolicRobot), (dmframe.robot.bodies, Body))
+        for holder in (module, kind)
         for name, function in vars(holder).items()
         if isinstance(function, FunctionType)
-        and function.__module__ == dmframe.robot.symbolic.__name__
+        and function.__module__ == module.__name__
         and name not in ("__init__", "__eq__", "__hash__", "__repr__", "__replace__", "values", "kinematic_regressor")
-        and function.__code__.co_filename == dmframe.robot.symbolic.__file__
+        and function.__code__.co_filename == module.__file__
     ],
 }
 
@@ -256,7 +260,7 @@ def _renamed(function: Callable[..., Any], which: str, names: Sequence[str]) -> 
 def patched(mutant: Mutant) -> Iterator[None]:
     """The library with one function replaced, wherever it is known."""
     holders: list[Any] = [module for name, module in sys.modules.items() if name.startswith("dmframe")]
-    holders += [dmframe.robot.symbolic.SymbolicRobot, dmframe.robot.symbolic.Body]
+    holders += [SymbolicRobot, Body]
     name = mutant.original.__name__
     found = [holder for holder in holders if vars(holder).get(name) is mutant.original]
     assert found

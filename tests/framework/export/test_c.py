@@ -259,7 +259,7 @@ def test_a_name_without_a_letter_is_refused() -> None:
 
 
 def test_without_a_compiler_it_is_written_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dmframe.export.c.find_compiler", lambda: None)
+    monkeypatch.setattr("dmframe.export.replay.find_compiler", lambda: None)
     dm.load("ur10_fast_kinematic").export(tmp_path / "out")
     assert "#define DM_EXACT 0" in (tmp_path / "out" / "samples.h").read_text(encoding="utf-8")
     assert "to rounding: no compiler worked" in (tmp_path / "out" / "README.md").read_text(encoding="utf-8")

@@ -1,0 +1,134 @@
+"""What the sections of a graph file stand for: blocks, the robot, the start."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from dmframe.block import AbstractBlock, type_name
+from dmframe.config.grammar import RobotSection, robot_name, shown
+from dmframe.config.renamed import Find
+from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
+from dmframe.units import to_unit
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find) -> None:
+    """Its blocks can be made, and what it leaves out is there."""
+    entries = section if isinstance(section, dict) else {}
+    if entries:
+        made = {name: spec for name, spec in entries.items() if spec is not None}
+        blocks_of("baseline", made or None, base, faults, find)
+    faults += [
+        UnknownNameError(f"baseline.{name}", "block", name, blocks, path=("baseline", name))
+        for name, spec in entries.items()
+        if spec is None and name not in blocks
+    ]
+
+
+def blocks_of(key: str, section: Any, base: Path, faults: list[DmframeError], find: Find) -> dict[str, AbstractBlock]:
+    """The blocks of a section, ``blocks`` or ``baseline``."""
+    made = dict[str, AbstractBlock]()
+    for name, spec in section.items() if isinstance(section, dict) else ():
+        where, path = f"{key}.{name}", (key, name)
+        if not NAME.fullmatch(name) or name == "robot":
+            faults.append(ValueFault(f"{where}: expected a name of letters, digits and _, other than robot", path=path))
+        elif isinstance(spec, dict) and "type" not in spec:
+            faults.append(MissingError(f"{where}: expected a key type, for example {{type: circle, ...}}", path=path))
+        elif isinstance(spec, dict) and not isinstance(spec["type"], str):
+            found = shown(spec["type"])
+            faults.append(
+                ValueFault(f"{where}.type: expected the name of a block type, found {found}", path=(*path, "type"))
+            )
+        elif isinstance(spec, dict):
+            try:
+                made[name] = _block(path, spec, base, find)
+            except DmframeError as error:
+                for fault in error.faults:
+                    faults.append(fault)
+    if isinstance(section, dict) and not section:
+        faults.append(MissingError(f"{key}: expected at least one block, found none", path=(key,)))
+    return made
+
+
+def _block(path: tuple[str, str], spec: Mapping[str, Any], base: Path, find: Find) -> AbstractBlock:
+    where = ".".join(path)
+    try:
+        kind = find(spec["type"], base, f"{where}.type")
+    except DmframeError as error:
+        error.path = (*path, "type")
+        raise
+    values = {key: value for key, value in spec.items() if key != "type"}
+    try:
+        return kind(**values)
+    except DmframeError as error:
+        for fault in error.faults:
+            fault.path = (*path, *fault.path)
+            fault.text = where + fault.text.removeprefix(type_name(kind))
+        raise
+
+
+def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
+    """The robot's chain of joints; None without a section, and of one that is not valid, whose faults are told with
+    those of others.
+    """
+    if (value := robot_name(given)) is None:
+        return None
+    try:
+        section = RobotSection.model_validate(value)
+    except ValidationError:
+        return None
+    from dmframe.robot.library import load
+
+    try:
+        return load(
+            section.model,
+            base=base,
+            free=section.free,
+            hold=section.hold,
+            tool=section.tool,
+            axes=section.axes,
+            friction_velocity=section.friction_velocity,
+        )
+    except DmframeError as error:
+        for fault in error.faults:
+            fault.path = fault.path or ("robot", "model")
+            faults.append(fault)
+        return None
+
+
+def at_name(fault: DmframeError) -> DmframeError:
+    """Where a graph writes a robot as its name alone, that is the place of all that is wrong with the model."""
+    if fault.path == ("robot", "model"):
+        fault.path = ("robot",)
+    return fault
+
+
+def start_of(section: Any, faults: list[DmframeError]) -> dict[str, Any]:
+    """Start values as numbers; angles may carry a unit."""
+    values = dict[str, Any]()
+    for key, value in section.items() if isinstance(section, dict) else ():
+        try:
+            values[key] = _start_numbers(value)
+        except DmframeError as error:
+            faults.append(ValueFault(f"start.{key}: {error.text}", path=("start", key)))
+    return values
+
+
+def _start_numbers(item: Any, depth: int = 0) -> Any:
+    """A number, a list, or the rows of a matrix."""
+    if isinstance(item, list) and depth < 2:
+        return [_start_numbers(below, depth + 1) for below in item]
+    if isinstance(item, str):
+        return to_unit(item, "rad")
+    if isinstance(item, bool) or not isinstance(item, int | float):
+        raise ValueFault(f"expected numbers, found {shown(item)}")
+    try:
+        return float(item)
+    except OverflowError:
+        raise ValueFault("expected a finite number, found one of hundreds of digits") from None

@@ -1,0 +1,60 @@
+"""A graph from what a program has: a name, a path, a text or data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dmframe.config import load_experiment
+from dmframe.config.document import read_document
+from dmframe.config.experiment import experiment_of
+from dmframe.config.given import document_of
+from dmframe.errors import ValueFault
+from dmframe.graph.graph import Graph
+
+TEXT = "graph"
+"""What messages call a graph that came from no file."""
+
+
+def load(source: str | Path | Mapping[str, Any] | Graph, *, name: str = "", trust: bool = False) -> Graph:
+    """A graph from its name, a path, a text or data.
+
+    Parameters
+    ----------
+    source
+        The name of a packaged graph, ``"ur10_fast"``; the path of a graph file; its text, of more than one line; a
+        dictionary as the file would hold it; a `Graph` is returned as it is.
+    name
+        What a graph from a text or a dictionary is called.
+    trust
+        Run the code of blocks that lie in the graph's folder from now on, whoever wrote it; see the notes.
+
+    Raises
+    ------
+    DmframeError
+        All faults of the graph at once, each with its line and column.
+
+    Notes
+    -----
+    A block type ``my_file.py:MyBlock`` runs that file as a part of your program. One that others may have written, as
+    it belongs to another user, or all may write to it, or it was downloaded, is run in trusted folders alone.
+    """
+    if trust:
+        from dmframe.catalogue import find_graph
+        from dmframe.trust import remember
+
+        named = isinstance(source, Path) or (isinstance(source, str) and "\n" not in source)
+        remember(find_graph(str(source)).parent if named else Path())
+    if not isinstance(name, str):
+        raise ValueFault(f"load: expected a text as name, found {name!r:.40}")
+    if isinstance(source, Graph):
+        return source
+    if isinstance(source, Mapping):
+        return Graph(experiment_of(document_of(source, name or TEXT)))
+    if isinstance(source, str) and "\n" in source:
+        return Graph(experiment_of(read_document(source, name or TEXT)))
+    if not isinstance(source, str | Path):
+        found = type(source).__name__
+        raise ValueFault(f"load: expected a graph's name, its path, its text or a dictionary, found {found}")
+    return Graph(load_experiment(source))

@@ -1,0 +1,100 @@
+"""Where blocks say that their states start, as expressions, and in which order these can be evaluated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+import casadi as ca
+
+from dmframe.block.faults import told_by
+from dmframe.certificate import SX
+from dmframe.diagram import Diagram, Variable
+from dmframe.diagram.closed_loop import columns, stack
+from dmframe.diagram.view import view
+from dmframe.errors import BlockError, StartError, listed
+
+Made = dict[tuple[str, ...], Any]
+"""Expressions and functions that serve every set of numbers of one diagram."""
+
+
+def once(made: Made, key: tuple[str, ...], make: Callable[[], Any]) -> Any:
+    """What is made already under this key, or is made now."""
+    if key not in made:
+        made[key] = make()
+    return made[key]
+
+
+def said_by(diagram: Diagram, block: str, made: Made) -> Mapping[str, Any]:
+    """What a block says of its start, as expressions."""
+
+    def ask() -> Mapping[str, Any]:
+        try:
+            return _asked(diagram, block)
+        except BlockError as fault:
+            fault.path = fault.path or ("blocks", block)
+            raise
+
+    found: Mapping[str, Any] = once(made, ("said", block), ask)
+    return found
+
+
+def _asked(diagram: Diagram, block: str) -> Mapping[str, Any]:
+    seen, states = view(diagram, block), diagram.models[block].states
+    with told_by(block, "start()"):
+        said = diagram.blocks[block].composed_start(seen.u, seen.p, seen.truth)
+    if not isinstance(said, Mapping):
+        raise BlockError(f"{block}: expected start() to return starts by state, found {type(said).__name__}")
+    for name in states.keys() & said.keys():
+        with told_by(block, f"start() of {name}"):
+            found, expected = ca.SX(said[name]).numel(), states[name].numel()
+        if found != expected:
+            raise BlockError(f"{block}: expected start() to give {name} {expected} numbers, found {found}")
+    return said
+
+
+def has_start(diagram: Diagram, variable: Variable, made: Made) -> bool:
+    """True for a state whose block says where it starts."""
+    return variable.name in said_by(diagram, variable.block, made)
+
+
+def in_order(diagram: Diagram, waiting: Sequence[Variable], made: Made) -> Iterator[tuple[Variable, SX | None]]:
+    """Open states with what their blocks say, in the leaves of states, those first on which others depend."""
+    said = dict[str, SX | None]()
+    for variable in waiting:
+        stated = said_by(diagram, variable.block, made).get(variable.name)
+        key = ("joined", variable.label)
+        said[variable.label] = None if stated is None else once(made, key, partial(_joined, diagram, stated))
+    open_states = list(waiting)
+    while open_states:
+        symbols = {v.label: ca.vec(v.symbol) for v in open_states}
+
+        def ready(variable: Variable, symbols: Mapping[str, SX] = symbols) -> bool:
+            expression = said[variable.label]
+            return expression is None or not ca.depends_on(expression, stack(symbols.values()))
+
+        free = [variable for variable in open_states if ready(variable)]
+        if not free:
+            names = listed([variable.label for variable in open_states])
+            path = ("blocks", open_states[0].block)
+            raise StartError(f"start: {names} each wait for another's start; give one of them under start", path=path)
+        for variable in free:
+            yield variable, said[variable.label]
+        open_states = [variable for variable in open_states if variable not in free]
+
+
+def _joined(diagram: Diagram, expression: Any) -> Any:
+    """What a block says, in states, parameters, time, what is drawn, and T."""
+    loop = diagram.loop
+    resolver = diagram.resolver
+    leaves, meanings = columns([*resolver.trajectories.values(), *resolver.ahead.values()])  # some for this start alone
+    (joined,) = loop.joined([ca.substitute(loop.on_path(expression), leaves, meanings)])
+    return ca.vec(joined)
+
+
+def at_start(diagram: Diagram, joined: Any, known: Sequence[Variable]) -> Any:
+    """(t, p, known states as one column, what is drawn, T) -> what a block says."""
+    loop = diagram.loop
+    inputs = [loop.time, loop.p, stack(v.symbol for v in known), loop.drawn, loop.period]
+    return ca.Function("at_start", inputs, [joined])

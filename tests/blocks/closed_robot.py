@@ -1,0 +1,56 @@
+"""An arm with friction behind a PID servo, in Pinocchio and SciPy, sharing no equation with dmframe."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+Array = NDArray[np.float64]
+V_0 = 0.005  # [rad/s] of Coulomb friction, tanh(dq / V_0)
+
+
+@dataclass
+class ClosedRobot:
+    """Pinocchio's model of revolute joints, the friction of each, and its servo's gains."""
+
+    model: Any
+    viscous: Array
+    coulomb: Array
+    K_D: Array
+    K_P: Array
+    K_I: Array
+    data: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.data = self.model.createData()
+
+    def regressor(self, q: Array, dq: Array, v: Array, a: Array) -> Array:
+        """Of M a + C(q, dq) v + g, the products of two velocities polarised, and of friction."""
+
+        def Y(dq: Array, ddq: Array) -> Array:
+            return np.array(pin.computeJointTorqueRegressor(self.model, self.data, q, dq, ddq))
+
+        zero = np.zeros(len(q))
+        inertial = Y(zero, a) + (Y(dq + v, zero) - Y(dq, zero) - Y(v, zero) + Y(zero, zero)) / 2
+        return np.hstack([inertial, np.diag(v), np.diag(np.tanh(v / V_0))])
+
+    def held(self, q: Array) -> Array:
+        """At rest: joints, velocities, commands, and the integral that bears the weight."""
+        gravity = np.array(pin.computeGeneralizedGravity(self.model, self.data, q))
+        return np.concatenate([q, np.zeros(len(q)), q, -gravity / self.K_I])
+
+    def moved(self, plant: Array, dq_c: Array, period: float) -> Array:
+        """Servo and arm over one period, the command held."""
+
+        def rate(_: float, y: Array) -> Array:
+            q, dq, q_c, i = y.reshape(4, -1)
+            u = -self.K_D * (dq - dq_c) - self.K_P * (q - q_c) - self.K_I * i
+            friction = self.viscous * dq + self.coulomb * np.tanh(dq / V_0)
+            return np.concatenate([dq, pin.aba(self.model, self.data, q, dq, u - friction), dq_c, q - q_c])
+
+        return np.array(solve_ivp(rate, (0, period), plant, method="LSODA", rtol=1e-9, atol=1e-11).y[:, -1])
