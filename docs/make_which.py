@@ -1,10 +1,11 @@
 """Write the tables of docs/how_to/which.md: which controller for which task, and how competitors do on one plant.
 
-    python docs/make_which.py [--draw] [GRAPH...]
+    python docs/make_which.py [--draw | --laws] [GRAPH...]
 
 What a graph follows, takes, measures, knows and learns is read from it, its verdict is asked for, and its error is that
-of a run; `which.yaml` says only when to take it. All cells are kept in `which.csv` and `which_laws.csv`, of which
-``--draw`` makes the tables without a run. With names only their rows are made anew, and those that are not there.
+of a run; `which.yaml` says only when to take it. All cells are kept in `which.csv`, `which_laws.csv` and
+`which_limits.csv`, of which ``--draw`` makes the tables without a run. With names only their rows are made anew, and
+those that are not there; with ``--laws`` those of competitors alone.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import casadi as ca
+import numpy as np
 from ruamel.yaml import YAML
 
 import dmframe as dm
@@ -27,16 +29,21 @@ from dmframe.formula.names import unicode_name
 from dmframe.port import Side
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import apart_of
+from dmframe.simulate.told import telling
 from dmframe.units import plain
 
 DOCS = Path(__file__).parent
 PAGE, WORDS = DOCS / "how_to" / "which.md", DOCS / "which.yaml"
-TABLE, LAWS = DOCS / "which.csv", DOCS / "which_laws.csv"
+TABLE, LAWS, LIMITS = DOCS / "which.csv", DOCS / "which_laws.csv", DOCS / "which_limits.csv"
 FACTS: Final = ("follows", "robot", "servo", "takes", "clock", "measured", "known", "learnt")
 HEADS: Final = ("graph", *FACTS, "proved", "error")
-LAW_HEADS: Final = ("law", "circle", "rms_final", "unit", "diverged_at")
+FIGURES: Final = ("rms_final", "unit", "diverged_at", "at_limits")
+LAW_HEADS: Final = ("law", "circle", *FIGURES)
+LIMIT_HEADS: Final = ("law", "reality", *FIGURES, "room", "says")
+REALITIES: Final = ("none", "ur")
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 LAWS_BEGIN, LAWS_END = "<!-- laws: begin -->", "<!-- laws: end -->"
+LIMITS_BEGIN, LIMITS_END = "<!-- limits: begin -->", "<!-- limits: end -->"
 
 FOLLOWED: Final = {"q": "joints", "x": "position", "chi": "point of an image"}
 TAKEN: Final = {"rad": "position", "rad/s": "velocity", "N m": "torque"}
@@ -213,14 +220,54 @@ def _document(name: str) -> dict[str, Any]:
     return dict(YAML(typ="safe").load(find_graph(name).read_text(encoding="utf-8")))
 
 
+def real(graph: dm.Graph, reality: str) -> dm.Graph:
+    """A law on a robot that is not ideal; one that has to be told of a delay is told."""
+    if reality == "none":
+        return graph
+    made = graph.reality(reality)
+    told = [label for label, block in graph.blocks.items() if "delay" in type(block).model_fields]
+    if not told or told == ["task"]:  # whose goal is that of a later sample: right where a predictor says from where
+        return made
+    samples = made.experiment.data["blocks"]["transport_delay"]["samples"]
+    return made.set({f"{label}.delay": samples for label in told})
+
+
+def figures(run: dm.Run, graph: dm.Graph) -> dict[str, Any]:
+    """Error and end of a run, and the share of its instants in which commands, torques or joints were at a limit."""
+    plant = {name for name, block in graph.blocks.items() if block.side is Side.PLANT}
+    signals = [run.data[item.label].values for item in telling(graph.diagram) if item.label.split(".")[0] in plant]
+    beyond = [np.any(np.nan_to_num(values) != 0, axis=tuple(range(1, values.ndim))) for values in signals]
+    share = float(np.mean(np.any(beyond, axis=0))) if beyond else ""
+    found = dict.fromkeys(FIGURES, "") | {"at_limits": share}
+    if run.divergence is not None:
+        return found | {"diverged_at": run.divergence.time}
+    assert run.error is not None  # each follows a circle
+    return found | {"rms_final": run.error.rms_final, "unit": run.error.unit}
+
+
 def law_row(law: Mapping[str, Any], k: int, circle: Mapping[str, str]) -> dict[str, Any]:
     """What a law does on a circle."""
-    run = law_of(law["cells"][k], circle["on"]).run(progress=False, judge=False)
-    row = {"law": law["title"], "circle": circle["title"], "rms_final": "", "unit": "", "diverged_at": ""}
-    if run.divergence is not None:
-        return row | {"diverged_at": run.divergence.time}
-    assert run.error is not None  # each follows a circle
-    return row | {"rms_final": run.error.rms_final, "unit": run.error.unit}
+    cell = law["cells"][circle.get("cell", k)]
+    graph = real(law_of(cell, circle["on"]), circle.get("reality", "none"))
+    found = figures(graph.run(progress=False, judge=False), graph)
+    return {"law": law["title"], "circle": circle["title"]} | found
+
+
+def limit_row(law: Mapping[str, Any], reality: str, on: str) -> dict[str, Any]:
+    """What a law does beside the limits that the block `safe` of a packaged graph has."""
+    ideal, safe = law_of(law["cell"], on), dm.load(on).blocks["safe"]
+    graph = real(ideal, reality)
+    run = graph.run(progress=False, judge=False)
+    q, lower, upper = run.data["arm.q"].values, *(np.asarray(getattr(safe, end)) for end in ("lower", "upper"))
+    room = float(np.min(np.minimum(q - lower, upper - q)))
+    says = _kept(ideal) if graph is ideal else ""
+    return {"law": law["title"], "reality": reality, "room": room, "says": says} | figures(run, graph)
+
+
+def _kept(graph: dm.Graph) -> str:
+    """What is proved of the joints' limits."""
+    statements = graph.verify().verdict.statements
+    return next((item.says for item in statements if item.says.startswith("stays between")), "nothing")
 
 
 def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
@@ -247,10 +294,32 @@ def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[s
         yield f"| {law['title']} | {' | '.join(_cell(by_cell[law['title'], title]) for title in titles)} |"
 
 
+def limit_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
+    """The table of laws beside limits, ideal and as a robot is."""
+    by_cell = {(row["law"], row["reality"]): row for row in rows}
+    yield "| law | error | least room | error, `ur` | least room, `ur` | proved of the joints |"
+    yield "|" + "---|" * 6
+    for title in (law["title"] for law in said["limits"]["laws"]):
+        cells = (f"{_cell(by_cell[title, each])} | {_room(by_cell[title, each])}" for each in REALITIES)
+        yield f"| {title} | {' | '.join(cells)} | {by_cell[title, 'none']['says']} |"
+
+
+def _room(row: Mapping[str, str]) -> str:
+    room = float(row["room"])
+    return shown_mrad(room) if room >= 0 else f"**{shown_mrad(-room)} beyond**"
+
+
+def shown_mrad(value: float) -> str:
+    """Tenths, in mrad."""
+    return f"{1e3 * value:.1f} mrad"
+
+
 def _cell(row: Mapping[str, str]) -> str:
     if row["diverged_at"]:
         return f"**diverges** at {plain(float(row['diverged_at']), 's')}"
-    return shown(float(row["rms_final"]), row["unit"])
+    told = shown(float(row["rms_final"]), row["unit"])
+    share = float(row["at_limits"] or 0)
+    return f"**{told}**, at limits {100 * share:.0f} % of the time" if share >= 0.01 else told
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -267,9 +336,19 @@ def write(path: Path, heads: tuple[str, ...], rows: list[dict[str, Any]]) -> Non
         writer.writerows(rows)
 
 
-def fill(text: str, rows: list[dict[str, str]], laws: list[dict[str, str]], said: Mapping[str, Any]) -> str:
+def fill(
+    text: str,
+    rows: list[dict[str, str]],
+    laws: list[dict[str, str]],
+    limits: list[dict[str, str]],
+    said: Mapping[str, Any],
+) -> str:
     """The page with its tables put in."""
-    parts = ((BEGIN, END, table(rows, said)), (LAWS_BEGIN, LAWS_END, law_table(laws, said)))
+    parts = (
+        (BEGIN, END, table(rows, said)),
+        (LAWS_BEGIN, LAWS_END, law_table(laws, said)),
+        (LIMITS_BEGIN, LIMITS_END, limit_table(limits, said)),
+    )
     for begin, end, lines in parts:
         before, _, rest = text.partition(begin)
         text = "".join([before, begin, "\n", "\n".join(lines), "\n", end, rest.partition(end)[2]])
@@ -278,24 +357,27 @@ def fill(text: str, rows: list[dict[str, str]], laws: list[dict[str, str]], said
 
 def draw() -> None:
     """The page from what is kept."""
-    text = fill(PAGE.read_text(encoding="utf-8"), read(TABLE), read(LAWS), words())
+    text = fill(PAGE.read_text(encoding="utf-8"), read(TABLE), read(LAWS), read(LIMITS), words())
     PAGE.write_text(text, encoding="utf-8")
 
 
-def main(names: list[str]) -> None:
+def main(asked: list[str]) -> None:
     """Make rows, keep them, and draw the page."""
-    said = words()
+    said, names = words(), [word for word in asked if not word.startswith("--")]
     if wrong := list(faults(said, dm.graphs())):
         sys.exit("\n".join(wrong))
-    if "--draw" not in names:
+    if not {"--draw", "--laws"} & set(asked):
         kept = {row["graph"]: row for row in read(TABLE)} if names and TABLE.exists() else {}
         for name in said["graphs"]:
             if name not in kept or name in names:
                 kept[name] = row_of(name)
                 sys.stderr.write(f"{name}\n")
         write(TABLE, HEADS, [kept[name] for name in said["graphs"]])
-        if not names or not LAWS.exists():
-            write(LAWS, LAW_HEADS, [law_row(law, k, c) for law in said["laws"] for k, c in enumerate(said["circles"])])
+    if "--draw" not in asked and not names:
+        circles, limits = list(enumerate(said["circles"])), said["limits"]
+        write(LAWS, LAW_HEADS, [law_row(law, k, circle) for law in said["laws"] for k, circle in circles])
+        near = [limit_row(law, reality, limits["on"]) for law in limits["laws"] for reality in REALITIES]
+        write(LIMITS, LIMIT_HEADS, near)
     draw()
 
 

@@ -25,6 +25,18 @@ class ExtendedStateObserver(AbstractBlock):
     constant d, both errors decay with the double pole :math:`-\omega_o`. A servo is no integrator: it lags, and the
     bandwidth has to stay below what it follows. It knows no model, and learns nothing; nothing is proved of it.
 
+    Behind `safe_reference` it keeps the joints' limits as a control barrier function does. Of all commands with
+    :math:`-a h_{low} \le \dot q_c + \hat d \le a h_{up}` that one is nearest to :math:`\dot q_{wish} - \hat d`
+    which is :math:`-\hat d` plus the wish between :math:`-a h_{low}` and :math:`a h_{up}`; a is `approach`, h the
+    room before either limit. Since d is whatever makes up :math:`\dot q`, its error is that of following the
+    reference, :math:`d - \hat d = \dot q - \dot q_r`. So :math:`\dot h \ge -a h - |d - \hat d|`, and
+    :math:`h(t) \ge e^{-a t} h(0) - \max |d - \hat d| / a`.
+
+    *Assumed*, not proved: :math:`|\dot d| \le D`. Then :math:`|d - \hat d| \le 2 D / \omega_o`, and the room is
+    :math:`h \ge -2 D / (a\, \omega_o)`, up to what fades with :math:`e^{-a t}` and :math:`e^{-\omega_o t}`; no
+    smaller figures hold for all such d. A margin of so much keeps the limits. D is an assumption since d holds what the
+    servo makes of the observer's own command.
+
     Parameters
     ----------
     bandwidth : diagonal (n,), rad/s, > 0
@@ -32,17 +44,22 @@ class ExtendedStateObserver(AbstractBlock):
 
     Notes
     -----
-    `disturbance_observer` is the same idea with a memory of one sample: time delay control. The barrier function that
-    is put beside such an observer elsewhere, to keep limits, is not here.
+    `disturbance_observer` is the same idea with a memory of one sample: time delay control.
 
     References
     ----------
-    [Gao2003]_ for the observer and its one bandwidth; [Zhang2025]_ for its place in the outer loop.
+    [Gao2003]_ for the observer and its one bandwidth; [Zhang2025]_ for its place in the outer loop, and for the barrier
+    function beside it.
     """
 
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_r", "n", "rad/s"))
     outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s", Access.COMMANDED),)
     states: ClassVar[tuple[State, ...]] = (State("q_hat", "n", "rad"), State("d_hat", "n", "rad/s"))
+
+    unproved: ClassVar[str] = (
+        "its disturbance holds what the servo makes of the command, and how fast that changes can only be assumed; if "
+        "by no more than D, joints behind a safe_reference pass what that keeps by at most 2 D/(approach bandwidth)"
+    )
 
     bandwidth: Diagonal = Positive("n", "rad/s")
 

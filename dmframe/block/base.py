@@ -115,6 +115,8 @@ class AbstractBlock(BaseModel):
     uses_robot: ClassVar[bool] = False
     renamed: ClassVar[Mapping[str, str]] = {}
     """Names of before, of parameters, states and ports, with the new ones: graph files may still use them."""
+    unproved: ClassVar[str] = ""
+    """Why the block has no certificate; a verdict's reason ends with it."""
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:

@@ -49,6 +49,8 @@ def malformed(block: type[AbstractBlock]) -> Iterator[str]:
         yield f"expected its side to be a Side, found {_short(block.side)}"
     if not isinstance(block.uses_robot, bool):
         yield f"expected uses_robot to be True or False, found {_short(block.uses_robot)}"
+    if not isinstance(block.unproved, str):
+        yield f"expected unproved to be a text, found {_short(block.unproved)}"
     if not isinstance(by := getattr(block, "driven_by", ""), str):
         yield f"expected driven_by to be the name of an input or output, found {_short(by)}"
     yield from _mistyped(block)

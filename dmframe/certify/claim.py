@@ -320,7 +320,7 @@ def certificates_of(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
                 faults[name] = error.text
                 continue
             if certificate is None:
-                raise NotApplicableError(f"{name}: a {diagram.type_of(name)} has no certificate")
+                raise NotApplicableError(_unproved(diagram, name))
             found[name] = certificate
             stated[name] = {key: ca.SX(value) for key, value in certificate.truth.items()}
         # who came early may have taken another block's value for its own, which had not stated it yet
@@ -332,6 +332,12 @@ def certificates_of(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:
     for text in conflicts(diagram, stated):
         raise NotApplicableError(text)
     return {name: found[name] for name in diagram.blocks if name in found}, stated
+
+
+def _unproved(diagram: Diagram, name: str) -> str:
+    kind, why = diagram.type_of(name), diagram.blocks[name].unproved
+    article = "an" if kind[0] in "aeiou" else "a"
+    return f"{name}: {article} {kind} has no certificate{f': {why}' if why else ''}"
 
 
 def _owners(diagram: Diagram, name: str, stated: Stated) -> Mapping[str, str]:

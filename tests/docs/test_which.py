@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 import dmframe as dm
@@ -57,14 +58,15 @@ def test_each_packaged_graph_has_a_line_or_a_reason_for_having_none(which: Modul
 
 
 def test_the_page_shows_what_is_kept(which: ModuleType, said: dict[str, Any], rows: Rows) -> None:
-    text, laws = which.PAGE.read_text(encoding="utf-8"), which.read(which.LAWS)
+    text, laws, limits = (which.PAGE.read_text(encoding="utf-8"), which.read(which.LAWS), which.read(which.LIMITS))
     assert list(rows) == list(said["graphs"]), "stale; run: python docs/make_which.py"
     fill = which.fill
-    assert fill(text, [*rows.values()], laws, said) == text, "stale; run: python docs/make_which.py --draw"
+    assert fill(text, [*rows.values()], laws, limits, said) == text, "stale; run: python docs/make_which.py --draw"
     moved = [dict(row) for row in laws]
     moved[3]["rms_final"] = "0.5"
-    assert fill(text, [*rows.values()], moved, said) != text
-    assert fill(text, [{**row, "learnt": "nothing"} for row in rows.values()], laws, said) != text
+    assert fill(text, [*rows.values()], moved, limits, said) != text
+    assert fill(text, [*rows.values()], laws, [{**row, "room": "-0.01"} for row in limits], said) != text
+    assert fill(text, [{**row, "learnt": "nothing"} for row in rows.values()], laws, limits, said) != text
 
 
 def test_the_page_behind_a_graph_tells_of_it_or_of_one_of_its_blocks(which: ModuleType, said: dict[str, Any]) -> None:
@@ -127,23 +129,79 @@ def test_an_estimate_without_a_word_is_told(which: ModuleType, monkeypatch: pyte
         which.learnt(dm.load("pendulum").diagram)
 
 
-@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (3, 0), (4, 1), (5, 0)])
+@pytest.mark.parametrize(("law", "circle"), [(0, 0), (0, 1), (0, 3), (3, 0), (4, 1), (4, 2), (5, 0)])
 def test_a_law_on_a_circle_comes_out_as_the_table_says(
     law: int, circle: int, which: ModuleType, said: dict[str, Any]
 ) -> None:
     stated, place = said["laws"][law], said["circles"][circle]
     kept = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}[stated["title"], place["title"]]
     found = which.law_row(stated, circle, place)
-    for key in ("rms_final", "diverged_at"):
-        assert bool(found[key]) == bool(kept[key])
+    for key in ("rms_final", "diverged_at", "at_limits"):
+        assert bool(str(found[key])) == bool(kept[key])
         assert float(found[key] or 0) == pytest.approx(float(kept[key] or 0), rel=0.02)
+
+
+def test_at_limits_is_the_share_of_instants_in_which_commands_or_torques_were_cut_off(
+    which: ModuleType, said: dict[str, Any]
+) -> None:
+    """0.2 s of a robot that is asked for 9 rad/s: counted by what came out of the limits."""
+    graph = dm.load("ur10_fast_kinematic").set({"task.gamma": 900, "start.q": [1.2, -1.2, 1.2], "duration": 0.2})
+    graph = graph.reality({"command_limits": {}})
+    run = graph.run(progress=False, judge=False)
+    before, after = (run.data[name].values for name in ("inverse.dq_c", "command_limits.dq_lim"))
+    share = np.mean(np.any(before != after, axis=1))
+    assert 0.01 < share < 0.99
+    assert which.figures(run, graph)["at_limits"] == pytest.approx(share)
+    told = {"rms_final": "0.044", "unit": "m", "diverged_at": ""}
+    assert which._cell({**told, "at_limits": "0.723"}) == "**44.0 mm**, at limits 72 % of the time"
+    assert which._cell({**told, "at_limits": "0.004"}) == "44.0 mm"
+    assert which._cell({**told, "diverged_at": "0.81", "at_limits": ""}) == "**diverges** at 810 ms"
+
+
+def test_a_law_is_told_of_the_delay_where_a_predictor_says_from_where_it_goes_on(which: ModuleType) -> None:
+    told = which.real(dm.load("ur10_slow_observer"), "ur")
+    assert (told.blocks["task"].delay, told.blocks["inverse"].delay) == (1, 1)
+    assert which.real(dm.load("ur10_slow_kinematic_inverse"), "ur").blocks["task"].delay == 0
+    assert which.real(dm.load("ur10_fast_eso"), "none").blocks.keys() == dm.load("ur10_fast_eso").blocks.keys()
+
+
+@pytest.mark.parametrize(("title", "reality"), [("observer behind it, margin 5", "none"), ("no limits", "ur")])
+def test_a_law_beside_limits_does_what_the_table_says(
+    title: str, reality: str, which: ModuleType, said: dict[str, Any]
+) -> None:
+    (law,) = (law for law in said["limits"]["laws"] if title in law["title"])
+    kept = {(row["law"], row["reality"]): row for row in which.read(which.LIMITS)}[law["title"], reality]
+    found = which.limit_row(law, reality, said["limits"]["on"])
+    assert found["says"] == kept["says"]
+    for key in ("rms_final", "room"):
+        assert float(found[key]) == pytest.approx(float(kept[key]), rel=0.02)
+
+
+def test_what_the_page_says_of_laws_beside_limits_is_in_the_table(which: ModuleType, said: dict[str, Any]) -> None:
+    rows = {(row["law"], row["reality"]): row for row in which.read(which.LIMITS)}
+    titles = [law["title"] for law in said["limits"]["laws"]]
+    assert rows.keys() == {(title, reality) for title in titles for reality in which.REALITIES}
+    room = {key: float(row["room"]) for key, row in rows.items()}
+    for reality in which.REALITIES:
+        assert room[titles[0], reality] == pytest.approx(-0.11, abs=1e-3)
+        narrow, wide = ([title for title in titles if f"margin {size}" in title] for size in ("5", "60"))
+        assert (len(narrow), len(wide)) == (3, 2)
+        for group, margin in ((narrow, 0.005), (wide, 0.06)):
+            assert all(abs(room[title, reality] - margin) < 1e-3 for title in group)
+            rms = [float(rows[title, reality]["rms_final"]) for title in group]
+            assert max(rms) < 1.02 * min(rms)
+    says = [rows[title, "none"]["says"] for title in titles]
+    assert says[:4] == ["nothing"] * 4
+    assert "beyond" in says[4]
+    assert says[5].endswith("at all times")
 
 
 def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleType, said: dict[str, Any]) -> None:
     for k, circle in enumerate(said["circles"]):
         base = dm.load(circle["on"])
+        assert circle.get("reality") in (None, "ur")
         for law in said["laws"]:
-            graph = which.law_of(law["cells"][k], circle["on"])
+            graph = which.law_of(law["cells"][circle.get("cell", k)], circle["on"])
             assert graph.duration == base.duration, law["title"]
             assert graph.clock == base.clock, law["title"]
             assert graph.experiment.start == base.experiment.start
@@ -154,12 +212,19 @@ def test_all_laws_of_a_circle_have_its_plant_path_clock_and_start(which: ModuleT
 def test_what_the_page_says_of_the_competitors_agrees_with_the_table(which: ModuleType, said: dict[str, Any]) -> None:
     cells = {(row["law"], row["circle"]): row for row in which.read(which.LAWS)}
     titles = [law["title"] for law in said["laws"]]
-    for circle in (circle["title"] for circle in said["circles"]):
+    ideal, real = ([c["title"] for c in said["circles"] if ("reality" in c) is wanted] for wanted in (False, True))
+    for circle in ideal:
         rms = [float(cells[title, circle]["rms_final"] or "inf") for title in titles]
         without, paper = rms[:6], rms[6]
         assert sum(value < paper for value in without) == 3
         assert min(without) == without[5]
         assert sorted(rms)[:2] == [rms[10], rms[9]]
+    rms = [float(cells[title, real[0]]["rms_final"]) for title in titles]
+    assert min(rms) == rms[9]
+    limited = {(title, circle) for title in titles for circle in real if float(cells[title, circle]["at_limits"]) > 0}
+    assert limited == {(title, circle) for title in titles[:2] for circle in real} | {(titles[5], real[0])}
+    assert rms[4] < 1.1 * float(cells[titles[4], ideal[0]]["rms_final"])
+    assert rms[10] == pytest.approx(rms[3], rel=0.1)  # the supervisor sends the kinematic command
 
 
 def test_a_cell_that_names_no_graph_is_told(which: ModuleType) -> None:
