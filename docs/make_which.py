@@ -273,15 +273,16 @@ def _kept(graph: dm.Graph) -> str:
 def table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
     """The table of graphs, in the order of the words."""
     by_name = {row["graph"]: row for row in rows}
-    heads = ["take it when", "graph", "follows", "robot", "servo, takes, clock"]
-    heads += ["measured", "known exactly", "learnt", "proved", "error"]
+    heads = ["take it when", "error", "proved", "follows", "robot", "servo, takes, clock"]
+    heads += ["measured", "known exactly", "learnt"]
     yield f"| {' | '.join(heads)} |"
     yield "|" + "---|" * len(heads)
     for name, word in said["graphs"].items():
         row = by_name[name]
+        when = f"{word['when']}<br>[`{name}`]({word['page']})"
         interface = f"{row['servo']}, {row['takes']}, {row['clock']}"
-        cells = [word["when"], f"[`{name}`]({word['page']})", row["follows"], row["robot"], interface]
-        yield f"| {' | '.join([*cells, *(row[key] for key in HEADS[6:])])} |"
+        cells = [when, row["error"], row["proved"], row["follows"], row["robot"], interface]
+        yield f"| {' | '.join([*cells, row['measured'], row['known'], row['learnt']])} |"
 
 
 def law_table(rows: list[dict[str, str]], said: Mapping[str, Any]) -> Iterator[str]:
