@@ -15,10 +15,10 @@ from dmframe_blocks._loads import check_bodies, check_times, now_held
 
 @final
 class Gripper(AbstractBlock):
-    """Tells at known instants that the tool holds another load than before, to a `reset_compensator`.
+    """Tells at known instants that the tool holds another load than before.
 
-    `odd` is 0 until the first of them, then 1, then 0, and so on: a signal that every gripper has, open or closed. The
-    load itself is that of a `payload`, which nobody tells the controller; a gripper may be late.
+    `odd` is 0 until the first of them, then 1, then 0, and so on: a signal that every gripper has, open or closed, for
+    a `reset_compensator`. The load itself is that of a `payload`, of which nobody is told; a gripper may be late.
 
     Parameters
     ----------

@@ -21,20 +21,21 @@ class ResetCompensator(AdaptingBlock):
     r"""Compensates the dynamics, and begins anew with the load's parameters when it is told of another one.
 
     A state in continuous time does not jump. So there are two sets of estimates of the load, one in use and one idle,
-    which change places when `odd` does. With c and s the cosine and the sine of a quarter turn times `odd`, that is 1
-    and 0 or 0 and 1, for the ten first parameters, and 1 and 0 for all others; with :math:`a_{before}` the prior and
-    what is expected of a load; and with :math:`\lambda = \mathrm{clearing}`, products element by element:
+    which change places when `odd` does. With :math:`c_{odd}` and :math:`s_{odd}` the cosine and the sine of a quarter
+    turn times `odd`, that is 1 and 0 or 0 and 1, for the ten first parameters, and 1 and 0 for all others; with
+    :math:`a_{before}` the prior and what is expected of a load; with :math:`\lambda = \mathrm{clearing}`; and products
+    element by element:
 
     .. math::
 
-        \hat a_d &= a_{before} + c\, a_{even} + s\, a_{odd}, \quad
+        \hat a_d &= a_{before} + c_{odd}\, a_{even} + s_{odd}\, a_{odd}, \quad
             \tau_{dc} = Y_d \hat a_d + \tau_{known} + \tau_{task}   \tag{1} \\
-        \mathrm{idle} &= c\, a_{odd} - s\, a_{even}   \tag{2} \\
-        \dot a_{even} &= -\Gamma c\, (Y_d^\top \sigma) + \lambda s\, \mathrm{idle}   \tag{3} \\
-        \dot a_{odd} &= -\Gamma s\, (Y_d^\top \sigma) - \lambda c\, \mathrm{idle}   \tag{4}
+        \mathrm{idle} &= c_{odd}\, a_{odd} - s_{odd}\, a_{even}   \tag{2} \\
+        \dot a_{even} &= -\Gamma c_{odd}\, (Y_d^\top \sigma) + \lambda s_{odd}\, \mathrm{idle}   \tag{3} \\
+        \dot a_{odd} &= -\Gamma s_{odd}\, (Y_d^\top \sigma) - \lambda c_{odd}\, \mathrm{idle}   \tag{4}
 
     The estimate moves by the plain gradient, and what is idle fades: when its turn comes, some time after, it begins at
-    the prior. With :math:`\tilde a_d = \hat a_d - a_d`, and because the squares of c and s make 1 whatever `odd` is,
+    the prior. With :math:`\tilde a_d = \hat a_d - a_d`, and because their squares make 1 whatever `odd` is,
 
     .. math::
 
@@ -110,7 +111,7 @@ class ResetCompensator(AdaptingBlock):
         )
 
     def _chosen(self, u: Signals, p: Signals) -> tuple[SX, SX]:
-        return named("c", cosines(u.odd, p.Gamma)), named("s", sines(u.odd, p.Gamma))
+        return named("c_odd", cosines(u.odd, p.Gamma)), named("s_odd", sines(u.odd, p.Gamma))
 
     def _before(self, u: Signals, p: Signals) -> SX:
         """What is held for true before anything is learnt."""
