@@ -172,6 +172,8 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
     for (block, port), order in orders.items():
         name = f"{block}.{port}"
         if resolver.steps(block, port):
+            if Wire(block, port) not in claim.diagram.sources.values():
+                continue  # which nobody reads
             says = "is bounded, and constant: all is said of the time between its steps, each of which begins a new V"
             yield Assumption(f"{name} {says}{_stepping(claim, block, port)}", "V holds it")
             continue
@@ -186,8 +188,9 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
 def _stepping(claim: Claim, block: str, port: str) -> str:
     """Whose part of V jumps at a step: states go on as they are, so that no part can that does not hold the signal."""
     leaf = symbols_in([claim.diagram.resolver.trajectory(block, port, 0).symbol])
-    holding = [part.block for part in claim.parts if symbols_in([part.storage]) & leaf] or ["nobody"]
-    return f"; there jumps what {listed(holding)} store{'s' * (len(holding) == 1)}, and nothing else"
+    holding = [part.block for part in claim.parts if symbols_in([part.storage]) & leaf]
+    jumps = f"what {listed(holding)} store{'s' * (len(holding) == 1)}, and nothing else" if holding else "nothing"
+    return f"; there jumps {jumps}"
 
 
 def _measured(diagram: Diagram) -> Iterator[Assumption]:
