@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-from typing import Any, ClassVar, final
+from typing import ClassVar, final
 
-import casadi as ca
-import numpy as np
 from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.naming import operation
 from dmframe.parameter import Real, Rows, Table, Vector
 from dmframe.port import TIME, Port, Side
+from dmframe_blocks._loads import check_bodies, now_held
 
 
 @final
@@ -55,39 +52,9 @@ class Payload(AbstractBlock):
 
     @model_validator(mode="after")
     def _bodies(self) -> Payload:
-        count = len(self.mass)
-        for name, rows in (("at", self.at), ("center", self.center), ("inertia", self.inertia)):
-            if rows is not None and len(rows) != count:
-                raise ValueError(f"expected {name} for each of {count} masses, found {len(rows)}")
-        if any(later <= earlier for earlier, later in pairwise(self.at)):
-            raise ValueError(f"expected increasing times, found {list(self.at)}")
-        for mass, row in zip(self.mass, self.inertia or [[0.0] * 6] * count, strict=True):
-            xx, xy, yy, xz, yz, zz = row
-            second = (xx + yy + zz) / 2 * np.eye(3) - np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-            if mass < 0 or np.linalg.eigvalsh(second)[0] < -1e-12 or (mass == 0 and any(row)):
-                raise ValueError(f"expected rigid bodies, found mass {mass:g} with inertia {list(row)}")
+        check_bodies(self.at, self.mass, self.center, self.inertia)
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """One after another."""
-        count = p.mass.numel()
-        center = p.center if "center" in p else ca.DM.zeros(count, 3)
-        inertia = p.inertia if "inertia" in p else ca.DM.zeros(count, 6)
-        return Equations({"a_load": held(u.t, p.mass, p.at, center, inertia, p.robot.a_k)})
-
-
-@operation
-def held(t: Any, mass: Any, at: Any, center: Any, inertia: Any, a_k: Any) -> Any:
-    """The parameters of the last body whose time has come, nothing before the first."""
-    a_load, before = ca.SX.zeros(10), ca.SX.zeros(10)
-    for k in range(mass.numel()):
-        now = body(mass[k], a_k[-3:] + center[k, :].T, inertia[k, :].T)
-        a_load, before = a_load + (now - before) * (t >= at[k]), now
-    return a_load
-
-
-def body(mass: Any, r: Any, inertia: Any) -> Any:
-    """The ten parameters of a body about the origin, its centre at r, in the order of `robot.parameters.Inertial`."""
-    x, y, z = ca.vertsplit(r)
-    about = ca.vertcat(y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
-    return ca.vertcat(mass, mass * r, inertia + mass * about)
+        return Equations({"a_load": now_held(u.t, p)})

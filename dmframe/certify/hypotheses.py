@@ -172,8 +172,10 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
     for (block, port), order in orders.items():
         name = f"{block}.{port}"
         if resolver.steps(block, port):
+            if Wire(block, port) not in claim.diagram.sources.values():
+                continue  # which nobody reads
             says = "is bounded, and constant: all is said of the time between its steps, each of which begins a new V"
-            yield Assumption(f"{name} {says}", "V holds it")
+            yield Assumption(f"{name} {says}{_stepping(claim, block, port)}", "V holds it")
             continue
         if order == 0 and resolver.trajectory_rate(block, port, 0).is_zero():
             yield Assumption(f"{name} is constant", "it does not read the time")
@@ -181,6 +183,14 @@ def _trajectories(claim: Claim) -> Iterator[Assumption]:
         count = ORDERS[order] if order < len(ORDERS) else f"first {order} "
         rates = f" and its {count}derivative{'s' * (order > 1)}" if order else ""
         yield Assumption(f"{name}{rates} {'are' if order else 'is'} bounded", "Theorems 1 to 4")
+
+
+def _stepping(claim: Claim, block: str, port: str) -> str:
+    """Whose part of V jumps at a step: states go on as they are, so that no part can that does not hold the signal."""
+    leaf = symbols_in([claim.diagram.resolver.trajectory(block, port, 0).symbol])
+    holding = [part.block for part in claim.parts if symbols_in([part.storage]) & leaf]
+    jumps = f"what {listed(holding)} store{'s' * (len(holding) == 1)}, and nothing else" if holding else "nothing"
+    return f"; there jumps {jumps}"
 
 
 def _measured(diagram: Diagram) -> Iterator[Assumption]:

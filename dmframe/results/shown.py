@@ -98,17 +98,17 @@ def _felt(run: Recording, signal: Signal, chosen: np.ndarray) -> np.ndarray | No
         for item in model.estimates
         if symbols_in([signal.expression]) & symbols_in([model.states[item.name]])
     ]
-    if len(behind) != 1:
+    if len({name for name, _ in behind}) != 1:
         return None
-    (name, estimate) = behind[0]
-    block = run.diagram.blocks[name]
-    state = run.diagram.models[name].states[estimate]
-    if not isinstance(block, AdaptingBlock) or not state.is_column():
+    name, block = behind[0][0], run.diagram.blocks[behind[0][0]]
+    states = [run.diagram.models[name].states[estimate] for _, estimate in behind]
+    if not isinstance(block, AdaptingBlock) or not all(state.is_column() for state in states):
         return None
-    W = _regressor(run.diagram, name, block, estimate)
-    if W is None:
+    found = [_regressor(run.diagram, name, block, estimate) for _, estimate in behind]
+    if any(W is None for W in found):
         return None
-    gradient = _at(run, ca.jacobian(ca.vec(signal.expression), state), chosen).mean(axis=0)
+    W, together = ca.horzcat(*found), ca.vertcat(*states)
+    gradient = _at(run, ca.jacobian(ca.vec(signal.expression), together), chosen).mean(axis=0)
     return felt(np.vstack(list(_at(run, W, chosen))), len(chosen), gradient)
 
 

@@ -62,6 +62,15 @@ EXAMPLES["force_sensor"] = (
     + "  wall:     {type: wall, point: [0, 0.45], normal: [0, -1], stiffness: 100}\n"
     + "  sensor:   {type: force_sensor, noise: 0.1}\n"
 )
+EXAMPLES["reset_compensator"] = (
+    EXAMPLES["setpoint"]
+    .replace("manipulator", "loaded_manipulator, viscous: 1")
+    .replace("kinematic_command", "pi_inverse, Lambda: 0.01, Lambda_I: 1, w_I: 4, w_I_box: [1, 10]")
+    + "  model:    {type: payload_regressor}\n"
+    + "  dynamics: {type: reset_compensator, Gamma: 1}\n"
+    + "  load:     {type: payload, mass: [1], at: [1]}\n"
+    + "  gripper:  {type: gripper, at: [1]}\n"
+)
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot

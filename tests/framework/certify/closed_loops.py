@@ -150,7 +150,7 @@ def _loops() -> Iterator[Loop]:
     yield _fitted(robots[0])
     yield from _full(robots[0])
     yield _posture(load("arm2", axes="x"))
-    further = (_contact(robots[0]), _loaded(robots[0]))
+    further = (_contact(robots[0]), _loaded(robots[0]), _grasping(robots[0]))
     yield from further
     held = {kind for loop in further for kind in loop.types}
     yield from _packaged(held | {"circle", "setpoint", "sinusoid", "waypoints", "null_space_posture"})
@@ -194,6 +194,15 @@ def _loaded(robot: Any) -> Loop:
         "load": ("payload", {"mass": [1, 0], "at": [1, 2]}),
     }
     return Loop(f"{robot.name} loaded PI", robot, {**known, **load})
+
+
+def _grasping(robot: Any) -> Loop:
+    """The same where a gripper tells of the load, and what it is."""
+    told: dict[str, Spec] = {
+        "dynamics": ("reset_compensator", {"Gamma": 3, "clearing": 2}),
+        "gripper": ("gripper", {"at": [1, 2], "mass": [0.5, 0]}),
+    }
+    return Loop(f"{robot.name} grasping PI", robot, {**_loaded(robot).specs, **told})
 
 
 FULL = "full gains"
