@@ -35,6 +35,7 @@ from dmframe.certify.definite import (
     Number,
     body_pivots,
     is_mass_matrix,
+    is_matrix,
     least_body_pivot,
     least_sampled,
     load_in,
@@ -172,7 +173,7 @@ def _weights(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         elif isinstance(term, Potential):
             yield _least(part, f"weight of the potential of {term.of} in {role} > 0", numbers, weight)
             yield _least(part, f"width of the potential of {term.of} in {role} > 0", numbers, term.width)
-        elif weight.is_column():
+        elif not is_matrix(claim, weight):
             strict = role == "V"  # what dV/dt does not spend is not said to vanish; what V does not hold is not bounded
             sign = ">" if strict else ">="
             yield _least(part, f"weight of |{term.of}|^2 in {role} {sign} 0", numbers, weight, strict=strict)
@@ -213,7 +214,7 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
     for part, role, term in _terms(claim):
         if isinstance(term, Square) and is_assumed(term, numbers):
             continue
-        if isinstance(term, Square | NormSquare) and not term.weight.is_column():
+        if isinstance(term, Square | NormSquare) and is_matrix(claim, term.weight):
             weight = (term.weight + term.weight.T) / 2
             if not symbols_in(numbers.claim.loop.joined([weight])) <= numbers.known and is_mass_matrix(claim, weight):
                 yield _mass_matrix(claim, weight)
@@ -232,7 +233,7 @@ def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
     """Loads that a mass matrix holds: what a source hands out at all times nobody sees from the graph, but at some."""
     checked, assumed = list[Checked](), dict[Assumption, None]()
     for _, _, term in _terms(claim):
-        if isinstance(term, Square | NormSquare) and not term.weight.is_column():
+        if isinstance(term, Square | NormSquare) and is_matrix(claim, term.weight):
             label = load_in(claim, (term.weight + term.weight.T) / 2)
             if label:
                 text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"

@@ -80,6 +80,11 @@ def load_in(claim: Claim, weight: SX) -> str:
     return _matched(claim, weight) or ""
 
 
+def is_matrix(claim: Claim, weight: SX) -> bool:
+    """True for a weight that is no diagonal: of one joint, that mass matrix which a load, which nobody knows, is in."""
+    return not weight.is_column() or (weight.is_scalar() and bool(load_in(claim, weight)))
+
+
 def _matched(claim: Claim, weight: SX) -> str | None:
     symbols = symbols_of(claim)
     for q, robot in _poses(claim):

@@ -8,7 +8,7 @@ from dmframe.certificate import SX, Lemma, LogDet, Potential, Square
 from dmframe.certify.assumed import decidable, is_assumed
 from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.definite import is_mass_matrix, least_body_pivot
+from dmframe.certify.definite import is_mass_matrix, is_matrix, least_body_pivot
 from dmframe.errors import ValueFault
 
 Positive = Square | Potential | LogDet
@@ -47,7 +47,7 @@ class Signs:
         if isinstance(term, Square) and is_assumed(term, self._numbers):
             known = decidable(term.weight, self._numbers)
             return known.is_empty() or self._least(known)
-        if term.weight.is_column():
+        if not is_matrix(self._claim, term.weight):
             return self._least(term.weight)
         try:
             return self._numbers.least_pivot((term.weight + term.weight.T) / 2) > 0

@@ -155,6 +155,15 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assert "model (payload_regressor) knows exactly" in assumed
 
 
+def test_a_robot_of_one_joint_takes_up_a_load_too() -> None:
+    text = SMALL
+    for old, new in {"arm2": "pendulum", "0.5, 0.9": "0.5", "1, 2": "1", "[60, 30]": "60", "[240, 120]": "240"}.items():
+        text = text.replace(old, new)
+    verdict = dm.load(text).verify()
+    assert verdict.outcome == "proved"
+    assert "load.a_load is the inertia of a rigid body" in verdict.text
+
+
 def test_v_jumps_where_the_load_does_and_nowhere_else() -> None:
     graph = dm.load("ur10_payload").set({"load.at": [0.0, 4.0, 8.0]})
     run = graph.run(until=10)
