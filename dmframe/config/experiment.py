@@ -355,7 +355,8 @@ def _made(document: Document, path: Path, find: Find = find_block) -> Experiment
         faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
     blocks = _blocks("blocks", data.get("blocks"), path.parent, faults, find)
-    _check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
+    named = data.get("blocks")
+    _check_baseline(data.get("baseline"), named if isinstance(named, dict) else {}, path.parent, faults, find)
     robot = _robot(_section(RobotSection, robot_name(data.get("robot"))), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [_at_name(fault) for fault in faults]
@@ -374,7 +375,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 def _check_baseline(
     section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find
 ) -> None:
-    """Its blocks can be made, and what it leaves out is there."""
+    """Its blocks can be made, and what it leaves out is there: among the names of `blocks`, made or not."""
     entries = section if isinstance(section, dict) else {}
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}
