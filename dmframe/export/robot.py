@@ -77,8 +77,8 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
             moved = [leaf.name for leaf in loop.trajectories if ca.depends_on(expression, ca.vec(leaf.symbol))]
             found = listed(moved) or "the time or a state of the controller"
             raise EngineError(
-                f"{name}: expected a robot whose motion follows from its state and what it is commanded, found one that "
-                f"reads {found} too; export it without that, or the controller alone with --c"
+                f"{name}: expected a robot whose motion follows from its state and what it is commanded, "
+                f"found one that reads {found} too; export it without that, or the controller alone with --c"
             )
     if any(
         projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])

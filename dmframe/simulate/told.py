@@ -35,7 +35,7 @@ def unread(diagram: Diagram) -> str:
     read = {source.block for source in diagram.sources.values() if isinstance(source, Wire)}
     found = [name for name, block in diagram.blocks.items() if block.side is Side.SOURCE and name not in read]
     said = [f"{name} ({', '.join(port.name for port in diagram.blocks[name].outputs)})" for name in found]
-    return f"no block reads {listed(said)}: as if {'it were' if len(said) == 1 else 'they were'} not there" if said else ""
+    return f"no block reads {listed(said)}, which changes nothing here" if said else ""
 
 
 def exceptions(
