@@ -114,7 +114,6 @@ def linearised_period(linear: Linear) -> Bracket:
     anywhere. A loop that runs on a clock alone may be stable on no shorter one: where it is stable on its own, the
     search begins there. A large one is looked at on its own clock alone.
     """
-    unit = next((signal.unit for signal in diagram.loop.outputs if signal.label == diagram.loop.followed[0].actual), "")
     meaning = (
         "spectral radius of the loop linearised at the set-point, Euler controller, exact zero-order hold, at most 1; "
         "for small motions about it, estimates near their true values"
@@ -186,6 +185,8 @@ def simulated_period(
             reference, _ = error(period, finer(taken, period))
         period = period if np.isfinite(reference) else period / 2
     bound = FACTOR * max(reference, 1e-6) if np.isfinite(reference) else np.inf
+    actual = diagram.loop.followed[0].actual
+    unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == actual)
     meaning = (
         f"the graph's own run, {horizon:g} s long: the norm of its error stays below {plain(bound, unit)}, "
         f"{FACTOR:g} times its largest on a clock of {period * 1e3:.3g} ms; what grows more slowly is not seen"
