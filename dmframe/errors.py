@@ -95,6 +95,15 @@ class UnknownNameError(DmframeError, KeyError):
 
 
 @final
+class SizeError(DmframeError):
+    """A letter of a shape that nothing binds to a number."""
+
+    def __init__(self, text: str, letter: str, path: Sequence[str | int] = ()) -> None:
+        super().__init__(text, path=path)
+        self.letter = letter
+
+
+@final
 class ValueFault(DmframeError):
     """A value of the wrong type, size, sign or range."""
 
@@ -116,7 +125,11 @@ class UnitError(DmframeError):
 
 @final
 class WiringError(DmframeError):
-    """An input without a source, with two, or a wire from or to nowhere."""
+    """An input without a source, with two, or a wire from or to nowhere; `missing` is the port that no block has."""
+
+    def __init__(self, text: str, *, missing: str = "", path: Sequence[str | int] = ()) -> None:
+        super().__init__(text, path=path)
+        self.missing = missing
 
 
 @final

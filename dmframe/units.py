@@ -49,6 +49,7 @@ _PREFIXES_OF: Final = {
     "micro µ μ u": -6,
     "nano n": -9,
 }
+_DIVIDING: Final = ("s", "m")
 _BASES: Final = ("m", "s", "g", "rad", "A", "K")
 _SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
 
@@ -132,18 +133,22 @@ def sliding(unit: str) -> str:
 
 
 def _converted(text: str, unit: str, expected: str) -> float:
-    number = _NUMBER.fullmatch(text)
+    read = _NUMBER.fullmatch(text)
     if _NOT_FINITE.match(text):
         raise ValueFault(f"{expected}: the number must be finite")
-    if number is None:
+    if read is None:
         raise ValueFault(f"{expected}: begin with a number")
-    digits, found = number.group(1), number.group(2).strip() or unit
+    digits, found = read.group(1), read.group(2).strip() or unit
     try:
         (scale, dimension), (target_scale, target) = _size(found), _size(unit)
     except UnitError as fault:
         raise UnitError(f"{expected}: {fault.text}") from None
     if dimension != target:
-        raise UnitError(f"{expected}: {_why_not(found, unit, dimension, target)}")
+        why = _why_not(found, unit, dimension, target)
+        if dimension and {key: -power for key, power in dimension.items()} == target:
+            inverse = 1 / number if (number := float(digits) * float(scale * target_scale)) else math.inf
+            why += f"; one over it can: {plain(inverse, unit, 6)}" if inverse and math.isfinite(inverse) else ""
+        raise UnitError(f"{expected}: {why}")
     # an exact power of ten beyond this would fill the memory before it is found too large
     huge = len(digits) > _LARGEST or abs(int(digits.lower().partition("e")[2] or 0)) > _LARGEST
     exact = Fraction(_finite(float(digits), expected)) if huge else Fraction(digits)
@@ -163,7 +168,21 @@ def _finite(value: float | Fraction, expected: str) -> float:
 def _why_not(found: str, unit: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
     if {**dimension, "rad": 0} == {**target, "rad": 0}:
         return f"{found} and {unit or 'a plain number'} differ by an angle; write out rad, deg or turn"
-    return f"{found} cannot be converted to {unit or 'a plain number'}"
+    return f"{found} cannot be converted to {unit or 'a plain number'}{_divided(found, dimension, target)}"
+
+
+def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]) -> str:
+    """A hint for a unit that lacks only a division by seconds or metres: deg for rad/s, kN for N/m."""
+    apart = {key: target.get(key, 0) - dimension.get(key, 0) for key in {*dimension, *target}}
+    (name, power), *others = [(key, value) for key, value in apart.items() if value] or [("", 0)]
+    if not dimension or others or name not in _DIVIDING or power not in (-1, -2):
+        return ""
+    if any(_named(factor)[1] == {name: 1} for factor, exponent in _factors(found).items() if exponent > 0):
+        return ""  # it would cancel
+    below = name if power == -1 else f"{name}^2"
+    if "/" in found:
+        return f"; did you mean {found}^2?" if found.endswith(f"/{name}") and power == -1 else ""
+    return f"; did you mean {found}/{below}?"
 
 
 @functools.cache
@@ -185,7 +204,9 @@ def _named(name: str) -> tuple[Fraction, dict[str, int]]:
     if known is None:
         pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
         right = [spelling for spelling in _SPELLINGS if spelling.lower() == name.lower()]
-        right += [" ".join(pair) for pair in pairs if all(map(_known, pair))]
+        right += [
+            " ".join(pair) for pair in pairs if all(map(_known, pair)) and _named(pair[0])[1] != _named(pair[1])[1]
+        ]
         hint = f"did you mean {right[0]}?" if right else nearest(name, _SPELLINGS)
         raise UnitError(f"unknown unit {name}; {hint}")
     power, number, unit = known

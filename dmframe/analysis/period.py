@@ -185,9 +185,11 @@ def simulated_period(
             reference, _ = error(period, finer(taken, period))
         period = period if np.isfinite(reference) else period / 2
     bound = FACTOR * max(reference, 1e-6) if np.isfinite(reference) else np.inf
+    actual = diagram.loop.followed[0].actual
+    unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == actual)
     meaning = (
-        f"the graph's own run, {horizon:g} s long: the norm of its error stays below {bound:.3g}, {FACTOR:g} times its "
-        f"largest on a clock of {period * 1e3:.3g} ms; what grows more slowly is not seen"
+        f"the graph's own run, {horizon:g} s long: the norm of its error stays below {plain(bound, unit)}, "
+        f"{FACTOR:g} times its largest on a clock of {period * 1e3:.3g} ms; what grows more slowly is not seen"
     )
     if not np.isfinite(reference):
         return Bracket(0.0, period * 2, f"no run of {horizon:g} s stays finite, down to the shortest clock looked at")

@@ -10,7 +10,7 @@ import numpy as np
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.faults import told_by
-from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, UnknownNameError, ValueFault
+from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, SizeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior, Rows, check_definite
 from dmframe.parameter import PAIRS, array, specs
 from dmframe.port import Element, Port, State
@@ -116,11 +116,8 @@ def _from_parameters(name: str, block: AbstractBlock, sizes: Sizes) -> Iterable[
         value, letters = getattr(block, parameter), spec.shape.split()
         if value is None or not letters:
             continue
-        ends = value if spec.form in PAIRS else (value,)
-        for end in ends:
-            shape = np.shape(end)
-            if spec.form == "gain":
-                shape = shape[:1]
+        shapes = [np.shape(end) for end in (value if spec.form in PAIRS else (value,))]
+        for shape in dict.fromkeys(shape[:1] if spec.form == "gain" else shape for shape in shapes):
             if shape and len(shape) == len(letters) and letters[-1] != "*" and not letters[-1].isdigit():
                 yield sizes.bind(letters[-1], shape[-1], f"{name}.{parameter}", ("blocks", name, parameter))
 
@@ -134,8 +131,9 @@ def _unbound_letters(blocks: Mapping[str, AbstractBlock], sizes: Sizes) -> Itera
 
 
 def _unbound(name: str, letter: str) -> DmframeError:
-    return MissingError(
+    return SizeError(
         f"{name}: nothing says how large {letter} is; add a robot, or write a parameter of that size as a list",
+        letter,
         path=("blocks", name),
     )
 

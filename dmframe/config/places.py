@@ -6,9 +6,10 @@ import re
 from collections.abc import Sequence
 from typing import Any, Final
 
+from dmframe.catalogue import block_types
 from dmframe.config.document import Document
 from dmframe.config.grammar import KEYS
-from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError
+from dmframe.errors import DmframeError, Faults, MissingError, UnknownNameError, WiringError
 
 TIMES: Final = (("duration",), ("solver", "output"), ("solver", "step"), ("log", "every"), ("clock",))
 """They say together how much a run computes: of a fault in one, another may be the cause that an override has set."""
@@ -22,8 +23,16 @@ def placed(error: DmframeError, document: Document, keys: Sequence[str] = KEYS) 
     """
     faults = error.faults
     for fault in faults:
+        if isinstance(fault, WiringError) and fault.missing and not fault.location:
+            fault.text += _that_have(fault.missing)
         fault.location = fault.location or _location(fault, document, keys)
     return Faults(sorted(faults, key=_place)) if isinstance(error, Faults) else error
+
+
+def _that_have(port: str) -> str:
+    """Which types of blocks have such an output, to end a message that asks for one."""
+    found = [name for name, kind in block_types().items() if any(output.name == port for output in kind.outputs)]
+    return f": {', '.join(found)}" if found else ""
 
 
 def _location(fault: DmframeError, document: Document, keys: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
 def check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find) -> None:
-    """Its blocks can be made, and what it leaves out is there."""
+    """Its blocks can be made, and what it leaves out is there: among the names of `blocks`, made or not."""
     entries = section if isinstance(section, dict) else {}
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, final
@@ -16,7 +16,7 @@ from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.flatten import flatten
 from dmframe.diagram.resolve import Resolver
 from dmframe.diagram.wiring import End, Outputs, Source, Way, check_truths, check_wires, ways, wire_blocks
-from dmframe.errors import DmframeError, MissingError, WiringError, raise_all
+from dmframe.errors import DmframeError, MissingError, SizeError, WiringError, raise_all
 from dmframe.port import Port
 
 
@@ -81,7 +81,7 @@ class Diagram:
                 faults += wrong
         if faults:
             _, more = wire_blocks(blocks, declared_outputs(blocks), wires or {})
-            raise_all([*faults, *more])
+            raise_all([*_causes(faults, blocks, more), *more])
         symbolic = _symbolic(robot)
         models = dict[str, BlockModel]()
         for name, block in blocks.items():
@@ -121,6 +121,19 @@ class Diagram:
 
     def __repr__(self) -> str:
         return f"<Diagram of {len(self.blocks)} blocks: {', '.join(self.blocks)}>"
+
+
+def _causes(
+    faults: Sequence[DmframeError], blocks: Mapping[str, AbstractBlock], wiring: Sequence[DmframeError]
+) -> list[DmframeError]:
+    """The faults less those of a size that is not known since the block that would say it is missing."""
+    lost = set[tuple[str | int, str]]()
+    for fault in wiring:
+        if isinstance(fault, WiringError) and fault.missing:
+            name = str(fault.path[-1])
+            shapes = [port.shape for port in blocks[name].inputs if port.name == fault.missing]
+            lost |= {(name, letter) for shape in shapes for letter in shape.split()}
+    return [fault for fault in faults if not (isinstance(fault, SizeError) and (fault.path[-1], fault.letter) in lost)]
 
 
 def _contracts(blocks: Mapping[str, AbstractBlock]) -> list[DmframeError]:

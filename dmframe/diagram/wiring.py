@@ -82,7 +82,7 @@ def wire_blocks(
             if end in chosen:
                 sources[end] = chosen[end]
                 continue
-            found = _by_name(name, port, outputs, optional=port.optional and not block.needs(port.name))
+            found = _by_name(name, port, outputs, blocks, optional=port.optional and not block.needs(port.name))
             if isinstance(found, DmframeError):
                 commanded = _as_the_plant(block, port, blocks, chosen)
                 if commanded is None:
@@ -206,7 +206,9 @@ def _explicit(
     return chosen, faults
 
 
-def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Source | DmframeError:
+def _by_name(
+    name: str, port: Port, outputs: Outputs, blocks: Mapping[str, AbstractBlock], *, optional: bool
+) -> Source | DmframeError:
     if replace(port, optional=False) == TIME:
         return Time()
     if port == PERIOD:
@@ -230,12 +232,27 @@ def _by_name(name: str, port: Port, outputs: Outputs, *, optional: bool) -> Sour
         return Derived(port.derivative_of)
     if optional:
         return Zero()
-    known = {key for ports in outputs.values() for key in ports}
     return WiringError(
-        f"{end}: expected an output of that name in another block, found none; "
-        f"add a block that has it, or a wire ({nearest(port.name, known)})",
+        f"{end}: expected an output of that name in another block, found none; {_remedy(name, port, outputs, blocks)}",
+        missing=port.name,
         path=("blocks", name),
     )
+
+
+def _remedy(name: str, port: Port, outputs: Outputs, blocks: Mapping[str, AbstractBlock]) -> str:
+    """What may be wired to an input instead: what has its shape and unit, and is not hidden from it."""
+    add, target = "add a block that has one", blocks[name].side  # which blocks have one, only the catalogue knows
+    fitting = [
+        f"{other}.{key}"
+        for other, ports in outputs.items()
+        for key, out in ports.items()
+        if other != name
+        and (out.shape, out.unit) == (port.shape, port.unit)
+        and _access(Wire(other, key), out, blocks[other].side, (name, port.name), target, ()) is None
+    ]
+    if not fitting:
+        return add
+    return f"wire one of its shape and unit ({nearest(port.name, fitting)}), or {add}"
 
 
 def check_wires(

@@ -11,7 +11,7 @@ from dmframe.block.model import symbols_in
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError
+from dmframe.errors import EngineError, listed
 from dmframe.export.program import Member, identifier, members
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state
@@ -53,7 +53,8 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     Raises
     ------
     EngineError
-        It has parts that move from sample to sample or are drawn at random, or is not integrated by rk4.
+        It has parts that move from sample to sample or are drawn at random, reads a source such as a load, or is not
+        integrated by rk4.
     """
     loop, clock, name = diagram.loop, experiment.file.clock, experiment.name
     if not isinstance(clock, float):
@@ -73,7 +74,12 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     own, rest = symbols_in([x, commands, loop.p]), symbols_in([loop.state, loop.w, held, loop.period])
     for expression, allowed in ((rate, own), (shown, own - symbols_in([commands]))):
         if (symbols_in([expression]) & rest) - allowed:
-            raise EngineError(f"{name}: what its robot does depends on more than its state and what it is commanded")
+            moved = [leaf.name for leaf in loop.trajectories if ca.depends_on(expression, ca.vec(leaf.symbol))]
+            found = listed(moved) or "the time or a state of the controller"
+            raise EngineError(
+                f"{name}: expected a robot whose motion follows from its state and what it is commanded, "
+                f"found one that reads {found} too; export it without that, or the controller alone with --c"
+            )
     if any(
         projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])
         for projection in loop.projections

@@ -19,7 +19,10 @@ from dmframe.build.trial import called
 from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.resolve import Leaf
+from dmframe.diagram.wiring import Wire
 from dmframe.errors import EngineError, ValueFault, listed
+from dmframe.port import Side
 from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
@@ -182,8 +185,7 @@ def _works(library: Path, function: Any, constants: int) -> bool:
 def control_function(diagram: Diagram, *, path: bool = False) -> Any:
     """(z, measured, t, T, p) -> (z one period later, commands).
 
-    With `path` the path is no function of time, but one more argument, last: what the trajectories are, and what they
-    are later where the law looks ahead.
+    With `path` the path is no function of time, but one more argument, last: `path_leaves`.
     """
     loop, resolver = diagram.loop, diagram.resolver
     size = stack(variable.symbol for variable in loop.controller).numel()
@@ -196,14 +198,28 @@ def control_function(diagram: Diagram, *, path: bool = False) -> Any:
         if any(ca.depends_on(expression, noise.symbol) for expression in expressions):
             raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
     z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
-    given = [stack(leaf.symbol for leaf in (*loop.trajectories, *loop.ahead))] if path else []
+    given = [stack(leaf.symbol for leaf in path_leaves(diagram))] if path else []
     return ca.Function("control", [z, measured, loop.time, loop.period, loop.p, *given], ca.cse(expressions))
+
+
+def path_leaves(diagram: Diagram) -> list[Leaf]:
+    """The trajectories of the sources that the controller reads, and what they are later where the law looks ahead.
+
+    A source that the plant alone reads, as a load, is nothing that a controller could be told.
+    """
+    read = {
+        source.block
+        for (reader, _), source in diagram.sources.items()
+        if isinstance(source, Wire) and diagram.blocks[reader].side is Side.CONTROLLER
+    }
+    leaves = (*diagram.loop.trajectories, *diagram.loop.ahead)
+    return [leaf for leaf in leaves if leaf.name.partition(".")[0] in read]
 
 
 def path_function(diagram: Diagram) -> Any:
     """(t, T, p) -> the path that a `control_function` with one is given."""
     loop = diagram.loop
-    path = stack(leaf.expression for leaf in (*loop.trajectories, *loop.ahead))
+    path = stack(leaf.expression for leaf in path_leaves(diagram))
     return ca.Function("path", [loop.time, loop.period, loop.p], [ca.cse(path)])
 
 

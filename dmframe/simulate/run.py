@@ -26,7 +26,7 @@ from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
-from dmframe.simulate.told import between, exceptions, telling, too_fast
+from dmframe.simulate.told import between, exceptions, telling, too_fast, unread
 from dmframe.units import plain
 
 LATER = 1.5
@@ -277,7 +277,7 @@ class Prepared:
         columns = {label: values for label, (_, values) in items.items()}
         ranked = ranks(self.matrices, columns, times)
         told = [*exceptions(diagram, telling(diagram), columns, times), *too_fast(diagram, columns, times)]
-        way = between(diagram)
+        said = [text for text in (between(diagram), unread(diagram)) if text]
         for matrix in self.matrices:
             del items[matrix.label]
         return Recording(
@@ -293,7 +293,7 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
-                *([way] if way else []),
+                *said,
                 *told,
                 *self.notices,
                 *self.keeping.notices,

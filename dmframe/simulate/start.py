@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Followed, stack
 from dmframe.diagram.projection import Projection
@@ -16,12 +17,17 @@ from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFaul
 from dmframe.port import Side
 from dmframe.simulate.block_starts import Made, at_start, has_start, in_order, once, said_by
 from dmframe.simulate.instants import DRAWN, Instants
+from dmframe.simulate.keep import apart_of
+from dmframe.units import plain
 
 NEAR = "near"
 """The key under `start` that picks a branch of the inverse kinematics."""
 
 REACHED = 1e-9
 """A start pose is on the path if it is this close [m or rad]."""
+
+TURNED = "R_d"
+"""What a block that says how far a tool is turned calls the orientation where it should be."""
 
 FARTHEST = 1e100
 """Beyond this the square of a distance overflows."""
@@ -163,13 +169,30 @@ def _outside_limits(diagram: Diagram, variable: Variable, q: np.ndarray, key: st
 
 
 def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tuple[Followed, Variable]]:
-    """The plant's states that nothing else says and that a trajectory decides, each with what it follows."""
+    """The plant's states that nothing else says and that a trajectory decides, each with what it follows.
+
+    Where the tool's orientation is led too, its rows stand below those of the position.
+    """
     open_states = [v for v in diagram.loop.plant if v.label not in known and not has_start(diagram, v, made)]
     for followed in diagram.loop.followed if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(followed.found), ca.vec(v.symbol))]
         if len(used) == 1:
-            yield followed, used[0]
+            yield _turned(diagram, followed, used[0]), used[0]
             open_states.remove(used[0])
+
+
+def _turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
+    """A tool's position and goal with its orientation, where a block is to lead that too, as rotation matrices."""
+    loop, apart, robot = diagram.loop, apart_of(diagram.loop), diagram.models[unknown.block].robot
+    if apart is None or robot is None or followed.actual.rpartition(".")[2] != "x" or unknown.symbol.numel() != robot.n:
+        return followed
+    label = f"{apart.rpartition('.')[0]}.{TURNED}"
+    wanted = [loop.on_path(ca.vec(signal.expression)) for signal in loop.outputs if signal.label == label]
+    if not wanted or not symbols_in(wanted) <= symbols_in([loop.time, loop.p]):  # on a time of its own
+        return followed
+    found = ca.vec(robot.rotation(unknown.symbol))
+    goal, place = ca.vertcat(ca.vec(followed.wanted), wanted[0]), ca.vertcat(ca.vec(followed.found), found)
+    return Followed(followed.desired, followed.actual, goal, place)
 
 
 def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made: Made) -> tuple[Any, Any]:
@@ -192,12 +215,14 @@ def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made:
         goal = goal_now(0, loop.p_values).full().ravel()
         jacobian = once(made, ("jacobian", followed.actual, unknown.label), residual.jacobian)
         desired, actual = f"{followed.desired}(0)", followed.actual
-        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, desired, actual)
+        rows = next(pair.wanted.numel() for pair in loop.followed if pair.actual == actual)
+        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, desired, actual, rows)
 
 
 def _solve(
-    diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str
+    diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str, rows: int
 ) -> np.ndarray:
+    """The pose at the goal, of which the first `rows` are no orientation."""
     from scipy.optimize import least_squares
 
     p, size = diagram.loop.p_values, residual.size1_in(0)
@@ -225,9 +250,12 @@ def _solve(
         if np.linalg.norm(best.fun) < REACHED:
             return np.asarray(best.x)
     assert best is not None  # there is always a seed
-    shown = ", ".join(f"{number:.4g}" for number in goal)
+    shown, apart = ", ".join(f"{number:.4g}" for number in goal[:rows]), float(np.linalg.norm(best.fun[:rows]))
+    unit = next(signal.unit for signal in diagram.loop.outputs if signal.label == label)
+    angle = np.degrees(2 * np.arcsin(min(np.linalg.norm(best.fun[rows:]) / np.sqrt(8), 1.0)))
+    led, away = (" with its orientation", f" and {angle:.3g} deg") if rows < len(goal) else ("", "")
     raise StartError(
-        f"start: {label} cannot reach {desired} = [{shown}]; the nearest pose is {np.linalg.norm(best.fun):.3g} away; "
+        f"start: {label} cannot reach {desired} = [{shown}]{led}; the nearest pose is {plain(apart, unit)}{away} away; "
         "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )

@@ -8,9 +8,9 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
-from dmframe.diagram.wiring import Way
+from dmframe.diagram.wiring import Way, Wire
 from dmframe.errors import listed
-from dmframe.port import Access
+from dmframe.port import Access, Side
 from dmframe.units import plain
 
 
@@ -28,6 +28,14 @@ def between(diagram: Diagram) -> str:
         passing.setdefault(through, []).append(f"{way.origin.block}.{way.origin.port}")
     said = [f"{listed(signals)} through {listed(list(through))}" for through, signals in passing.items()]
     return f"not ideal: {'; '.join(said)}" if said else ""
+
+
+def unread(diagram: Diagram) -> str:
+    """A sentence that names the sources that no block reads, such as a load beside a robot that takes none."""
+    read = {source.block for source in diagram.sources.values() if isinstance(source, Wire)}
+    found = [name for name, block in diagram.blocks.items() if block.side is Side.SOURCE and name not in read]
+    said = [f"{name} ({', '.join(port.name for port in diagram.blocks[name].outputs)})" for name in found]
+    return f"no block reads {listed(said)}, which changes nothing here" if said else ""
 
 
 def exceptions(

@@ -307,9 +307,12 @@ class Map:
 
 
 def axis_of(draws: np.ndarray, runs: int, *, log: bool = False) -> Axis:
-    """Bins that the draws fill: equally wide, of a `log` axis in their logarithms; of few values, these themselves."""
+    """Bins that the draws fill: equally wide, of a `log` axis in their logarithms; of few values, these themselves.
+
+    Few are values that come back: a dozen draws that each come once are draws all the same.
+    """
     distinct = np.unique(draws)
-    if len(distinct) <= 12:
+    if len(distinct) <= 12 and (len(distinct) == 1 or 2 * len(distinct) <= len(draws)):
         return Axis(distinct, True, False)
     low, high = float(distinct[0]), float(distinct[-1])
     # some twenty runs in a bin of two such axes

@@ -111,6 +111,7 @@ def values_figure(found: Tuned) -> Any:
                 )
             if factor.spread is not None and factor.spread.kind == "log":
                 axes.set_xscale("log")
+                _plain_ticks(axes)
             unit = unit_text(factor.unit)
             axes.set_xlabel(
                 verbatim(name) + (", factor" if factor.how == "scale" else f" [{unit}]" if factor.unit else "")
@@ -134,14 +135,19 @@ def _labelled(axes: Any, of: Statistic, side: str) -> float:
     return factor
 
 
-def _scaled(axes: Any, values: Sequence[float], side: str) -> None:
+def _plain_ticks(axes: Any) -> None:
+    """Plain numbers on a logarithmic x-axis, few enough that none covers its neighbour."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _scaled(axes: Any, values: Sequence[float], side: str) -> None:
     if min(values) > 0 and max(values) > _DECADE * min(values):
         (axes.set_xscale if side == "x" else axes.set_yscale)("log")
         if side == "y":
             log_ticks(axes)
         else:
-            axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
-            axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axes.xaxis.set_minor_formatter(NullFormatter())
+            _plain_ticks(axes)

@@ -301,3 +301,48 @@ def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
     assert turned is not None
     np.testing.assert_allclose(turned.angle, mine["turn"], atol=1e-5)
     assert turned.angle.max() > 1e-3
+
+
+CIRCLE = """
+dmframe: 1
+robot: {model: ur10, tool: ee_link}
+clock: 8 ms
+duration: 1 s
+blocks:
+  path:        {type: circle, center: [0.4, 0.45, 0.3], radius: 0.05, rate: 0.5 rad/s}
+  attitude:    {type: turning, orientation: [0, 90 deg, 0], axis: [0, 0, 1], amplitude: 20 deg, rate: 0.3 rad/s}
+  geometry:    {type: kinematics}
+  orientation: {type: tool_orientation, lever: 0.5}
+  task:        {type: pose_tracking, gamma: 1}
+  inverse:     {type: kinematic_command}
+  servo:       {type: pi_servo, K_P: [800, 800, 400, 16, 8, 0.8], K_I: [1760, 1760, 880, 35.2, 17.6, 1.76]}
+  arm:         {type: manipulator}
+"""
+
+
+@pytest.mark.parametrize("near", [None, [0.6, -1.5, 2.1, -2.2, -1.5, 0.6]])
+def test_a_start_on_a_path_has_its_orientation_too(near: list[float] | None) -> None:
+    graph = dm.load(CIRCLE).set({} if near is None else {"start.near": near})
+    q = graph.run(until="8 ms", progress=False).recording["arm.q"][0]
+    model = load("ur10").model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    placed = data.oMf[model.getFrameId("ee_link")]
+    np.testing.assert_allclose(placed.translation, [0.4, 0.5, 0.3], atol=1e-8)
+    np.testing.assert_allclose(placed.rotation, pin.exp3(np.array([0, np.pi / 2, 0])), atol=1e-8)
+    if near is not None:
+        np.testing.assert_allclose(q, near, atol=0.2)
+
+
+def test_a_start_that_no_joints_reach_says_by_how_much_in_position_and_angle() -> None:
+    graph = dm.load(CIRCLE).set({"path.center": [0.4, 0.45, 2.3]})
+    reached = r"= \[0\.4, 0\.5, 2\.3\] with its orientation; the nearest pose is .* m and .* deg away"
+    with pytest.raises(DmframeError, match=reached):
+        graph.run(progress=False)
+
+
+def test_a_source_that_no_block_reads_is_told() -> None:
+    graph = dm.load(CIRCLE).set({"blocks.load": {"type": "payload", "mass": [1], "at": [0]}, "duration": 0.08})
+    assert graph.run(progress=False).notices[0] == "no block reads load (a_load), which changes nothing here"
+    taken = graph.set({"arm.type": "loaded_manipulator"}).run(progress=False)
+    assert not [text for text in taken.notices if "no block reads" in text]

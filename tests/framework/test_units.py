@@ -63,6 +63,22 @@ def test_everything_after_the_slash_divides() -> None:
         ("3 m", "rad/s", "expected a quantity in rad/s, found '3 m': m cannot be converted to rad/s"),
         ("0 m", "s", "expected a quantity in s, found '0 m': m cannot be converted to s"),
         ("3 m", "", "expected a plain number, found '3 m': m cannot be converted to a plain number"),
+        (
+            "9 deg",
+            "rad/s",
+            "expected a quantity in rad/s, found '9 deg': deg cannot be converted to rad/s; did you mean deg/s?",
+        ),
+        ("1 kN", "N/m", "expected a quantity in N/m, found '1 kN': kN cannot be converted to N/m; did you mean kN/m?"),
+        (
+            "2 m/s",
+            "m/s^2",
+            "expected a quantity in m/s^2, found '2 m/s': m/s cannot be converted to m/s^2; did you mean m/s^2?",
+        ),
+        ("3 N m", "N", "expected a quantity in N, found '3 N m': N m cannot be converted to N"),
+        ("125 Hz", "s", "expected a quantity in s, found '125 Hz': Hz cannot be converted to s; one over it can: 8 ms"),
+        ("0 Hz", "s", "expected a quantity in s, found '0 Hz': Hz cannot be converted to s"),
+        ("1e999 Hz", "s", "expected a quantity in s, found '1e999 Hz': Hz cannot be converted to s"),
+        ("5 cmm", "m", "expected a quantity in m, found '5 cmm': unknown unit cmm; did you mean mm?"),
         ("3 deg", "m", "expected a quantity in m, found '3 deg': deg cannot be converted to m"),
         (
             "2 Hz",

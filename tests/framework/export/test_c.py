@@ -27,6 +27,7 @@ needs_gcc = pytest.mark.skipif(GCC is None, reason="needs gcc")
 PLAIN = ("-ffp-contract=off", "-fno-tree-vectorize")
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Werror")
 GRAPHS = ("ur10_fast", "ur10_full", "joint_tracking_pi", "ur10_fast_kinematic")
+LOADED = "ur10_payload"
 
 
 @cache
@@ -64,6 +65,15 @@ def test_it_compiles_without_a_warning_to_the_same_bits(name: str, optimised: st
     done = said(compiled(exported(name), *STRICT, *PLAIN, optimised))
     assert (done.returncode, done.stderr) == (0, "")
     assert "250 samples, the same bits" in done.stdout
+
+
+@needs_gcc
+def test_a_source_that_the_plant_alone_reads_is_no_part_of_the_path() -> None:
+    folder = exported(LOADED)
+    assert "250 samples, the same bits" in said(compiled(folder, *STRICT, *PLAIN, "-O1")).stdout
+    words = (folder / f"{LOADED}.h").read_text(encoding="utf-8")
+    assert "path_q_d[6]" in words
+    assert "load" not in words.replace("payload", "").replace("a load", "")
 
 
 @needs_gcc
@@ -231,6 +241,7 @@ def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
     [
         (["pendulum_kinematic", "new", "--c"], "expected a clock such as 8 ms, found continuous"),
         (["ur10_slow_probe", "new", "--c"], "is drawn anew at each sample, in simulations alone"),
+        (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load too; export it without that"),
         (["ur10_fast", "new"], "expected one of --c, --fmi2, --fmi3 and --ros2, found none"),
         (["ur10_fast", ".", "--c"], "is there already; name a new folder"),
     ],

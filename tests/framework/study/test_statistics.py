@@ -166,6 +166,12 @@ def test_a_map_counts_its_bins() -> None:
     assert found.diverged.tolist() == [[0, 0], [0.5, 0]]
 
 
+def test_draws_that_each_come_once_are_bins_however_few_they_are_and_values_that_come_back_are_not() -> None:
+    draws = np.random.default_rng(0).uniform(1, 2, size=12)
+    assert not map_of(draws, np.tile([1.0, 2.0], 6), draws).x.each
+    assert map_of(draws, np.tile([1.0, 2.0], 6), draws).y.each
+
+
 def test_a_map_of_many_draws_holds_all_of_them() -> None:
     x, y = np.random.default_rng(0).uniform([[0.01], [5]], [[1], [6]], size=(2, 4000))
     found = map_of(x, y, x + y, logs=(True, False))
