@@ -101,7 +101,7 @@ def turn_error(run: Recording) -> TurnError | None:
     if label is None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
-        angle = np.degrees(2 * np.arcsin(np.sqrt(np.minimum(run[label][:, 0] / FARTHEST, 1.0))))
+        angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(run[label][:, 0] / FARTHEST, 0.0, 1.0))))
     return TurnError(label, run.time, angle, rms_by_eighth(run.time, angle, run.duration))
 
 

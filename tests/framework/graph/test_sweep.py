@@ -52,6 +52,39 @@ def test_parameters_that_are_lists_and_blocks_that_change_are_texts_on_their_axi
     np.testing.assert_allclose(found["rms_final"], finals, rtol=1e-9)
 
 
+SWINGING = """\
+dmframe: 1
+robot: {model: ur10, tool: ee_link}
+clock: 8 ms
+duration: 0.4 s
+start: {q: [0.637139, -1.494124, 2.14183, -2.218502, -1.570796, 0.637139]}
+blocks:
+  path:        {type: circle, center: [0.4, 0.45, 0.3], radius: 0.05, rate: 0.5 rad/s}
+  attitude:    {type: turning, orientation: [0, 90 deg, 0], axis: [0, 0, 1], amplitude: 20 deg, rate: 10 rad/s}
+  geometry:    {type: kinematics}
+  orientation: {type: tool_orientation, lever: 0.5}
+  task:        {type: pose_tracking, gamma: 1}
+  inverse:     {type: kinematic_command}
+  servo:       {type: pi_servo, K_P: [800, 800, 400, 16, 8, 0.8], K_I: [1760, 1760, 880, 35.2, 17.6, 1.76]}
+  arm:         {type: manipulator}
+"""
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_of_a_pose_the_turn_has_figures_of_its_own_in_degrees(engine: Any) -> None:
+    gains, options = {"task.gamma": [1, 5]}, {"engine": engine, "limits": {"error": "2 mm", "turn": "0.5 deg"}}
+    found = dm.sweep(SWINGING, gains, **options)
+    assert (found["turn_rms_final"].units, found["turn_most"].units, found["rms_final"].units) == ("deg", "deg", "m")
+    run = dm.load(SWINGING).set({"task.gamma": 5}).run()
+    assert run.turn is not None
+    mine = found.sel({"task.gamma": 5})
+    np.testing.assert_allclose(mine["turn_rms_by_eighth"], run.turn.rms_by_eighth, rtol=1e-6)
+    np.testing.assert_allclose(mine["turn_rms_final"], run.turn.rms_final, rtol=1e-6)
+    np.testing.assert_allclose(mine["turn_most"], run.turn.angle.max(), rtol=1e-6)
+    assert mine["turn_crossed"] == run.turn.times[np.argmax(run.turn.angle > 0.5)]
+    assert np.max(np.abs(found["turn_most"] - found["error_most"])) > 0.5, "an angle, not a distance"
+
+
 @pytest.mark.parametrize(("design", "shape"), [("list", (1,)), ("grid", ())])
 def test_a_sweep_of_nothing_is_one_run(design: Any, shape: tuple[int, ...]) -> None:
     found = dm.sweep("pendulum", {}, until=0.1, design=design)
