@@ -64,7 +64,8 @@ def sweep(
         Labels ``block.signal`` of which the least, the largest, the last value and the RMS over the last eighth are
         kept, beside the tracking error.
     limits
-        By label, or ``error`` or ``turn``: when the absolute value first left it, a number in the signal's unit or a text with one.
+        By label, or ``error`` or ``turn``: when the absolute value first left it, a number in the signal's unit or a
+        text with one.
     engine
         See `Graph.run`.
 
@@ -72,8 +73,8 @@ def sweep(
     -------
     xarray.Dataset
         ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm; of a tool's turn from its
-        orientation, in degrees, ``turn_rms_final``, ``turn_rms_by_eighth`` and ``turn_most``; ``diverged``, ``diverged_at``
-        [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s]; nan where a run never
+        orientation, in degrees, ``turn_rms_final``, ``turn_rms_by_eighth`` and ``turn_most``; ``diverged``,
+        ``diverged_at`` [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s]; nan where a run never
         came. The extremes of a run that diverged are those until then: look at ``diverged`` first. Units are
         attributes.
 

@@ -19,7 +19,7 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.results.metrics import goal_of
 from dmframe.robot.frames import frames, tool
-from dmframe.simulate.start import NEAR, symbolic_start
+from dmframe.simulate.start import NEAR, symbolic_start, turned
 from dmframe.simulate.step import build_parts
 
 
@@ -228,7 +228,8 @@ def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -
     loop, given = diagram.loop, {key for key in start if key != NEAR}
     if posed is None or given & {posed.label, posed.name}:
         return None
-    for pair in loop.followed:
+    for plain in loop.followed:
+        pair = turned(diagram, plain, posed)
         wanted, found = (loop.joined([ca.vec(side)])[0] for side in (pair.wanted, pair.found))
         unknown = {v.label for v in loop.variables if ca.depends_on(found, ca.vec(v.symbol))}
         if unknown == {posed.label}:

@@ -19,6 +19,10 @@ from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, listed, raise_all
 from dmframe.port import Side
 from dmframe.simulate.instants import DRAWN, Instants
+from dmframe.simulate.keep import apart_of
+
+DESIRED = "R_d"
+"""What a block that says how far the tool is turned calls the desired orientation."""
 
 NEAR = "near"
 """The key under `start` that picks a branch of the inverse kinematics."""
@@ -44,7 +48,8 @@ def start_state(
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box or
+    trajectory ``s_d``, where s = s_d(0), and the tool has the orientation of a task that gives one, the solution nearest
+    to ``given["near"]``; at zero. A state with a box or
     a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled. A block
     may start at what it measures: `instants` say what is drawn for the first tick; without them, zeros are.
     """
@@ -174,8 +179,23 @@ def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tu
     for followed in diagram.loop.followed if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(followed.found), ca.vec(v.symbol))]
         if len(used) == 1:
-            yield followed, used[0]
+            yield turned(diagram, followed, used[0]), used[0]
             open_states.remove(used[0])
+
+
+def turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
+    """The same with the tool's orientation below its position, where a task gives one and the joints decide it."""
+    loop, label = diagram.loop, apart_of(diagram.loop)
+    robot = diagram.models[unknown.block].robot
+    if label is None or robot is None or not followed.actual.endswith(".x") or unknown.name != "q":
+        return followed
+    desired = f"{label.partition('.')[0]}.{DESIRED}"
+    wanted = next((signal.expression for signal in loop.outputs if signal.label == desired), None)
+    if wanted is None or not symbols_in([loop.on_path(wanted)]) <= symbols_in([loop.time, loop.p]):
+        return followed
+    goal = ca.vertcat(ca.vec(followed.wanted), ca.vec(wanted))
+    found = ca.vertcat(ca.vec(followed.found), ca.vec(robot.rotation(unknown.symbol)))
+    return Followed(followed.desired, followed.actual, goal, found)
 
 
 def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made: Made) -> tuple[Any, Any]:
@@ -188,7 +208,7 @@ def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made
         raise StartError(f"{text}the beginning is not looked for")
     goal = _once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
     key = ("residual", followed.actual, unknown.label)
-    return goal, _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))
+    return goal, _once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [ca.vec(followed.found)]))
 
 
 def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:
@@ -197,15 +217,15 @@ def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made:
         goal_now, residual = goal_and_place(loop, followed, unknown, made)
         goal = goal_now(0, loop.p_values).full().ravel()
         jacobian = _once(made, ("jacobian", followed.actual, unknown.label), residual.jacobian)
-        desired, actual = f"{followed.desired}(0)", followed.actual
-        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, desired, actual)
+        values[unknown.label] = _solve(diagram, residual, jacobian, goal, near, followed)
 
 
 def _solve(
-    diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, desired: str, label: str
+    diagram: Diagram, residual: Any, jacobian: Any, goal: np.ndarray, near: Any, followed: Followed
 ) -> np.ndarray:
     from scipy.optimize import least_squares
 
+    desired, label = f"{followed.desired}(0)", followed.actual
     p, size = diagram.loop.p_values, residual.size1_in(0)
     if not np.max(np.abs(goal), initial=0.0) < FARTHEST:  # nan too
         text = f"start: expected {desired} below {FARTHEST:g}, found {goal.tolist()}; take numbers nearer to 1"
@@ -231,9 +251,15 @@ def _solve(
         if np.linalg.norm(best.fun) < REACHED:
             return np.asarray(best.x)
     assert best is not None  # there is always a seed
-    shown = ", ".join(f"{number:.4g}" for number in goal)
+    rows = next(pair.found.numel() for pair in diagram.loop.followed if pair.actual == label)
+    away, also = f"{np.linalg.norm(best.fun[:rows]):.3g}", ""
+    if rows < len(goal):
+        sine = np.sqrt(np.sum(best.fun[rows:] ** 2) / 8)  # of half the angle between two rotation matrices
+        away += f" m and {np.degrees(2 * np.arcsin(min(sine, 1.0))):.3g} deg"
+        also = " with its orientation"
+    shown = ", ".join(f"{number:.4g}" for number in goal[:rows])
     raise StartError(
-        f"start: {label} cannot reach {desired} = [{shown}]; the nearest pose is {np.linalg.norm(best.fun):.3g} away; "
+        f"start: {label} cannot reach {desired} = [{shown}]{also}; the nearest pose is {away} away; "
         "move the path, or give the pose under start: {q: [...]}",
         path=("start",),
     )

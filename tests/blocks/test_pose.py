@@ -239,6 +239,34 @@ def test_it_is_proved_with_a_pid_servo_in_both_forms_known_and_observed(name: st
     assert {"x - x_d", "e_R"} <= gone
 
 
+def started(*changes: str) -> tuple[Array, dict[str, Any]]:
+    """Where `ur10_pose` starts where nothing says so, and its path at t = 0."""
+    graph = load_experiment("ur10_pose", ["start={}", *changes])
+    diagram = graph.diagram()
+    run = simulate(diagram, T, clock=T, solver=graph.solver, start=graph.start)
+    return run["arm.q"][0], {"x_d": run["path.x_d"][0], "p_d": run["path.p_d"][0], "apart": run["task.R_apart"][0, 0]}
+
+
+@pytest.mark.parametrize("changes", [(), ("path.orientation=[0.3, 1.9, -0.4]",), ("start={near: [1, -1, 1, 0, 1, 0]}",)])
+def test_the_start_is_sought_on_the_path_with_its_orientation(changes: tuple[str, ...]) -> None:
+    q, path = started(*changes)
+    chain = load("ur10")
+    data = chain.model.createData()
+    pin.framesForwardKinematics(chain.model, data, q)
+    place = data.oMf[chain.model_tool]
+    np.testing.assert_allclose(place.translation, path["x_d"], atol=1e-8)
+    np.testing.assert_allclose(place.rotation, matrix(path["p_d"]), atol=1e-8)
+    assert path["apart"] < 1e-15
+
+
+def test_an_orientation_out_of_reach_is_refused_with_the_nearest_pose() -> None:
+    with pytest.raises(DmframeError) as caught:
+        started("path.center=[1.22, 0.0, 0.2]", "path.radius=0.1")
+    told = str(caught.value)
+    assert "cannot reach path.x_d(0) = [1.22, 0, 0.3] with its orientation; the nearest pose is" in told
+    assert re.search(r"is [\d.e-]+ m and [\d.e-]+ deg away", told)
+
+
 OLD: dict[str, Any] = {
     "task.gamma": 3,
     "dynamics.Gamma": {"inverse_of": "model", "scale": 30, "others": 10},
