@@ -261,9 +261,9 @@ def test_the_start_is_sought_on_the_path_with_its_orientation(changes: tuple[str
 
 def test_an_orientation_out_of_reach_is_refused_with_the_nearest_pose() -> None:
     with pytest.raises(DmframeError) as caught:
-        started("path.center=[1.22, 0.0, 0.2]", "path.radius=0.1")
+        started("path.center=[1.2, 0.0, 0.2]", "path.radius=0.1", "path.orientation=[0, 0, 3.14]")
     told = str(caught.value)
-    assert "cannot reach path.x_d(0) = [1.22, 0, 0.3] with its orientation; the nearest pose is" in told
+    assert "cannot reach path.x_d(0) = [1.2, 0, 0.3] with its orientation; the nearest pose is" in told
     assert re.search(r"is [\d.e-]+ m and [\d.e-]+ deg away", told)
 
 
