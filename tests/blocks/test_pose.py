@@ -247,7 +247,9 @@ def started(*changes: str) -> tuple[Array, dict[str, Any]]:
     return run["arm.q"][0], {"x_d": run["path.x_d"][0], "p_d": run["path.p_d"][0], "apart": run["task.R_apart"][0, 0]}
 
 
-@pytest.mark.parametrize("changes", [(), ("path.orientation=[0.3, 1.9, -0.4]",), ("start={near: [1, -1, 1, 0, 1, 0]}",)])
+@pytest.mark.parametrize(
+    "changes", [(), ("path.orientation=[0.3, 1.9, -0.4]",), ("start={near: [1, -1, 1, 0, 1, 0]}",)]
+)
 def test_the_start_is_sought_on_the_path_with_its_orientation(changes: tuple[str, ...]) -> None:
     q, path = started(*changes)
     chain = load("ur10")
@@ -401,3 +403,21 @@ def test_the_packaged_loop_is_the_one_written_by_hand() -> None:
     assert turned is not None
     np.testing.assert_allclose(turned.angle, mine["turn"], atol=1e-5)
     assert turned.angle.max() > 1e-3
+
+
+SAMPLED = {"type": "sampled_inverse", "servo": "pid", "w_0": [0.00125, 0.00125, 0.0025, 0.1, 0.2, 2], "replay": 8}
+
+
+def test_the_sampled_inverse_takes_its_reference_on_a_slow_clock() -> None:
+    slow = dm.load("ur10_pose").baseline().set({"clock": "90 ms"})
+    plain, learnt = (graph.run("20 s", judge=False) for graph in (slow, slow.set({"blocks.inverse": SAMPLED})))
+    assert plain.error is not None
+    assert learnt.error is not None
+    assert plain.turn is not None
+    assert learnt.turn is not None
+    for mine, other in ((learnt.error, plain.error), (learnt.turn, plain.turn)):
+        assert mine.rms_final is not None
+        assert other.rms_final is not None
+        assert mine.rms_final < 0.7 * other.rms_final
+    assert learnt.error.rms_final is not None
+    assert learnt.error.rms_final < 1e-3
