@@ -48,8 +48,8 @@ def start_state(
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), and the tool has the orientation of a task that gives one, the solution nearest
-    to ``given["near"]``; at zero. A state with a box or
+    trajectory ``s_d``, where s = s_d(0), and the tool has the orientation of a task that gives one, the solution
+    nearest to ``given["near"]``; at zero. A state with a box or
     a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled. A block
     may start at what it measures: `instants` say what is drawn for the first tick; without them, zeros are.
     """
