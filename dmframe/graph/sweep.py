@@ -75,8 +75,8 @@ def sweep(
         ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm; of a tool's turn from its
         orientation, in degrees, ``turn_rms_final``, ``turn_rms_by_eighth`` and ``turn_most``; ``diverged``,
         ``diverged_at`` [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s];
-        nan where a run never came. The extremes of a run that diverged are those until then: look at ``diverged`` first. Units are
-        attributes.
+        nan where a run never came. The extremes of a run that diverged are those until then: look at ``diverged``
+        first. Units are attributes.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 import dmframe as dm
 from dmframe.errors import DmframeError
+from dmframe.study.objective import statistic
+from dmframe.study.plan import load_study
 
 
 def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> None:
@@ -83,6 +86,29 @@ def test_of_a_pose_the_turn_has_figures_of_its_own_in_degrees(engine: Any) -> No
     np.testing.assert_allclose(mine["turn_most"], run.turn.angle.max(), rtol=1e-6)
     assert mine["turn_crossed"] == run.turn.times[np.argmax(run.turn.angle > 0.5)]
     assert np.max(np.abs(found["turn_most"] - found["error_most"])) > 0.5, "an angle, not a distance"
+
+
+def test_a_study_has_them_as_columns_too(tmp_path: Path) -> None:
+    (tmp_path / "swinging.yaml").write_text(SWINGING, encoding="utf-8")
+    (tmp_path / "study.yaml").write_text(
+        "dmframe-study: 1\ngraph: swinging.yaml\ngrid: {task.gamma: [1, 5]}\nmeasure: {limits: {turn: 0.5 deg}}\n",
+        encoding="utf-8",
+    )
+    study = load_study(tmp_path / "study.yaml")
+    units = {column.name: column.unit for column in study.measures}
+    assert (units["turn_final"], units["turn_8"], units["turn_most"], units["turn_crossed"]) == (
+        "deg",
+        "deg",
+        "deg",
+        "s",
+    )
+    rows = study.rows(1, 0, 1)
+    run = dm.load(SWINGING).set({"task.gamma": 5}).run()
+    assert run.turn is not None
+    assert rows["turn_final"][0] == pytest.approx(run.turn.rms_final, rel=1e-6)
+    assert rows["turn_most"][0] == pytest.approx(run.turn.angle.max(), rel=1e-6)
+    assert rows["turn_crossed"][0] == run.turn.times[np.argmax(run.turn.angle > 0.5)]
+    assert statistic("worst turn_final", study.measures, dm.load(SWINGING).diagram).unit == "deg"
 
 
 @pytest.mark.parametrize(("design", "shape"), [("list", (1,)), ("grid", ())])
