@@ -22,7 +22,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.errors import UnknownNameError, ValueFault, raise_all
-from dmframe.results.metrics import FARTHEST, TurnError, goal_of
+from dmframe.results.metrics import TurnError, goal_of, turn_of
 from dmframe.simulate.engine import Choice, worth
 from dmframe.simulate.keep import Log, apart_of
 from dmframe.simulate.many import cores
@@ -164,8 +164,8 @@ class Batch:
         if goal is not None:
             unit, actual = items[goal.actual]
             found[ERROR] = (unit, ca.norm_2(actual - items[goal.desired][1]))
-        if (label := apart_of(loop)) is not None:
-            found[TURN] = (TurnError.unit, _turn(items[label][1]))
+        if (turn := turn_of(loop)) is not None:
+            found[TURN] = (TurnError.unit, turn)
         return found | {label: items[label] for label in self.wanted.signals}
 
     @cached_property
@@ -218,12 +218,6 @@ class Batch:
         """Of each element that is measured."""
         limits = [np.full(elements.numel(), self.wanted.limit(label)) for label, (_, elements) in self.channels.items()]
         return np.concatenate([np.zeros(0), *limits])
-
-
-def _turn(apart: Any) -> Any:
-    """The angle of `turn_error` [deg], of an expression."""
-    sine = ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))
-    return ca.asin(sine) * (360 / np.pi)
 
 
 def _without(
