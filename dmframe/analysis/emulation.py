@@ -21,10 +21,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dmframe.block.symmetric import unique
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import Diagram
 from dmframe.diagram.view import view
 from dmframe.diagram.wiring import Wire
+from dmframe.parameter import specs
 from dmframe.port import Side
 from dmframe.simulate import Solver, simulate
 
@@ -175,8 +177,10 @@ def _growth(diagram: Diagram, block: str, estimate: str) -> Any:
     everything = {**model.states, **model.inputs, **model.parameters}
     zero = {name: np.zeros(symbol.shape) for name, symbol in everything.items() if symbol is not Y}
     values = {**zero, **model.values}
+    kinds = specs(type(model.block))
     robot = [] if model.robot is None else [(c.symbol, model.robot.values()[c.name]) for c in model.robot.constants]
-    pairs = [*((everything[name], values[name]) for name in zero), *robot]
+    # The elements of a full gain stand in it twice, and a function takes each symbol once.
+    pairs = [*(unique(kinds.get(name), everything[name], np.asarray(values[name])) for name in zero), *robot]
     slopes = ca.Function("slopes", [Y, *(symbol for symbol, _ in pairs)], [learns, acts])
 
     def largest(regressor: Array, w: Array) -> float:

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import casadi as ca
 import numpy as np
 
-from dmframe.batch.figures import ERROR, Board, Measured, Wanted
+from dmframe.batch.figures import ERROR, TURN, Board, Measured, Wanted
 from dmframe.batch.lanes import Lanes, compiled
 from dmframe.batch.speeds import slope_of, speeds_of
 from dmframe.batch.starts import starts_of
@@ -22,9 +22,9 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
 from dmframe.errors import UnknownNameError, ValueFault, raise_all
-from dmframe.results.metrics import goal_of
+from dmframe.results.metrics import TurnError, goal_of, turn_of
 from dmframe.simulate.engine import Choice, worth
-from dmframe.simulate.keep import Log
+from dmframe.simulate.keep import Log, apart_of
 from dmframe.simulate.many import cores
 from dmframe.simulate.run import Prepared, prepare
 from dmframe.simulate.step import FIXED, Solver, Step, build_parts
@@ -120,7 +120,7 @@ class Batch:
         raise_all(
             [UnknownNameError("signals", "signal", label, known) for label in wanted.signals if label not in known]
         )
-        measured = {*wanted.signals, ERROR}
+        measured = {*wanted.signals, ERROR, *([] if apart_of(diagram.loop) is None else [TURN])}
         strangers = [label for label in wanted.limits if label not in measured]
         raise_all([UnknownNameError("limits", "measured signal", label, measured) for label in strangers])
         given = {key: value for key, value in settings.items() if value is not None}
@@ -164,6 +164,8 @@ class Batch:
         if goal is not None:
             unit, actual = items[goal.actual]
             found[ERROR] = (unit, ca.norm_2(actual - items[goal.desired][1]))
+        if (turn := turn_of(loop)) is not None:
+            found[TURN] = (TurnError.unit, turn)
         return found | {label: items[label] for label in self.wanted.signals}
 
     @cached_property

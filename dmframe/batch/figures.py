@@ -15,6 +15,8 @@ from dmframe.units import plain
 
 ERROR: Final = "error"
 """The name of the tracking error's Euclidean norm among the figures."""
+TURN: Final = "turn"
+"""The name of the angle between a tool's orientation and the desired one among the figures [deg]."""
 
 
 @final
@@ -27,7 +29,7 @@ class Wanted:
     signals
         Labels ``block.signal`` of states and outputs, beside the tracking error.
     limits
-        By label, `ERROR` too, the absolute value whose first crossing is looked for, in the signal's unit.
+        By label, `ERROR` and `TURN` too, the absolute value whose first crossing is looked for, in the signal's unit.
     """
 
     signals: tuple[str, ...] = ()

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from dmframe.batch.figures import ERROR, Board, Figures, Wanted
+from dmframe.batch.figures import ERROR, TURN, Board, Figures, Wanted
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError
-from dmframe.results.metrics import rms_by_eighth, tracking_error
+from dmframe.results.metrics import rms_by_eighth, tracking_error, turn_error
 from dmframe.simulate import Recording, simulate_many
 
 
@@ -57,8 +57,9 @@ class Told(NamedTuple):
 
 def of_run(run: Recording, wanted: Wanted) -> Told:
     """The figures of one whole run."""
-    error = tracking_error(run)
+    error, turn = tracking_error(run), turn_error(run)
     values = {} if error is None else {ERROR: error.norm[:, None]}
+    values |= {} if turn is None else {TURN: turn.angle[:, None]}
     values |= {label: run[label] for label in wanted.signals}
     diverged = np.nan if run.divergence is None else run.divergence.time
     figures = {label: _figures(run, signal, wanted.limit(label)) for label, signal in values.items()}

@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 import numpy as np
 
 from dmframe.batch import Batch, Measured, Wanted
-from dmframe.batch.figures import ERROR, Board
+from dmframe.batch.figures import ERROR, TURN, Board
 from dmframe.errors import DmframeError, NeedsDiagramError, ValueFault, raise_all
 from dmframe.graph.arguments import listed
 from dmframe.graph.graph import Graph
 from dmframe.graph.load import load
 from dmframe.parameter import Spec, specs
-from dmframe.results.metrics import EIGHTHS, goal_of
+from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
+from dmframe.simulate.keep import apart_of
 from dmframe.units import shorten, to_unit
 
 if TYPE_CHECKING:
@@ -65,17 +66,19 @@ def sweep(
         Labels ``block.signal`` of which the least, the largest, the last value and the RMS over the last eighth are
         kept, beside the tracking error.
     limits
-        By label, or ``error``: when the absolute value first left it, a number in the signal's unit or a text with one.
+        By label, or ``error`` or ``turn``: when the absolute value first left it, a number in the signal's unit or a
+        text with one.
     engine
         See `Graph.run`.
 
     Returns
     -------
     xarray.Dataset
-        ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm, ``diverged``, ``diverged_at``
-        [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s]; nan where a run never
-        came. The extremes of a run that diverged are those until then: look at ``diverged`` first. Units are
-        attributes.
+        ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm; of a tool's turn from its
+        orientation, in degrees, ``turn_rms_final``, ``turn_rms_by_eighth`` and ``turn_most``; ``diverged``,
+        ``diverged_at`` [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s];
+        nan where a run never came. The extremes of a run that diverged are those until then: look at ``diverged``
+        first. Units are attributes.
 
     Raises
     ------
@@ -131,6 +134,7 @@ def _wanted(base: Graph, signals: Sequence[str], limits: Mapping[str, float | st
     units |= {variable.label: variable.unit for variable in loop.variables}
     goal = goal_of(loop)
     units |= {} if goal is None else {ERROR: units[goal.actual]}
+    units |= {} if apart_of(loop) is None else {TURN: TurnError.unit}
     for label, value in (limits or {}).items():
         number = value.item() if isinstance(value, np.generic) else value
         try:
@@ -225,16 +229,16 @@ def _dataset(
 
     data = {"diverged": labelled(np.isfinite(found.diverged), ""), "diverged_at": labelled(found.diverged, "s")}
     for label, figures in found.signals.items():
-        rows = [] if label == ERROR else [f"{label}_row"]
+        rows = [] if label in (ERROR, TURN) else [f"{label}_row"]
         parts = {"least": figures.least, "most": figures.most, "last": figures.last, "rms_final": figures.rms_final}
-        if label == ERROR:
-            rms = figures.rms_by_eighth[:, 0]
-            data["rms_by_eighth"] = labelled(rms, figures.unit, "eighth")
-            data["rms_final"] = labelled(rms[:, -1], figures.unit)
-            data["error_most"] = labelled(figures.most[:, 0], figures.unit)
+        if label in (ERROR, TURN):
+            rms, before = figures.rms_by_eighth[:, 0], "" if label == ERROR else f"{label}_"
+            data[f"{before}rms_by_eighth"] = labelled(rms, figures.unit, "eighth")
+            data[f"{before}rms_final"] = labelled(rms[:, -1], figures.unit)
+            data[f"{label}_most"] = labelled(figures.most[:, 0], figures.unit)
         else:
             data |= {f"{label}_{name}": labelled(part, figures.unit, *rows) for name, part in parts.items()}
-        crossed = figures.crossed[:, 0] if label == ERROR else figures.crossed
+        crossed = figures.crossed[:, 0] if not rows else figures.crossed
         if np.isfinite(crossed).any():
             data[f"{label}_crossed"] = labelled(crossed, "s", *rows)
     coordinates = {

@@ -17,9 +17,10 @@ from dmframe.certify.true_values import estimated
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.parts import Parts
-from dmframe.results.metrics import goal_of
+from dmframe.results.metrics import TurnError, goal_of, turn_of
 from dmframe.robot.frames import frames, tool
-from dmframe.simulate.start import NEAR
+from dmframe.simulate.keep import apart_of
+from dmframe.simulate.start import NEAR, turned
 from dmframe.simulate.start_expressions import symbolic_start
 from dmframe.simulate.step import build_parts
 
@@ -32,7 +33,7 @@ class Group:
     Parameters
     ----------
     kind
-        ``error``, ``storage``, ``command``, or ``estimate``.
+        ``error``, ``turn``, of a tool from its orientation, ``storage``, ``command``, or ``estimate``.
     label
         Of the signals, as ``block.name``; texts that a person reads are made elsewhere.
     of
@@ -155,6 +156,9 @@ def functions_of(
         unit = units[followed.actual]
         goal = add("goal", followed.desired, unit, ca.vec(followed.wanted))
         groups.append(add("error", followed.actual, unit, ca.vec(followed.found) - ca.vec(followed.wanted)))
+    turn, apart = turn_of(loop), apart_of(loop)
+    if turn is not None and apart is not None:
+        groups.append(add("turn", apart, TurnError.unit, turn))
     if verdict.outcome == "proved" and verdict.claim is not None:
         groups.append(add("storage", "", "", _terms(verdict, least)))
     for leaf in loop.commanded:
@@ -229,7 +233,8 @@ def _reach(diagram: Diagram, posed: Variable | None, start: Mapping[str, Any]) -
     loop, given = diagram.loop, {key for key in start if key != NEAR}
     if posed is None or given & {posed.label, posed.name}:
         return None
-    for pair in loop.followed:
+    for plain in loop.followed:
+        pair = turned(diagram, plain, posed)
         wanted, found = (loop.joined([ca.vec(side)])[0] for side in (pair.wanted, pair.found))
         unknown = {v.label for v in loop.variables if ca.depends_on(found, ca.vec(v.symbol))}
         if unknown == {posed.label}:

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, final
 
+import casadi as ca
 import numpy as np
 
+from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, Followed
 from dmframe.simulate import Recording
 from dmframe.simulate.keep import apart_of
@@ -101,8 +103,17 @@ def turn_error(run: Recording) -> TurnError | None:
     if label is None:
         return None
     with np.errstate(invalid="ignore"):  # before a divergence
-        angle = np.degrees(2 * np.arcsin(np.sqrt(np.minimum(run[label][:, 0] / FARTHEST, 1.0))))
+        angle = np.degrees(2 * np.arcsin(np.sqrt(np.clip(run[label][:, 0] / FARTHEST, 0.0, 1.0))))
     return TurnError(label, run.time, angle, rms_by_eighth(run.time, angle, run.duration))
+
+
+def turn_of(loop: ClosedLoop) -> SX | None:
+    """The angle of `turn_error` [deg], as an expression; None for a task without an orientation."""
+    label = apart_of(loop)
+    if label is None:
+        return None
+    apart = next(signal.expression for signal in loop.outputs if signal.label == label)
+    return ca.asin(ca.sqrt(ca.fmin(ca.fmax(apart / FARTHEST, 0), 1))) * (360 / np.pi)
 
 
 def goal_of(loop: ClosedLoop) -> Followed | None:

@@ -43,7 +43,8 @@ def start_state(
 
     A state starts, in this order of precedence, where `given` says (by name, or by ``block.name``); at the block's
     parameter of the same name; where the block's `start` says; for a plant whose measured signal ``s`` follows a
-    trajectory ``s_d``, where s = s_d(0), the solution nearest to ``given["near"]``; at zero. A state with a box or
+    trajectory ``s_d``, where s = s_d(0), and the tool has the orientation of a task that gives one, the solution
+    nearest to ``given["near"]``; at zero. A state with a box or
     a ball must start inside it. Diagrams that differ in numbers alone may share `made`, which is then filled. A block
     may start at what it measures: `instants` say what is drawn for the first tick; without them, zeros are.
     """
@@ -177,11 +178,11 @@ def on_path(diagram: Diagram, known: Collection[str], made: Made) -> Iterator[tu
     for followed in diagram.loop.followed if open_states else ():
         used = [v for v in open_states if ca.depends_on(ca.vec(followed.found), ca.vec(v.symbol))]
         if len(used) == 1:
-            yield _turned(diagram, followed, used[0]), used[0]
+            yield turned(diagram, followed, used[0]), used[0]
             open_states.remove(used[0])
 
 
-def _turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
+def turned(diagram: Diagram, followed: Followed, unknown: Variable) -> Followed:
     """A tool's position and goal with its orientation, where a block is to lead that too, as rotation matrices."""
     loop, apart, robot = diagram.loop, apart_of(diagram.loop), diagram.models[unknown.block].robot
     if apart is None or robot is None or followed.actual.rpartition(".")[2] != "x" or unknown.symbol.numel() != robot.n:
@@ -205,7 +206,7 @@ def goal_and_place(loop: ClosedLoop, followed: Followed, unknown: Variable, made
         raise StartError(f"{text}the beginning is not looked for")
     goal = once(made, ("goal", followed.desired), partial(_goal, loop, followed.wanted))
     key = ("residual", followed.actual, unknown.label)
-    return goal, once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [followed.found]))
+    return goal, once(made, key, partial(ca.Function, "residual", [unknown.symbol, loop.p], [ca.vec(followed.found)]))
 
 
 def _onto_path(diagram: Diagram, values: dict[str, np.ndarray], near: Any, made: Made) -> None:

@@ -30,6 +30,8 @@ from dmframe.units import plain, to_unit
 
 DIVERGED: Final = "diverged"
 EIGHTHS: Final = tuple(f"rms_{k}" for k in range(1, 9))
+TURNED: Final = "turn_final"
+"""A tool's error of orientation is told beside that of its position."""
 SHOWN: Final = 6
 """Grid points of which influences and maps are shown, and curves are drawn; of more a page would be a book."""
 _EVENT: Final = re.compile(r"\s*(\S+)\s*(<=|>=|<|>)\s*(.+?)\s*")
@@ -186,7 +188,8 @@ def findings_of(results: Results) -> Findings:
         faults += [
             UnknownNameError(f"report.map {list(pair)}", "varied quantity", n, varied) for n in pair if n not in varied
         ]
-    figures = [name for name in dict.fromkeys((main, *asked.worst)) if name in there and not is_time(name)]
+    turned = [TURNED] if TURNED in measured else []
+    figures = [name for name in dict.fromkeys((main, *turned, *asked.worst)) if name in there and not is_time(name)]
     raise_all(faults)
     names = [*figures, *(event.figure for event in events if event.figure != DIVERGED), *varied, *EIGHTHS]
     sheet = results.sheet(*(name for name in dict.fromkeys(names) if name in there))

@@ -21,10 +21,10 @@ EFFORT: Final = "effort"
 CONDITIONS, EVERYWHERE, PERIOD = "conditions", "conditions everywhere", "stable period"
 _FORM: Final = re.compile(r"(?:(worst|median|mean)|quantile\s+([0-9.]+))\s+([^\s<>=]+)")
 _LIMIT: Final = re.compile(r"(.+?)\s*(<=|>=|<|>)\s*(.+)")
-_NOT_NEGATIVE: Final = re.compile(r"rms_\d|rms_final|error_most|diverged|.*\.(rms_final|peak)|effort")
+_NOT_NEGATIVE: Final = re.compile(r"(rms|turn)_(\d|final)|(error|turn)_most|diverged|.*\.(rms_final|peak)|effort")
 _KINDS: Final = {"rms_final": ("rms_final",), "peak": ("least", "most"), "most": ("most",)}
 """Figures of a signal of which there are statistics, and the columns that they need."""
-_OTHER: Final = ("diverged_at", "error_crossed")
+_OTHER: Final = ("diverged_at", "error_crossed", "turn_crossed")
 """Columns of which there are none: most runs have nothing there."""
 
 

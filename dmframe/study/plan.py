@@ -12,14 +12,15 @@ from typing import TYPE_CHECKING, Any, Final, final
 import numpy as np
 
 from dmframe.batch import Wanted
-from dmframe.batch.figures import ERROR
+from dmframe.batch.figures import ERROR, TURN
 from dmframe.config.document import Document
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
 from dmframe.graph import Graph
-from dmframe.results.metrics import goal_of
+from dmframe.results.metrics import TurnError, goal_of
 from dmframe.simulate import Recording
+from dmframe.simulate.keep import apart_of
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile
 from dmframe.study.grid import Axis, Case, changed, scaled
@@ -181,7 +182,9 @@ class Study:
         """
         section, known = self.file.measure, set[str]().union(*map(_units_of, self._diagrams))
         faults = [
-            _unknown("signals", label, known - {ERROR}) for label in section.signals if label not in known - {ERROR}
+            _unknown("signals", label, known - {ERROR, TURN})
+            for label in section.signals
+            if label not in known - {ERROR, TURN}
         ]
         faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
         _raise_placed([*faults, *(fault for each in self._diagrams for fault in self._limits(each)[1])], self.document)
@@ -433,7 +436,7 @@ class Study:
         units, (limits, faults) = _units_of(diagram), self._limits(diagram)
         _raise_placed(faults, self.document)
         signals = self.file.measure.signals
-        return wanted_of([label for label in signals if label in units and label != ERROR], limits)
+        return wanted_of([label for label in signals if label in units and label not in (ERROR, TURN)], limits)
 
     def _limits(self, diagram: Diagram) -> tuple[dict[str, float], list[DmframeError]]:
         """The limits of what a loop has, in its units; and the faults of those that do not fit."""
@@ -481,7 +484,8 @@ def _units_of(diagram: Diagram) -> dict[str, str]:
     units = {signal.label: signal.unit for signal in loop.outputs}
     units |= {variable.label: variable.unit for variable in loop.variables}
     goal = goal_of(loop)
-    return units if goal is None else units | {ERROR: units[goal.actual]}
+    units |= {} if goal is None else {ERROR: units[goal.actual]}
+    return units if apart_of(loop) is None else units | {TURN: TurnError.unit}
 
 
 def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:

@@ -10,7 +10,7 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.batch import Batch, Figures, Measured, Wanted
-from dmframe.batch.figures import ERROR
+from dmframe.batch.figures import ERROR, TURN
 from dmframe.batch.whole import of_run
 from dmframe.config.experiment import Experiment
 from dmframe.config.places import placed
@@ -18,8 +18,9 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.values import changed_numbers
 from dmframe.errors import DmframeError, NeedsDiagramError
 from dmframe.parameter import PAIRS, specs
-from dmframe.results.metrics import EIGHTHS, goal_of
+from dmframe.results.metrics import EIGHTHS, TurnError, goal_of
 from dmframe.simulate import Recording
+from dmframe.simulate.keep import apart_of
 
 KEPT: Final = 8
 """Closed loops that a process keeps ready."""
@@ -142,7 +143,7 @@ class Group:
 
 def wanted_of(signals: Sequence[str], limits: Mapping[str, float]) -> Wanted:
     """What `measure` is asked for: signals with a limit are measured, too."""
-    return Wanted(tuple(dict.fromkeys([*signals, *(key for key in limits if key != ERROR)])), dict(limits))
+    return Wanted(tuple(dict.fromkeys([*signals, *(key for key in limits if key not in (ERROR, TURN))])), dict(limits))
 
 
 def columns_of(diagram: Diagram, wanted: Wanted) -> list[Column]:
@@ -156,6 +157,11 @@ def columns_of(diagram: Diagram, wanted: Wanted) -> list[Column]:
         found += [Column(name, unit, "measured") for name in names]
         if ERROR in limits:
             found.append(Column("error_crossed", "s", "measured"))
+    if apart_of(loop) is not None:
+        names = [*(f"turn_{k}" for k in range(1, EIGHTHS + 1)), "turn_final", "turn_most"]
+        found += [Column(name, TurnError.unit, "measured") for name in names]
+        if TURN in limits:
+            found.append(Column("turn_crossed", "s", "measured"))
     sizes = {item.label: (item.symbol.numel(), item.unit) for item in loop.variables}
     sizes |= {item.label: (item.expression.numel(), item.unit) for item in loop.outputs}
     for label in wanted.signals:
@@ -216,19 +222,24 @@ def rows_of(found: Measured, columns: Sequence[Column], count: int) -> Columns:
     told: Columns = {column.name: np.full(count, np.nan) for column in columns}
     told["diverged"], told["diverged_at"] = np.isfinite(found.diverged), found.diverged
     for label, figures in found.signals.items():
-        for name, values in (_of_error(figures) if label == ERROR else _of_signal(label, figures)).items():
+        of = _OF.get(label)
+        for name, values in (_of_signal(label, figures) if of is None else _of_error(figures, *of)).items():
             if name in told:
                 told[name] = values
     told["fault"] = [str(found.faults[k]) if k in found.faults else None for k in range(count)]
     return told
 
 
-def _of_error(figures: Figures) -> dict[str, np.ndarray]:
-    eighths = {f"rms_{k + 1}": figures.rms_by_eighth[:, 0, k] for k in range(EIGHTHS)}
+_OF: Final = {ERROR: ("rms", "error"), TURN: ("turn", "turn")}
+"""What the figures of the errors are called: of RMS values, and of others."""
+
+
+def _of_error(figures: Figures, rms: str, name: str) -> dict[str, np.ndarray]:
+    eighths = {f"{rms}_{k + 1}": figures.rms_by_eighth[:, 0, k] for k in range(EIGHTHS)}
     return eighths | {
-        "rms_final": figures.rms_final[:, 0],
-        "error_most": figures.most[:, 0],
-        "error_crossed": figures.crossed[:, 0],
+        f"{rms}_final": figures.rms_final[:, 0],
+        f"{name}_most": figures.most[:, 0],
+        f"{name}_crossed": figures.crossed[:, 0],
     }
 
 

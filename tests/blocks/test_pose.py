@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import dmframe as dm
 from dmframe.catalogue import find_block
+from dmframe.certify import verify
 from dmframe.certify.closure import Closure
 from dmframe.certify.limits import Goal, Made, Vanishing, combined
 from dmframe.config.experiment import load_experiment
@@ -223,10 +224,60 @@ def test_it_goes_with_a_pi_servo_and_ends_in_position_and_orientation() -> None:
     assert concluded(task.storage[1].vector[:3]) is None
 
 
+STILL = {"type": "setpoint", "x_d": [0.4, 0.5, 0.3], "orientation": DOWN}
+
+
+@pytest.mark.parametrize("tie", ["velocity", "position"])
+@pytest.mark.parametrize("name", ["ur10_pose", "ur10_pose_observed"])
+def test_it_is_proved_with_a_pid_servo_in_both_forms_known_and_observed(name: str, tie: str) -> None:
+    graph = dm.load(name).set({"blocks.path": STILL, "dynamics.Gamma": 10, "inverse.tie": tie})
+    verdict = verify(graph.diagram, trials=1, start=graph.experiment.start)
+    assert verdict.outcome == "proved", verdict.reason
+    assert len(verdict.controls) >= 25
+    assert all(control.refuted for control in verdict.controls)
+    gone = {item.signal for item in verdict.statements if item.says == "goes to zero"}
+    assert {"x - x_d", "e_R"} <= gone
+
+
+OLD: dict[str, Any] = {
+    "task.gamma": 3,
+    "dynamics.Gamma": {"inverse_of": "model", "scale": 30, "others": 10},
+    "inverse.K_c": 1.5,
+    "inverse.Lambda": 0.01,
+    "inverse.w": 0,
+    "inverse.w_box": [[0, 0, 0, 0, 0, 0], [0.004, 0.004, 0.008, 0.2, 0.4, 4]],
+}
+"""Gains of which the ideal loop is as accurate, and whose wrist takes a load's weight for Coulomb friction."""
+
+
+@pytest.mark.parametrize(("changes", "borne"), [({}, True), (OLD, False)])
+def test_a_load_put_into_the_hand_behind_a_delay_is_borne_by_the_packaged_gains(
+    changes: dict[str, Any], borne: bool
+) -> None:
+    real = {
+        "encoder": {"step": "47.94 urad"},
+        "transport_delay": {"samples": 1},
+        "loaded_manipulator": {"payload": [4], "payload_at": ["10 s"]},
+    }
+    run = dm.load("ur10_pose").set(changes).reality(real).run("24 s", judge=False)
+    assert (run.divergence is None) == borne
+    assert run.error is not None
+    if borne:
+        assert run.turn is not None
+        assert 3e-3 < run.error.norm[run.time >= 10].max() < 7e-3, "the load is felt"
+        assert run.error.rms_final is not None
+        assert run.error.rms_final < 1e-3
+        assert run.turn.rms_final is not None
+        assert run.turn.rms_final < 0.1
+
+
+V_0 = 0.005  # [rad/s] of Coulomb friction
 K_D = np.array([800, 800, 400, 16, 8, 0.8])
 K_P, K_I = 2.2 * K_D, 0.7 * K_D
 VISCOUS, COULOMB = np.array([5, 5, 2, 0.2, 0.1, 0.01]), np.array([8.0, 8, 4, 0, 0, 0])
-LEVER, GAMMA, K_C, GAIN, BREATH, T = 0.5, 3.0, 1.5, 10.0, 1.0, 0.008
+LEVER, GAMMA, K_C, GAIN, BREATH, T = 0.5, 8.0, 6.0, 10.0, 1.0, 0.008
+W, LAMBDA = np.array([2e-4, 2e-4, 4e-4, 1.25e-3, 2.5e-3, 2.5e-2]), np.array([1e-3, 1e-3, 1e-3, 1e-5, 1e-5, 1e-5])
+W_ENDS = np.array([[1e-4, 1e-4, 2e-4, 6e-4, 1.2e-3, 1.2e-2], [0.0025, 0.0025, 0.005, 0.125, 0.25, 2.5]])
 
 
 class ByHand:
@@ -260,9 +311,9 @@ class ByHand:
     def run(self, q: Array, ticks: int) -> dict[str, Array]:
         """The controller's signals, sample by sample; Euler for its states."""
         plant = self.robot.held(q)
-        q_r, z, w, w_P, w_I, a = q, np.zeros(6), np.zeros(6), np.full(6, 2.0), np.full(6, 0.7), np.zeros(72)
+        q_r, z, w, w_P, w_I, a = q, np.zeros(6), W, np.full(6, 2.0), np.full(6, 0.7), np.zeros(72)
         kept: dict[str, list[Array]] = {name: [] for name in ("q", "dq_c", "w", "a", "turn")}
-        most, h = np.array([0.004, 0.004, 0.008, 0.2, 0.4, 4]), 1e-5
+        h = 1e-5
         for k in range(ticks + 1):
             q, dq, q_c, _ = plant.reshape(4, 6)
             first = self.reference(k * T, q)
@@ -276,7 +327,7 @@ class ByHand:
             for name, value in zip(kept, (q, dq_c, w, a, np.degrees(np.linalg.norm(turn))), strict=True):
                 kept[name].append(np.array(value))
             w, w_P, w_I, z, q_r, a = (
-                np.clip(w - T * 0.01 * tau_dc * sigma, 0, most),
+                np.clip(w - T * LAMBDA * tau_dc * sigma, *W_ENDS),
                 np.clip(w_P + T * (q_c - q_r) * sigma, 1, 3),
                 np.clip(w_I + T * z * sigma, 0.5, 2),
                 z + T * (q_c - q_r),
@@ -346,3 +397,17 @@ def test_a_source_that_no_block_reads_is_told() -> None:
     assert graph.run(progress=False).notices[0] == "no block reads load (a_load), which changes nothing here"
     taken = graph.set({"arm.type": "loaded_manipulator"}).run(progress=False)
     assert not [text for text in taken.notices if "no block reads" in text]
+
+
+SAMPLED = {"type": "sampled_inverse", "servo": "pid", "w_0": [0.00125, 0.00125, 0.0025, 0.1, 0.2, 2], "replay": 8}
+
+
+def test_the_sampled_inverse_takes_its_reference_on_a_slow_clock() -> None:
+    slow = dm.load("ur10_pose").baseline().set({"clock": "90 ms"})
+    plain, learnt = (graph.run("40 s", judge=False) for graph in (slow, slow.set({"blocks.inverse": SAMPLED})))
+    assert plain.error is not None
+    assert learnt.error is not None
+    assert plain.turn is not None
+    assert learnt.turn is not None
+    figures = [each.rms_final for each in (learnt.error, learnt.turn, plain.error, plain.turn)]
+    np.testing.assert_allclose(np.array(figures, dtype=float), [5.49e-4, 0.0306, 1.52e-3, 0.0427], rtol=0.02)

@@ -96,6 +96,7 @@ function arrange() {
   };
   for (const group of content.groups) {
     if (group.kind === "error") add("first", group, { title: `Error ${group.name} − ${content.goal.name}`, switch: true, zero: true });
+    if (group.kind === "turn") add("first", group, { title: "Tool's turn from its orientation", switch: true, zero: true });
     if (group.kind === "storage") {
       add("first", group, { title: "V", switch: true, whole: true });
       add("more", group, { title: "Terms of V", log: true, switch: true });
@@ -121,7 +122,8 @@ function curves(quick) {
     if (group.kind === "error" && rows.length > 1) {
       const norm = { name: "norm", colour: 0, wide: true, values: run.times.map((_, k) => Math.hypot(...rows.map(({ values }) => values[k]))) };
       shown = [...rows.map((one, k) => ({ ...one, colour: k + 1, faint: true })), norm];
-    } else if (group.kind === "error") rows[0].wide = true;
+    } else if (group.kind === "error" || group.kind === "turn") rows[0].wide = true;
+    if (group.kind === "turn") rows[0].name = "turn";
     if (group.kind === "storage") {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));

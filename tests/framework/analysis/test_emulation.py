@@ -63,3 +63,13 @@ def test_a_graph_that_learns_nothing_has_none() -> None:
     graph = load_experiment("pendulum_kinematic")
     diagram = graph.diagram()
     assert emulation_limits(diagram, CLOCK, equilibrium(frozen(diagram), start=graph.start)) == ()
+
+
+def test_a_full_gain_is_that_of_its_matrix() -> None:
+    plain, _, _ = limit()
+    Gamma = np.diag([100.0] * 22)
+    Gamma[0, 1] = Gamma[1, 0] = 1e-9
+    for share in (1, 2):
+        full, _, _ = limit(f"dynamics.Gamma={(share * Gamma).tolist()}", "dynamics.a_d_hat_box=null")
+        assert full.value == share * 100
+        assert full.at_rest == pytest.approx(plain.at_rest / share, rel=1e-6)

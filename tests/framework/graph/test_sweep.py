@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 
 import dmframe as dm
 from dmframe.errors import DmframeError
+from dmframe.study.objective import statistic
+from dmframe.study.plan import load_study
 
 
 def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> None:
@@ -50,6 +53,62 @@ def test_parameters_that_are_lists_and_blocks_that_change_are_texts_on_their_axi
     runs = [dm.load("arm2_joint").set({"servo.K_P": gain}).run(0.1) for gain in ([30, 20], [60, 40])]
     finals = [run.error.rms_final for run in runs if run.error is not None]
     np.testing.assert_allclose(found["rms_final"], finals, rtol=1e-9)
+
+
+SWINGING = """\
+dmframe: 1
+robot: {model: ur10, tool: ee_link}
+clock: 8 ms
+duration: 0.4 s
+start: {q: [0.637139, -1.494124, 2.14183, -2.218502, -1.570796, 0.637139]}
+blocks:
+  path:        {type: circle, center: [0.4, 0.45, 0.3], radius: 0.05, rate: 0.5 rad/s}
+  attitude:    {type: turning, orientation: [0, 90 deg, 0], axis: [0, 0, 1], amplitude: 20 deg, rate: 10 rad/s}
+  geometry:    {type: kinematics}
+  orientation: {type: tool_orientation, lever: 0.5}
+  task:        {type: pose_tracking, gamma: 1}
+  inverse:     {type: kinematic_command}
+  servo:       {type: pi_servo, K_P: [800, 800, 400, 16, 8, 0.8], K_I: [1760, 1760, 880, 35.2, 17.6, 1.76]}
+  arm:         {type: manipulator}
+"""
+
+
+@pytest.mark.parametrize("engine", ["compiled", "interpreted"])
+def test_of_a_pose_the_turn_has_figures_of_its_own_in_degrees(engine: Any) -> None:
+    gains, options = {"task.gamma": [1, 5]}, {"engine": engine, "limits": {"error": "2 mm", "turn": "0.5 deg"}}
+    found = dm.sweep(SWINGING, gains, **options)
+    assert (found["turn_rms_final"].units, found["turn_most"].units, found["rms_final"].units) == ("deg", "deg", "m")
+    run = dm.load(SWINGING).set({"task.gamma": 5}).run()
+    assert run.turn is not None
+    mine = found.sel({"task.gamma": 5})
+    np.testing.assert_allclose(mine["turn_rms_by_eighth"], run.turn.rms_by_eighth, rtol=1e-6)
+    np.testing.assert_allclose(mine["turn_rms_final"], run.turn.rms_final, rtol=1e-6)
+    np.testing.assert_allclose(mine["turn_most"], run.turn.angle.max(), rtol=1e-6)
+    assert mine["turn_crossed"] == run.turn.times[np.argmax(run.turn.angle > 0.5)]
+    assert np.max(np.abs(found["turn_most"] - found["error_most"])) > 0.5, "an angle, not a distance"
+
+
+def test_a_study_has_them_as_columns_too(tmp_path: Path) -> None:
+    (tmp_path / "swinging.yaml").write_text(SWINGING, encoding="utf-8")
+    (tmp_path / "study.yaml").write_text(
+        "dmframe-study: 1\ngraph: swinging.yaml\ngrid: {task.gamma: [1, 5]}\nmeasure: {limits: {turn: 0.5 deg}}\n",
+        encoding="utf-8",
+    )
+    study = load_study(tmp_path / "study.yaml")
+    units = {column.name: column.unit for column in study.measures}
+    assert (units["turn_final"], units["turn_8"], units["turn_most"], units["turn_crossed"]) == (
+        "deg",
+        "deg",
+        "deg",
+        "s",
+    )
+    rows = study.rows(1, 0, 1)
+    run = dm.load(SWINGING).set({"task.gamma": 5}).run()
+    assert run.turn is not None
+    assert rows["turn_final"][0] == pytest.approx(run.turn.rms_final, rel=1e-6)
+    assert rows["turn_most"][0] == pytest.approx(run.turn.angle.max(), rel=1e-6)
+    assert rows["turn_crossed"][0] == run.turn.times[np.argmax(run.turn.angle > 0.5)]
+    assert statistic("worst turn_final", study.measures, dm.load(SWINGING).diagram).unit == "deg"
 
 
 @pytest.mark.parametrize(("design", "shape"), [("list", (1,)), ("grid", ())])

@@ -85,6 +85,33 @@ def test_a_pose_for_a_tools_place_is_found_from_the_files_pose_on(sought: Graph)
     assert np.all(np.array(away["start"]) <= data["pose"]["upper"])
 
 
+POSED = """\
+dmframe: 1
+robot: {model: ur10, tool: ee_link}
+clock: 8 ms
+duration: 1 s
+start: {near: [0.6, -1.5, 2.1, -2.2, -1.6, 0.6]}
+blocks:
+  goal:        {type: setpoint, x_d: [0.4, 0.5, 0.3], orientation: [0, 90 deg, 0]}
+  geometry:    {type: kinematics}
+  orientation: {type: tool_orientation, lever: 0.5}
+  task:        {type: pose_tracking, gamma: 1}
+  inverse:     {type: kinematic_command}
+  servo:       {type: pi_servo, K_P: [800, 800, 400, 16, 8, 0.8], K_I: [1760, 1760, 880, 35.2, 17.6, 1.76]}
+  arm:         {type: manipulator}
+"""
+
+
+def test_a_page_of_a_pose_starts_with_its_orientation_and_draws_the_turn_in_degrees() -> None:
+    data = content_of_graph(dm.load(POSED))
+    (group,) = (group for group in data["groups"] if group["kind"] == "turn")
+    assert (group["label"], group["unit"], group["size"], group["of"]) == ("task.R_apart", "deg", 1, "shown")
+    shifts = [[0.0] * 6, [0.0] * 5 + [np.radians(10)]]  # the last joint turns the tool about its own axis
+    still, turned = asked(data, runs=[{"horizon": 0.01, "shift": shift} for shift in shifts])["answers"]
+    np.testing.assert_allclose(still["drawn"][group["at"]], 0, atol=1e-5)
+    np.testing.assert_allclose(turned["drawn"][group["at"]], 10, atol=1e-5)
+
+
 def test_a_stiff_plant_gets_the_steps_that_run_takes() -> None:
     data, p = content("ur10_fast"), list(content("ur10_fast")["p"])
     slider = next(slider for slider in data["sliders"] if slider["label"] == "servo.K_D")
