@@ -8,10 +8,10 @@ from typing import Any, ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Certificate, TrueValue
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port, State
-from dmframe_blocks._bodies import moved, storage
+from dmframe_blocks._bodies import moved, natural, storage, weight
 
 
 @final
@@ -62,20 +62,21 @@ class ConsistentCompensator(AbstractBlock):
         Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", ""),)
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     c: Scalar = Positive("", "1/J")
     Gamma: Scalar = Positive(default=1.0)
+    floor: Scalar | None = Positive(default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), and the law of the text."""
-        rate, second = moved(x.a_d_hat, u.Y_d.T @ u.sigma, u.sigma.shape[0], p.c, p.Gamma)
-        return Equations(
-            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": rate},
-            second={"a_d_hat": second},
-        )
+        g, n, outputs = u.Y_d.T @ u.sigma, u.sigma.shape[0], {"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task}
+        outputs["a_d_hat"] = x.a_d_hat
+        if "floor" in p:
+            return Equations(outputs, {"a_d_hat": natural(g, u.a_d_nominal, n, p.c, p.Gamma)})
+        rate, second = moved(x.a_d_hat, g, n, p.c, p.Gamma)
+        return Equations(outputs, {"a_d_hat": rate}, second={"a_d_hat": second})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """The nominal model's bodies."""
@@ -83,7 +84,8 @@ class ConsistentCompensator(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2)."""
-        return Certificate(
-            storage=storage(x.a_d_hat, truth.a_d, u.sigma.shape[0], p.c, p.Gamma),
-            supply=-ca.dot(u.sigma, u.Y_d @ (x.a_d_hat - truth.a_d)),
-        )
+        n, supply = u.sigma.shape[0], -ca.dot(u.sigma, u.Y_d @ (x.a_d_hat - truth.a_d))
+        if "floor" in p:
+            metric = weight(u.a_d_nominal, n, p.c, p.Gamma)
+            return Certificate(estimates={"a_d_hat": TrueValue(truth.a_d, metric)}, supply=supply)
+        return Certificate(storage=storage(x.a_d_hat, truth.a_d, n, p.c, p.Gamma), supply=supply)
