@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import casadi as ca
 
 SWEEPS = 5
-"""Through all elements off the diagonal; of four rows, a sixth changes nothing but rounding (`tests/framework`)."""
+"""Times through all elements off the diagonal: after five, four rows differ from the exact ones by rounding alone."""
 TINY = 2.0**-200
 """Under the root, so that two equal eigenvalues are no division of zero by zero, and have a derivative."""
 
@@ -31,14 +32,20 @@ def eigen(A: Any) -> tuple[Any, Any]:
     ----------
     [GolubVanLoan2013]_ section 8.5.
     """
-    n = A.shape[0]
+    return _unrolled(A.shape[0])(A)
+
+
+@cache
+def _unrolled(n: int) -> Any:
+    """The rotations of n rows: written once, as that takes longer than to put other symbols in."""
+    A = ca.SX.sym("A", n, n)
     a = [[A[max(i, j), min(i, j)] for j in range(n)] for i in range(n)]
     v = [[ca.SX(float(i == j)) for j in range(n)] for i in range(n)]
     for _ in range(SWEEPS):
         for p in range(n):
             for q in range(p + 1, n):
                 _rotate(a, v, p, q)
-    return ca.vertcat(*(a[i][i] for i in range(n))), ca.blockcat(v)
+    return ca.Function("eigen", [A], [ca.vertcat(*(a[i][i] for i in range(n))), ca.blockcat(v)])
 
 
 def positive_part(A: Any) -> Any:

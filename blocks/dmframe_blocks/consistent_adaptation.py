@@ -39,6 +39,9 @@ class ConsistentAdaptation(AbstractBlock):
         Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
     Gamma : scalar, > 0
         Adaptation gain of friction, and of all else that is no body's.
+    floor : scalar, > 0
+        The least share of its nominal body that an estimated one may be, 1 at most, of the projection that
+        `consistent_compensator` describes. Left out, there is none.
 
     Notes
     -----

@@ -37,18 +37,26 @@ class ConsistentCompensator(AbstractBlock):
     inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
     :math:`A = 1 - \tfrac12 c T \hat P Q`: however long the step, no eigenvalue falls below zero.
 
+    With `floor` the metric stays that of the nominal body :math:`P_0`: :math:`\hat P` moves by :math:`-c P_0 Q P_0`, a
+    gradient's law of a constant gain, and is projected onto :math:`\hat P \ge \mathrm{floor}\, P_0`. What is stored is
+    half of :math:`\mathrm{tr}(P_0^{-1} (\hat P - P) P_0^{-1} (\hat P - P)) / c`, of the same rate. In that metric the
+    nearest body has a closed form, to which a sample returns; it raises nothing where the true body is in the set.
+
     Parameters
     ----------
     c : scalar, 1/J, > 0
         Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
     Gamma : scalar, > 0
         Adaptation gain of friction, and of all else that is no body's.
+    floor : scalar, > 0
+        The least share of its nominal body that an estimated one may be, 1 at most: then a projection keeps it a body.
+        Left out, the law does so by itself.
 
     Notes
     -----
     Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
     nominal model. Near the edge of the set estimates move slowly, where the gradient would pass it: a fit by bodies
-    that there cannot be may be the faster one.
+    that there cannot be may be the faster one. With a `floor` they move as fast there as anywhere, and along the edge.
 
     References
     ----------

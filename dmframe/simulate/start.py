@@ -103,7 +103,7 @@ def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int
     label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
     room = evaluate(loop, projection.set.room(projection.state), {projection.name: start})
     if isinstance(projection.set, Bodies):
-        link = int(np.flatnonzero(room < 0)[0]) // 4 + 1
+        link = int(np.argmin(room)) // 4 + 1
         found = (
             f"{projection.name}: expected each link's pseudo-inertia to start at {parameter} times its nominal one or "
             f"above, found that of link {link} below"
