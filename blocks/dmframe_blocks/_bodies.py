@@ -76,9 +76,7 @@ def natural_metric(a: Any) -> Any:
 def weight(nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
     """The metric in which `natural` is the gradient's law."""
     rest = nominal.shape[0] - TEN * joints
-    return ca.diagcat(
-        *(natural_metric(n_k) / c for n_k in links(nominal, joints)), ca.diag(ca.DM.ones(rest) / Gamma)
-    )
+    return ca.diagcat(*(natural_metric(n_k) / c for n_k in links(nominal, joints)), ca.diag(ca.DM.ones(rest) / Gamma))
 
 
 def storage(a: Any, true: Any, joints: int, c: Any, Gamma: Any) -> tuple[LogDet | Square, ...]:

@@ -90,6 +90,4 @@ class ConsistentAdaptation(AbstractBlock):
             metric = weight(u.a_d_nominal, n, p.c, p.Gamma)
             estimates = {"a_d_hat": TrueValue(truth.a_d, metric)}
             return Certificate(estimates=estimates, supply=supply, truth={"direct": 1})
-        return Certificate(
-            storage=storage(x.a_d_hat, truth.a_d, n, p.c, p.Gamma), supply=supply, truth={"direct": 1}
-        )
+        return Certificate(storage=storage(x.a_d_hat, truth.a_d, n, p.c, p.Gamma), supply=supply, truth={"direct": 1})

@@ -256,6 +256,7 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the share of bodies of {state.name} is {state.bodies}, which is no Positive parameter; {near}"
         inputs = [port.name for port in block.inputs]
         if state.bodies and state.nominal not in inputs:
-            yield f"the nominal bodies of {state.name} are {state.nominal}, which is no input; {nearest(state.nominal, inputs)}"
+            near = nearest(state.nominal, inputs)
+            yield f"the nominal bodies of {state.name} are {state.nominal}, which is no input; {near}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
             yield f"the parameter {state.name} and the state that starts there have different shapes"

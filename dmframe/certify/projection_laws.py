@@ -19,6 +19,7 @@ rounding in all this; for a ball and for bodies a rounding error is allowed for.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 from typing import Final
@@ -69,11 +70,11 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
 
     found = at((np.zeros(size), np.zeros(size)))[3:]
     points, margin = next(found for kind, found in _BY_KIND.items() if isinstance(kept, kind))
-    margins, seen = list[float](), list[np.ndarray]()
-    for point in points(found, np.random.default_rng(0)):
-        correction, put, reached, *_ = at(point)
-        seen.append(reached)
-        margins.append(margin(found, point, correction, put))
+    margins, seen = [np.nan], [np.zeros(len(branches))]
+    with suppress(np.linalg.LinAlgError):  # of nominal bodies that are none
+        tried = [(point, *at(point)[:3]) for point in points(found, np.random.default_rng(0))]
+        margins = [margin(found, point, correction, put) for point, correction, put, _ in tried]
+        seen = [reached for *_, reached in tried]
     one_way = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
     if one_way:
         text += f"; {one_way} of its {len(branches)} comparisons went one way only"
@@ -187,7 +188,9 @@ def _body_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
     def drawn(k: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         for root in roots:
             V, _ = np.linalg.qr(rng.normal(size=(4, 4)))
-            off = np.array([rng.uniform(0.01, 3, 4), rng.uniform(0.01, 3, 4), np.full(4, -BEYOND), -rng.uniform(0.01, 3, 4)])
+            off = np.array(
+                [rng.uniform(0.01, 3, 4), rng.uniform(0.01, 3, 4), np.full(4, -BEYOND), -rng.uniform(0.01, 3, 4)]
+            )
             places = rng.integers(0, 4, 4) if k % 4 else np.full(4, rng.integers(0, 4))
             values = np.choose(places, off)
             rates = rng.normal(size=(4, 4))
@@ -207,6 +210,8 @@ def _body_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarr
     """The least value that must not be negative, in units of the nominal bodies."""
     nominal, share = ends[0], float(ends[1][0])
     state, rate = point
+    if not np.isfinite([*correction, *put]).all():
+        return np.nan
     needs = [-np.abs(correction[nominal.size :]), -np.abs((put - state)[nominal.size :])]
     for k, root in enumerate(_roots(nominal)):
         own = slice(k * len(INERTIAL), (k + 1) * len(INERTIAL))

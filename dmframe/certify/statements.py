@@ -17,8 +17,8 @@ from dmframe.certify.limits import Vanishing, combined, goals
 from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
-from dmframe.diagram.projection import Bodies
 from dmframe.diagram.closed_loop import Variable
+from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
 from dmframe.formula.names import symbol
 
@@ -303,7 +303,9 @@ def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[
 def _bodies(claim: Claim) -> Iterator[Statement]:
     for projection in claim.loop.projections:
         if isinstance(projection.set, Bodies):
-            yield Statement(projection.of, "is made of bodies, each at its share of the nominal one or above", PROJECTED)
+            yield Statement(
+                projection.of, "is made of bodies, each at its share of the nominal one or above", PROJECTED
+            )
 
 
 def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:

@@ -312,7 +312,7 @@ class Resolver:
         if not chosen:
             return rate
         if chosen == [declared.bodies]:
-            return self._among(model, declared, rate, self._bodies(model, declared))
+            return self._among(model, state, rate, declared.bodies, self._bodies(model, declared))
         if len(chosen) > 1:
             text = (
                 f"{model.name}: expected one of {declared.box} and {declared.ball}, found both; "
@@ -329,14 +329,13 @@ class Resolver:
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
         first, second = ca.horzsplit(model.parameters[chosen[0]])
         kept = Box(first, second) if chosen[0] == declared.box else Ball(first, second, model.parameters[declared.gain])
-        return self._among(model, declared, rate, kept)
+        return self._among(model, state, rate, chosen[0], kept)
 
-    def _among(self, model: BlockModel, state: State, rate: SX, kept: Box | Ball | Bodies) -> SX:
+    def _among(self, model: BlockModel, state: str, rate: SX, parameter: str, kept: Box | Ball | Bodies) -> SX:
         """The rate with a correction that keeps the state in a set."""
-        parameter = {Box: state.box, Ball: state.ball, Bodies: state.bodies}[type(kept)]
-        name, leaf = f"{model.name}.{state.name}", model.states[state.name]
+        name, leaf = f"{model.name}.{state}", model.states[state]
         correction = symbol(f"{name}.correction", leaf.shape)
-        self.projections[model.name, state.name] = Projection(
+        self.projections[model.name, state] = Projection(
             name, f"{model.name}.{parameter}", leaf, rate, correction, kept
         )
         return rate + correction
@@ -349,8 +348,8 @@ class Resolver:
         robots = [other.robot.inertia for other in self.models.values() if other.robot is not None]
         if symbols_in([nominal]) - parameters - symbols_in(robots):
             text = (
-                f"{model.name}: expected a {state.nominal} that stands still beside {state.bodies}, found one that "
-                "moves; take that of a regressor"
+                f"{model.name}: expected nominal bodies that stand still beside {state.bodies}, found {state.nominal} "
+                "that moves; take that of a regressor"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, state.bodies)))
         return Bodies(nominal, model.parameters[state.bodies])

@@ -13,8 +13,8 @@ from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop, Diagram, Variable
-from dmframe.diagram.closed_loop import Followed, columns, stack
 from dmframe.diagram.bodies import Bodies
+from dmframe.diagram.closed_loop import Followed, columns, stack
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError, DmframeError, StartError, UnknownNameError, ValueFault, listed, raise_all
