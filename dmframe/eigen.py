@@ -1,4 +1,4 @@
-"""Eigenvalues of a small symmetric matrix, unrolled: a fixed number of operations, which every engine computes alike."""
+"""Eigenvalues of a small symmetric matrix, unrolled: a fixed number of operations, alike on every engine."""
 
 from __future__ import annotations
 

@@ -29,6 +29,7 @@ import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
+from dmframe.diagram.bodies import RIM
 from dmframe.diagram.closed_loop import ClosedLoop
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.program import COMPARISONS
@@ -219,9 +220,9 @@ def _body_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarr
         Z, H = Z - share * np.eye(4), H - share * np.eye(4)
         small = ROUNDING * (1 + float(np.linalg.norm(Z))) * (1 + float(np.linalg.norm(D)))
         values, V = np.linalg.eigh(Z)
-        rim, away = V[:, values <= 0], Z - H
+        rim, away = V[:, values <= RIM], Z - H
         needs.append(small + np.linalg.eigvalsh(C))  # or some body in the set could be as far away as one likes
-        needs.append(np.atleast_1d(small - np.sum(Z * C)))
+        needs.append(np.atleast_1d(small - np.sum((Z - RIM * np.eye(4)) * C)))
         needs.append(small + np.linalg.eigvalsh(rim.T @ (D + C) @ rim) if rim.size else np.zeros(1))
         needs += [small + np.linalg.eigvalsh(H), small - np.linalg.eigvalsh(away), np.array([small + np.sum(away * H)])]
     return _least(needs)

@@ -4,6 +4,9 @@ A link's ten parameters a make up its pseudo-inertia P(a), which is linear in th
 :math:`P_0 = L L^\top`, and a share s, the set is that of all a with :math:`P \ge s P_0`. In
 :math:`Z = L^{-1} P L^{-\top} - s` it is :math:`Z \ge 0`, and the metric :math:`\mathrm{tr}(P_0^{-1} X P_0^{-1} Y)` of
 what P changes by is Frobenius's. So the nearest body has a closed form: Z with its negative eigenvalues at zero.
+
+A rate is stopped already where an eigenvalue of Z is `RIM`, a billionth of the nominal body. So the lemma speaks of the
+set :math:`Z \ge` `RIM`, in which the true bodies have to be.
 """
 
 from __future__ import annotations
@@ -21,6 +24,8 @@ from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import dual, parameters_of, pseudo_inertia
 
 TEN = len(INERTIAL)
+RIM = 2.0**-30
+"""How thick the rim is, in nominal bodies: rounding in what was put onto it must not decide what may move there."""
 
 
 @final
@@ -79,13 +84,13 @@ class Bodies:
     def law(self, state: SX, nominal: SX) -> SX:
         r"""On the rim, takes away what of the nominal rate leads out: the nearest rate that does not is left.
 
-        There Z has the eigenvectors N of eigenvalue zero, and a rate D leads out unless
-        :math:`N^\top D N \ge 0`. So :math:`c = N\, (-N^\top D N)_+ N^\top`.
+        With N the eigenvectors of Z there, a rate D leads out unless :math:`N^\top D N \ge 0`. So
+        :math:`c = N\, (-N^\top D N)_+ N^\top`.
         """
         found = []
         for link, a, rate in zip(self._links(), _split(state, self._size), _split(nominal, self._size), strict=True):
             values, V = eigen(link.at(a))
-            out = ca.if_else(values <= 0, 1, 0)
+            out = ca.if_else(values <= RIM, 1, 0)
             across = (out @ out.T) * (V.T @ link.seen(rate) @ V)
             found.append(link.parameters(V @ positive_part(-across) @ V.T))
         return self._whole(found, state)
@@ -103,7 +108,7 @@ class Bodies:
         """
         found = list[SX]()
         for link, a in zip(self._links(), _split(truth, self._size), strict=True):
-            X = solve_spd(matrix(link.nominal), matrix(a)) - link.share * ca.SX.eye(4)
+            X = solve_spd(matrix(link.nominal), matrix(a)) - (link.share + RIM) * ca.SX.eye(4)
             X2 = X @ X
             t, t2, t3, t4 = ca.trace(X), ca.trace(X2), ca.trace(X2 @ X), ca.trace(X2 @ X2)
             found += [t, t * t - t2, t * t * t - 3 * t * t2 + 2 * t3]

