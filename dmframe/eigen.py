@@ -32,7 +32,8 @@ def eigen(A: Any) -> tuple[Any, Any]:
     ----------
     [GolubVanLoan2013]_ section 8.5.
     """
-    return _unrolled(A.shape[0])(A)
+    values, vectors = _unrolled(A.shape[0])(A)
+    return values, vectors
 
 
 @cache

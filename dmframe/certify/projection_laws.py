@@ -73,9 +73,9 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
     points, margin = next(found for kind, found in _BY_KIND.items() if isinstance(kept, kind))
     margins, seen = [np.nan], [np.zeros(len(branches))]
     with suppress(np.linalg.LinAlgError):  # of nominal bodies that are none
-        tried = [(point, *at(point)[:3]) for point in points(found, np.random.default_rng(0))]
-        margins = [margin(found, point, correction, put) for point, correction, put, _ in tried]
-        seen = [reached for *_, reached in tried]
+        tried = [(point, at(point)) for point in points(found, np.random.default_rng(0))]
+        margins = [margin(found, point, *values[:2]) for point, values in tried]
+        seen = [values[2] for _, values in tried]
     one_way = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
     if one_way:
         text += f"; {one_way} of its {len(branches)} comparisons went one way only"
@@ -235,8 +235,8 @@ def _roots(nominal: np.ndarray) -> list[np.ndarray]:
 
 def _seen(row: np.ndarray, root: np.ndarray) -> np.ndarray:
     half = np.linalg.solve(root, np.array(pseudo_inertia(row.tolist()), dtype=float))
-    whole: np.ndarray = np.linalg.solve(root, half.T)
-    return (whole + whole.T) / 2
+    whole = np.linalg.solve(root, half.T)
+    return np.asarray((whole + whole.T) / 2)
 
 
 def _greatest(at: np.ndarray, slope: np.ndarray) -> float:

@@ -40,7 +40,7 @@ def functions() -> Any:
     return ca.Function("eigen", [A], [*eigen(A), positive_part(A)])
 
 
-def worst(count: int = 3000) -> float:
+def worst(count: int = 1200) -> float:
     """How far values, vectors and the positive part are from NumPy's, in parts of the matrix."""
     function, found = functions(), 0.0
     for A in matrices(count):
