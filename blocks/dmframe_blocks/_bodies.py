@@ -65,18 +65,20 @@ def natural(g: Any, nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
     return ca.vertcat(*rates, -Gamma * g[TEN * joints :])
 
 
-@operation
-def natural_metric(a: Any) -> Any:
-    """W at a link's ten inertial parameters, with b'W d = trace(X body(b) X body(d)), X the inverse of body(a)."""
-    X, units = inverse_spd(body(a)), [ca.DM([float(i == j) for i in range(TEN)]) for j in range(TEN)]
-    moved = [X @ body(unit) @ X for unit in units]
-    return ca.blockcat([[ca.trace(body(unit) @ column) for column in moved] for unit in units])
-
-
 def weight(nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
     """The metric in which `natural` is the gradient's law."""
     rest = nominal.shape[0] - TEN * joints
-    return ca.diagcat(*(natural_metric(n_k) / c for n_k in links(nominal, joints)), ca.diag(ca.DM.ones(rest) / Gamma))
+    return metric_of(nominal[: TEN * joints], c, ca.DM.ones(rest) / Gamma)
+
+
+@operation
+def metric_of(a: Any, c: Any, rest: Any) -> Any:
+    """W of each link in a, d'W d = trace(X body(d) X body(d))/c with X the inverse of its body; then diag(rest)."""
+    units = [body(ca.DM([float(i == j) for i in range(TEN)])) for j in range(TEN)]
+    inverses = [inverse_spd(body(link)) for link in links(a, a.shape[0] // TEN)]
+    moved = ([X @ unit @ X / c for unit in units] for X in inverses)
+    parts = (ca.blockcat([[ca.trace(unit @ column) for column in columns] for unit in units]) for columns in moved)
+    return ca.diagcat(*parts, ca.diag(rest))
 
 
 def storage(a: Any, true: Any, joints: int, c: Any, Gamma: Any) -> tuple[LogDet | Square, ...]:
