@@ -120,6 +120,11 @@ class State:
         Name of the parameter that holds the ball onto which the state is projected, where there is one.
     gain
         Of a state with a ball, the name of the parameter that is its adaptation gain, in whose metric it is projected.
+    bodies
+        Of the estimates of a robot's links, ten inertial parameters each, in front of all others: name of the parameter
+        that holds the share of its nominal pseudo-inertia below which no link's is let, where there is one.
+    nominal
+        The input that holds the nominal estimates, which may not move, of a state with bodies.
     optional
         The block may leave it out, by not stating its rate.
     """
@@ -130,6 +135,8 @@ class State:
     box: str = ""
     ball: str = ""
     gain: str = ""
+    bodies: str = ""
+    nominal: str = ""
     optional: bool = False
     sampled: bool = False
     recorded: bool = True

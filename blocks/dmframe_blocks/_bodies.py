@@ -1,4 +1,8 @@
-"""Estimated bodies that stay bodies: the law on positive definite pseudo-inertias, its step and its storage."""
+"""Estimated bodies that stay bodies: two laws on positive definite pseudo-inertias, their steps and their storages.
+
+One moves each in the metric of the estimate itself, in which the edge of the set is infinitely far away. The other
+keeps the metric of the nominal body, and is put back onto the set where it leaves it.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 from dmframe.certificate import LogDet, Square
+from dmframe.linalg import inverse_spd
 from dmframe.naming import named, operation
 from dmframe.robot.parameters import INERTIAL
 from dmframe.robot.pseudo_inertia import dual, parameters_of, pseudo_inertia
@@ -51,6 +56,29 @@ def moved(a: Any, g: Any, joints: int, c: Any, Gamma: Any) -> tuple[Any, Any]:
         seconds.append(parameters(-c * (P @ Q @ rate) / 4))
     rest = g[TEN * joints :]
     return ca.vertcat(*rates, -Gamma * rest), ca.vertcat(*seconds, 0 * rest)
+
+
+def natural(g: Any, nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
+    r"""The rate that the gradient g drives in the metric of the nominal bodies: of each, :math:`-c\, P_0 Q P_0`."""
+    pairs = zip(links(nominal, joints), links(g, joints), strict=True)
+    rates = [parameters(-c * (body(n_k) @ force(g_k) @ body(n_k))) for n_k, g_k in pairs]
+    return ca.vertcat(*rates, -Gamma * g[TEN * joints :])
+
+
+def weight(nominal: Any, joints: int, c: Any, Gamma: Any) -> Any:
+    """The metric in which `natural` is the gradient's law."""
+    rest = nominal.shape[0] - TEN * joints
+    return metric_of(nominal[: TEN * joints], c, ca.DM.ones(rest) / Gamma)
+
+
+@operation
+def metric_of(a: Any, c: Any, rest: Any) -> Any:
+    """W of each link in a, d'W d = trace(X body(d) X body(d))/c with X the inverse of its body; then diag(rest)."""
+    units = [body(ca.DM([float(i == j) for i in range(TEN)])) for j in range(TEN)]
+    inverses = [inverse_spd(body(link)) for link in links(a, a.shape[0] // TEN)]
+    moved = ([X @ unit @ X / c for unit in units] for X in inverses)
+    parts = (ca.blockcat([[ca.trace(unit @ column) for column in columns] for unit in units]) for columns in moved)
+    return ca.diagcat(*parts, ca.diag(rest))
 
 
 def storage(a: Any, true: Any, joints: int, c: Any, Gamma: Any) -> tuple[LogDet | Square, ...]:

@@ -8,11 +8,11 @@ from typing import Any, ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Certificate, TrueValue
 from dmframe.linalg import solve_spd
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port, State
-from dmframe_blocks._bodies import moved, storage
+from dmframe_blocks._bodies import moved, natural, storage, weight
 
 
 @final
@@ -39,6 +39,9 @@ class ConsistentAdaptation(AbstractBlock):
         Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
     Gamma : scalar, > 0
         Adaptation gain of friction, and of all else that is no body's.
+    floor : scalar, > 0
+        The least share of its nominal body that an estimated one may be, 1 at most, of the projection that
+        `consistent_compensator` describes. Left out, there is none.
 
     Notes
     -----
@@ -59,17 +62,21 @@ class ConsistentAdaptation(AbstractBlock):
         Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("a_d_hat", "p", ""), Port("epsilon", "n", "rad^2/(N m s^3)"))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", ""),)
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     c: Scalar = Positive("", "1/J")
     Gamma: Scalar = Positive(default=1.0)
+    floor: Scalar | None = Positive(default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), and the law of the text."""
         epsilon = solve_spd(u.M_hat, u.s_star)
-        rate, second = moved(x.a_d_hat, u.Y_d.T @ epsilon, u.s_star.shape[0], p.c, p.Gamma)
-        return Equations({"a_d_hat": x.a_d_hat, "epsilon": epsilon}, {"a_d_hat": rate}, second={"a_d_hat": second})
+        g, n, outputs = u.Y_d.T @ epsilon, epsilon.shape[0], {"a_d_hat": x.a_d_hat, "epsilon": epsilon}
+        if "floor" in p:
+            return Equations(outputs, {"a_d_hat": natural(g, u.a_d_nominal, n, p.c, p.Gamma)})
+        rate, second = moved(x.a_d_hat, g, n, p.c, p.Gamma)
+        return Equations(outputs, {"a_d_hat": rate}, second={"a_d_hat": second})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """The nominal model's bodies."""
@@ -78,8 +85,9 @@ class ConsistentAdaptation(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2)."""
         epsilon = solve_spd(u.M_hat, u.s_star)
-        return Certificate(
-            storage=storage(x.a_d_hat, truth.a_d, u.s_star.shape[0], p.c, p.Gamma),
-            supply=-ca.dot(epsilon, u.Y_d @ (x.a_d_hat - truth.a_d)),
-            truth={"direct": 1},
-        )
+        n, supply = epsilon.shape[0], -ca.dot(epsilon, u.Y_d @ (x.a_d_hat - truth.a_d))
+        if "floor" in p:
+            metric = weight(u.a_d_nominal, n, p.c, p.Gamma)
+            estimates = {"a_d_hat": TrueValue(truth.a_d, metric)}
+            return Certificate(estimates=estimates, supply=supply, truth={"direct": 1})
+        return Certificate(storage=storage(x.a_d_hat, truth.a_d, n, p.c, p.Gamma), supply=supply, truth={"direct": 1})

@@ -8,10 +8,10 @@ from typing import Any, ClassVar, final
 import casadi as ca
 
 from dmframe.block import AbstractBlock, Equations, Signals
-from dmframe.certificate import Certificate
+from dmframe.certificate import Certificate, TrueValue
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port, State
-from dmframe_blocks._bodies import moved, storage
+from dmframe_blocks._bodies import moved, natural, storage, weight
 
 
 @final
@@ -37,18 +37,26 @@ class ConsistentCompensator(AbstractBlock):
     inverted. On a clock of T, :math:`\hat P` becomes :math:`A \hat P A^\top`,
     :math:`A = 1 - \tfrac12 c T \hat P Q`: however long the step, no eigenvalue falls below zero.
 
+    With `floor` the metric stays that of the nominal body :math:`P_0`: :math:`\hat P` moves by :math:`-c P_0 Q P_0`, a
+    gradient's law of a constant gain, and is projected onto :math:`\hat P \ge \mathrm{floor}\, P_0`. What is stored is
+    half of :math:`\mathrm{tr}(P_0^{-1} (\hat P - P) P_0^{-1} (\hat P - P)) / c`, of the same rate. In that metric the
+    nearest body has a closed form, to which a sample returns; it raises nothing where the true body is in the set.
+
     Parameters
     ----------
     c : scalar, 1/J, > 0
         Adaptation gain of the bodies: in proportion to what they are, heavy ones move more.
     Gamma : scalar, > 0
         Adaptation gain of friction, and of all else that is no body's.
+    floor : scalar, > 0
+        The least share of its nominal body that an estimated one may be, 1 at most: then a projection keeps it a body.
+        Left out, the law does so by itself.
 
     Notes
     -----
     Not for: a regressor whose `gravity` stands apart, of which the weights would move as no body's; a robot without a
     nominal model. Near the edge of the set estimates move slowly, where the gradient would pass it: a fit by bodies
-    that there cannot be may be the faster one.
+    that there cannot be may be the faster one. With a `floor` they move as fast there as anywhere, and along the edge.
 
     References
     ----------
@@ -62,20 +70,21 @@ class ConsistentCompensator(AbstractBlock):
         Port("a_d_nominal", "p", ""),
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("tau_dc", "n", "N m"), Port("a_d_hat", "p", ""))
-    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", ""),)
+    states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     c: Scalar = Positive("", "1/J")
     Gamma: Scalar = Positive(default=1.0)
+    floor: Scalar | None = Positive(default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1), and the law of the text."""
-        rate, second = moved(x.a_d_hat, u.Y_d.T @ u.sigma, u.sigma.shape[0], p.c, p.Gamma)
-        return Equations(
-            outputs={"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task, "a_d_hat": x.a_d_hat},
-            rates={"a_d_hat": rate},
-            second={"a_d_hat": second},
-        )
+        g, n, outputs = u.Y_d.T @ u.sigma, u.sigma.shape[0], {"tau_dc": u.Y_d @ x.a_d_hat + u.tau_task}
+        outputs["a_d_hat"] = x.a_d_hat
+        if "floor" in p:
+            return Equations(outputs, {"a_d_hat": natural(g, u.a_d_nominal, n, p.c, p.Gamma)})
+        rate, second = moved(x.a_d_hat, g, n, p.c, p.Gamma)
+        return Equations(outputs, {"a_d_hat": rate}, second={"a_d_hat": second})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
         """The nominal model's bodies."""
@@ -83,7 +92,8 @@ class ConsistentCompensator(AbstractBlock):
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2)."""
-        return Certificate(
-            storage=storage(x.a_d_hat, truth.a_d, u.sigma.shape[0], p.c, p.Gamma),
-            supply=-ca.dot(u.sigma, u.Y_d @ (x.a_d_hat - truth.a_d)),
-        )
+        n, supply = u.sigma.shape[0], -ca.dot(u.sigma, u.Y_d @ (x.a_d_hat - truth.a_d))
+        if "floor" in p:
+            metric = weight(u.a_d_nominal, n, p.c, p.Gamma)
+            return Certificate(estimates={"a_d_hat": TrueValue(truth.a_d, metric)}, supply=supply)
+        return Certificate(storage=storage(x.a_d_hat, truth.a_d, n, p.c, p.Gamma), supply=supply)

@@ -253,5 +253,12 @@ def _parameter_breaches(block: type[AbstractBlock]) -> Iterator[str]:
             yield f"the ball of {state.name} is {state.ball}, which is no Around parameter; {near}"
         if state.ball and state.gain not in numbers:
             yield f"the gain of {state.name}, with a ball, is no parameter; {nearest(state.gain, numbers)}"
+        if state.bodies and (state.bodies not in numbers or numbers[state.bodies].sign != "> 0"):
+            near = nearest(state.bodies, [name for name, spec in numbers.items() if spec.sign == "> 0"])
+            yield f"the share of bodies of {state.name} is {state.bodies}, which is no Positive parameter; {near}"
+        inputs = [port.name for port in block.inputs]
+        if state.bodies and state.nominal not in inputs:
+            near = nearest(state.nominal, inputs)
+            yield f"the nominal bodies of {state.name} are {state.nominal}, which is no input; {near}"
         if state.name in numbers and numbers[state.name].shape.split() != state.shape.split():
             yield f"the parameter {state.name} and the state that starts there have different shapes"

@@ -14,6 +14,7 @@ from dmframe.certificate import SX, LogDet
 from dmframe.certify.claim import Claim
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
+from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
 from dmframe.exact.rational import Interval
 from dmframe.linalg import ldl
@@ -104,25 +105,34 @@ def _matched(claim: Claim, weight: SX) -> str | None:
 
 
 def is_mass_matrix_of_bodies(claim: Claim, matrix: SX) -> bool:
-    """True for the mass matrix, at a state of the plant, of estimated bodies that V keeps in a compact set of bodies.
+    """True for the mass matrix, at a state of the plant, of estimated bodies that V or a projection keeps bodies.
 
-    Such a mass matrix is positive definite, uniformly.
+    V keeps them in a compact set of bodies, if it does not rise; a projection at a share of the nominal ones or above,
+    whatever V does. Such a mass matrix is positive definite, uniformly.
     """
-    if any(part.certificate.excess for part in claim.parts):
-        return False
     symbols = symbols_of(claim)
-    for part in claim.parts:
-        found = [term.matrix for term in part.certificate.storage if isinstance(term, LogDet)]
-        bodies = [term for term in found if term.shape == (4, 4)]
+    for bodies in _kept_bodies(claim):
         for q, robot in _poses(claim):
-            if not bodies or len(bodies) != robot.n or matrix.shape != (robot.n, robot.n):
+            if bodies.numel() != len(INERTIAL) * robot.n or matrix.shape != (robot.n, robot.n):
                 continue
-            rows = ([[P[i, j] for j in range(4)] for i in range(4)] for P in bodies)
-            inertia = ca.vertcat(*(value for P in rows for value in parameters_of(P)))
-            difference = symbols.function("difference", [matrix - robot.mass_matrix(q, inertia)])
+            difference = symbols.function("difference", [matrix - robot.mass_matrix(q, bodies)])
             if zero_test(difference, values=symbols.fixed).zero:
                 return True
     return False
+
+
+def _kept_bodies(claim: Claim) -> Iterator[SX]:
+    """Inertial parameters of estimated links that stay bodies, of all links in one column."""
+    for projection in claim.loop.projections:
+        if isinstance(projection.set, Bodies):
+            yield projection.state[: projection.set.nominal.numel()]
+    if any(part.certificate.excess for part in claim.parts):
+        return
+    for part in claim.parts:
+        found = [term.matrix for term in part.certificate.storage if isinstance(term, LogDet)]
+        rows = [[[P[i, j] for j in range(4)] for i in range(4)] for P in found if P.shape == (4, 4)]
+        if rows:
+            yield ca.vertcat(*(value for P in rows for value in parameters_of(P)))
 
 
 def _poses(claim: Claim) -> Iterator[tuple[SX, Any]]:

@@ -1,44 +1,54 @@
 r"""The law of each projection, held to the projection lemma at random points, until every branch has been seen.
 
-A box's and a ball's `law` and `held` are expressions that a run evaluates; in a proof the correction is a free symbol.
+The `law` and `held` of a set are expressions that a run evaluates; in a proof the correction is a free symbol.
 So the proof has to know that the law is one that the lemma speaks of:
 
 - whatever the true value in the set is, the correction c does not raise V: the greatest
   :math:`(\theta - \theta_{true})^\top W c` is not above zero. It is linear in the true value, so that its greatest
-  value over a box stands at the ends, and over an ellipsoid has a closed form: no true value need be tried;
+  value over a box stands at the ends, and over an ellipsoid has a closed form; over a cone it is bounded where c is in
+  the cone's polar, and then stands at its tip: no true value need be tried;
 - on the set's end and beyond, the nominal rate plus c does not lead out;
 - `held` leaves what is in the set where it is, and otherwise is the set's nearest point, in the metric of its own half
-  axes.
+  axes, or of its nominal bodies.
 
 The points stand on each face, inside and outside, with nominal rates of either sign and zero. They must have seen every
 comparison in the expressions go both ways: a branch that no point reaches fails the condition. For a box there is no
-rounding in all this; for a ball a rounding error is allowed for.
+rounding in all this; for a ball and for bodies a rounding error is allowed for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import product
+from typing import Final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
+from dmframe.diagram.bodies import RIM
 from dmframe.diagram.closed_loop import ClosedLoop
-from dmframe.diagram.projection import Box, Projection
+from dmframe.diagram.projection import Ball, Bodies, Box, Projection
 from dmframe.program import COMPARISONS
+from dmframe.robot.parameters import INERTIAL
+from dmframe.robot.pseudo_inertia import parameters_of, pseudo_inertia
 
 POINTS = 48
 """Random points beside those whose elements all stand alike."""
 ROUNDING = 1e-9
-"""What rounding may leave for a ball, in proportion to the terms."""
+"""What rounding may leave for a ball or for bodies, in proportion to the terms."""
 BEYOND = 1e-9
-"""How far outside its rim a point on a ball stands, in radii: rounding must not put it inside."""
+"""How far outside its rim a point on a ball or among bodies stands, in radii or in nominal bodies: rounding must not
+put it inside.
+"""
 
 Ends = Sequence[np.ndarray]
-"""Of a box: lower and upper ends. Of a ball: centre, half axes, and the gain: a matrix, or its diagonal."""
+"""Of a box: lower and upper ends. Of a ball: centre, half axes, and the gain: a matrix, or its diagonal. Of bodies: the
+nominal ones, and their share.
+"""
 Point = tuple[np.ndarray, np.ndarray]
 """Where the estimate is, and its nominal rate."""
 
@@ -52,8 +62,7 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
     law, held = moved.law, moved.set.held(state)
     branches = list(_branches([law, held]))
     kept = moved.set
-    ends = (kept.lower, kept.upper) if isinstance(kept, Box) else (kept.center, kept.radius, kept.gain)
-    full = [end if end.numel() > size else end * ca.SX.ones(size) for end in ends]
+    full = [end * ca.SX.ones(size) if end.numel() == 1 else end for end in kept.ends]
     outputs = [law, held, ca.vertcat(ca.SX(0, 1), *branches), *full]
     function = ca.Function("law", [state, nominal, loop.p], [ca.densify(item) for item in outputs])
 
@@ -61,12 +70,12 @@ def check_law(projection: Projection, loop: ClosedLoop) -> Checked:
         return [np.ravel(value.full()) for value in function(*point, loop.p_values)]
 
     found = at((np.zeros(size), np.zeros(size)))[3:]
-    points, margin = (_box_points, _box_margin) if isinstance(kept, Box) else (_ball_points, _ball_margin)
-    margins, seen = list[float](), list[np.ndarray]()
-    for point in points(found, np.random.default_rng(0)):
-        correction, put, reached, *_ = at(point)
-        seen.append(reached)
-        margins.append(margin(found, point, correction, put))
+    points, margin = next(found for kind, found in _BY_KIND.items() if isinstance(kept, kind))
+    margins, seen = [np.nan], [np.zeros(len(branches))]
+    with suppress(np.linalg.LinAlgError):  # of nominal bodies that are none
+        tried = [(point, at(point)) for point in points(found, np.random.default_rng(0))]
+        margins = [margin(found, point, *values[:2]) for point, values in tried]
+        seen = [values[2] for _, values in tried]
     one_way = int(np.count_nonzero(~(np.any(np.array(seen) > 0, axis=0) & np.any(np.array(seen) <= 0, axis=0))))
     if one_way:
         text += f"; {one_way} of its {len(branches)} comparisons went one way only"
@@ -165,6 +174,71 @@ def _ball_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarr
     return _least([np.array(needs)])
 
 
+def _body_points(ends: Ends, rng: np.random.Generator) -> Iterator[Point]:
+    """Links inside, on the rim and beyond, with one to four eigenvalues there, and rates that lead in, out and along.
+
+    The rest of the estimates stands anywhere.
+    """
+    nominal, size = ends[0], ends[1].size
+    roots = _roots(nominal)
+    at = size - nominal.size
+
+    def row(X: np.ndarray, root: np.ndarray) -> np.ndarray:
+        return np.array(parameters_of((root @ X @ root.T).tolist()), dtype=float)
+
+    def drawn(k: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for root in roots:
+            V, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+            off = np.array(
+                [rng.uniform(0.01, 3, 4), rng.uniform(0.01, 3, 4), np.full(4, -BEYOND), -rng.uniform(0.01, 3, 4)]
+            )
+            places = rng.integers(0, 4, 4) if k % 4 else np.full(4, rng.integers(0, 4))
+            values = np.choose(places, off)
+            rates = rng.normal(size=(4, 4))
+            rate = (rates + rates.T, V * rng.uniform(-1, -0.1, 4) @ V.T, np.zeros((4, 4)))[rng.integers(0, 3)]
+            yield row(V * (values + ends[1][0]) @ V.T, root), row(rate, root)
+
+    for k in range(2 * POINTS):
+        links = list(drawn(k))
+        rest = rng.normal(size=(2, at))
+        yield (
+            np.concatenate([*(a for a, _ in links), rest[0]]),
+            np.concatenate([*(rate for _, rate in links), rest[1]]),
+        )
+
+
+def _body_margin(ends: Ends, point: Point, correction: np.ndarray, put: np.ndarray) -> float:
+    """The least value that must not be negative, in units of the nominal bodies."""
+    nominal, share = ends[0], float(ends[1][0])
+    state, rate = point
+    if not np.isfinite([*correction, *put]).all():
+        return np.nan
+    needs = [-np.abs(correction[nominal.size :]), -np.abs((put - state)[nominal.size :])]
+    for k, root in enumerate(_roots(nominal)):
+        own = slice(k * len(INERTIAL), (k + 1) * len(INERTIAL))
+        C, D, Z, H = (_seen(row[own], root) for row in (correction, rate, state, put))
+        Z, H = Z - share * np.eye(4), H - share * np.eye(4)
+        small = ROUNDING * (1 + float(np.linalg.norm(Z))) * (1 + float(np.linalg.norm(D)))
+        values, V = np.linalg.eigh(Z)
+        rim, away = V[:, values <= RIM], Z - H
+        needs.append(small + np.linalg.eigvalsh(C))  # or some body in the set could be as far away as one likes
+        needs.append(np.atleast_1d(small - np.sum((Z - RIM * np.eye(4)) * C)))
+        needs.append(small + np.linalg.eigvalsh(rim.T @ (D + C) @ rim) if rim.size else np.zeros(1))
+        needs += [small + np.linalg.eigvalsh(H), small - np.linalg.eigvalsh(away), np.array([small + np.sum(away * H)])]
+    return _least(needs)
+
+
+def _roots(nominal: np.ndarray) -> list[np.ndarray]:
+    rows = nominal.reshape(-1, len(INERTIAL))
+    return [np.linalg.cholesky(np.array(pseudo_inertia(row.tolist()), dtype=float)) for row in rows]
+
+
+def _seen(row: np.ndarray, root: np.ndarray) -> np.ndarray:
+    half = np.linalg.solve(root, np.array(pseudo_inertia(row.tolist()), dtype=float))
+    whole = np.linalg.solve(root, half.T)
+    return np.asarray((whole + whole.T) / 2)
+
+
 def _greatest(at: np.ndarray, slope: np.ndarray) -> float:
     """The greatest (at - t)' slope, t in the unit ball."""
     return float(at @ slope + np.linalg.norm(slope))
@@ -173,3 +247,11 @@ def _greatest(at: np.ndarray, slope: np.ndarray) -> float:
 def _least(needs: Sequence[np.ndarray]) -> float:
     """The least of all; NaN where one is no number."""
     return float(np.min(np.concatenate([np.ravel(item) for item in needs])))
+
+
+_BY_KIND: Final[dict[type, tuple[Callable[..., Iterator[Point]], Callable[..., float]]]] = {
+    Box: (_box_points, _box_margin),
+    Ball: (_ball_points, _ball_margin),
+    Bodies: (_body_points, _body_margin),
+}
+"""Where a set's law is tried, and what it must not fall below."""

@@ -41,6 +41,7 @@ SOURCE = "Remark 2"
 INSIDE = {
     "box": "lower <= {} <= upper",
     "ball": "1 - |({} - centre) / radius|^2 >= 0",
+    "set of bodies": "no eigenvalue of P0^-1 P({}) - share is below zero, P0 the nominal pseudo-inertia of each link",
 }
 
 
@@ -135,13 +136,15 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     text = f"{projection.name}: starts inside the {projection.kind}"
     shown = INSIDE[projection.kind].format("start")
     start = start_of(projection.name, numbers, given)
-    known = [row for row, value in enumerate(start) if value is not None]
-    unknown = [row for row, value in enumerate(start) if value is None]
+    room = projection.set.room(projection.state)
+    asked = [row for row in range(len(start)) if ca.depends_on(room, projection.state[row])]
+    known = [row for row in asked if start[row] is not None]
+    unknown = [row for row in asked if start[row] is None]
     if known and (projection.kind == "box" or not unknown):
         begin = start_expression(projection.name, numbers, given)
-        room = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
+        margin = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
         least = partial(_least_room, projection, numbers, start)
-        yield decided(text, shown, SOURCE, least, strict=False, margin=room)
+        yield decided(text, shown, SOURCE, least, strict=False, margin=margin)
     if unknown:
         yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
 

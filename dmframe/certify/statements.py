@@ -18,6 +18,7 @@ from dmframe.certify.positive import Positive, Signs
 from dmframe.certify.smoothness import jumps
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
+from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
 from dmframe.formula.names import symbol
 
@@ -75,7 +76,7 @@ def bases_of(claim: Claim, symbols: Symbols, signs: Signs) -> Bases:
         for term in part.certificate.storage
         if isinstance(term, Gathered)
     ]
-    vectors = [item.state for item in claim.loop.projections]
+    vectors = [item.state for item in claim.loop.projections if item.set.bounds]
     rising = any(part.certificate.excess for part in claim.parts)
     if not rising or ultimate(claim, symbols, signs):
         vectors += [term.vector for _, term in _stored(claim) if signs.positive(term)]
@@ -114,6 +115,7 @@ def statements_of(claim: Claim, symbols: Symbols, signs: Signs, closure: Closure
         else Statement(term.of, "is bounded", IN_V)
         for term in _distinct(stored)
     ]
+    found += _bodies(claim)
     held, given = {term.of for term in stored}, _given(closure)
     found += [
         Statement(name, "is bounded", DRIVEN, given.get(id(item), ()))
@@ -289,11 +291,21 @@ def _up_to_a_residual(claim: Claim, symbols: Symbols, signs: Signs) -> Iterator[
     projected, left = residual_bases(claim)
     assumes = tuple(dict.fromkeys(_assumed(claim)))
     if ultimate(claim, symbols, signs):
+        yield from _bodies(claim)
         yield from (Statement(square.of, "is ultimately bounded", ULTIMATELY) for square in [*projected, *left])
         return
     yield from (Statement(square.of, "is bounded", PROJECTED) for square in projected)
+    yield from _bodies(claim)
     for square in _distinct([square for square in _spent_squares(claim) if signs.positive(square)]):
         yield Statement(square.of, "is bounded in the mean square, by the residual", IN_THE_MEAN, assumes)
+
+
+def _bodies(claim: Claim) -> Iterator[Statement]:
+    for projection in claim.loop.projections:
+        if isinstance(projection.set, Bodies):
+            yield Statement(
+                projection.of, "is made of bodies, each at its share of the nominal one or above", PROJECTED
+            )
 
 
 def residual_bases(claim: Claim) -> tuple[list[Square], list[Square]]:
@@ -326,7 +338,8 @@ def _is_projected(claim: Claim, square: Square) -> bool:
     used = symbols_in([square.vector])
     variables = claim.loop.variables
     moving = {variable.label for variable in variables if used & symbols_in([variable.symbol])}
-    return moving == {p.name for p in claim.loop.projections if used & symbols_in([p.state])} and len(moving) == 1
+    bounding = {p.name for p in claim.loop.projections if p.set.bounds and used & symbols_in([p.state])}
+    return moving == bounding and len(moving) == 1
 
 
 def _is_spent(claim: Claim, square: Square, symbols: Symbols, signs: Signs) -> bool:

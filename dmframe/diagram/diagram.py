@@ -96,7 +96,7 @@ class Diagram:
         faults += check_wires(blocks, produced, sources, sizes, wires or {})
         faults += check_truths(blocks, produced)
         raise_all(faults)
-        resolver = Resolver(models, sources)
+        resolver = Resolver(models, sources, sizes)
         try:
             loop = flatten(resolver, _parameters(models, symbolic))
         except RecursionError:

@@ -1,4 +1,4 @@
-r"""Convex sets onto which estimates are projected: boxes and balls.
+r"""Convex sets onto which estimates are projected: boxes, balls and bodies.
 
 A projected state's rate is its `nominal` rate plus a `correction`: a free symbol in a proof, and what `law` says in a
 run. The projection lemma: with :math:`S = \tfrac12 |\theta - \theta_{true}|_W^2` the correction adds
@@ -9,11 +9,12 @@ the set in the metric W. Where a run takes finite steps, `held` puts the state b
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import final
+from typing import ClassVar, final
 
 import casadi as ca
 
 from dmframe.certificate import SX
+from dmframe.diagram.bodies import Bodies
 from dmframe.linalg import square, times
 
 
@@ -22,8 +23,16 @@ from dmframe.linalg import square, times
 class Box:
     """Lower and upper ends, element by element: normal to it is each coordinate, in any diagonal metric."""
 
+    kind: ClassVar[str] = "box"
+    bounds: ClassVar[bool] = True
+
     lower: SX
     upper: SX
+
+    @property
+    def ends(self) -> tuple[SX, ...]:
+        """What says where it is."""
+        return self.lower, self.upper
 
     def law(self, state: SX, nominal: SX) -> SX:
         """Stops a rate that leads out of the box at the box's end."""
@@ -58,9 +67,17 @@ class Ball:
     zero on the boundary, since f is convex and not above zero at the true value.
     """
 
+    kind: ClassVar[str] = "ball"
+    bounds: ClassVar[bool] = True
+
     center: SX
     radius: SX
     gain: SX
+
+    @property
+    def ends(self) -> tuple[SX, ...]:
+        """What says where it is."""
+        return self.center, self.radius, self.gain
 
     def law(self, state: SX, nominal: SX) -> SX:
         r"""On the boundary, takes away what leads out of the nominal rate v.
@@ -109,7 +126,7 @@ class Projection:
     state: SX
     nominal: SX
     correction: SX
-    set: Box | Ball
+    set: Box | Ball | Bodies
 
     @property
     def block(self) -> str:
@@ -123,10 +140,13 @@ class Projection:
 
     @property
     def kind(self) -> str:
-        """``box`` or ``ball``."""
-        return type(self.set).__name__.lower()
+        """``box``, ``ball`` or ``set of bodies``."""
+        return self.set.kind
 
     @property
     def law(self) -> SX:
         """What the correction is in a run."""
         return self.set.law(self.state, self.nominal)
+
+
+__all__ = ["Ball", "Bodies", "Box", "Projection"]

@@ -15,12 +15,14 @@ from typing import final
 import casadi as ca
 
 from dmframe.block.model import BlockModel, symbol, symbols_in
+from dmframe.block.sizes import Sizes
 from dmframe.certificate import SX
+from dmframe.diagram.bodies import TEN, Bodies
 from dmframe.diagram.projection import Ball, Box, Projection
 from dmframe.diagram.wiring import Ahead, Derived, Drawn, End, Period, Source, Time, Wire
 from dmframe.errors import AlgebraicLoopError, DerivativeError, DmframeError, ValueFault
 from dmframe.exact import zero_test
-from dmframe.port import TIME, Access, Side
+from dmframe.port import TIME, Access, Side, State
 
 
 @final
@@ -42,8 +44,8 @@ class Leaf:
 class Resolver:
     """Resolves each signal of a diagram once; faults are collected, so that all can be told together."""
 
-    def __init__(self, models: Mapping[str, BlockModel], sources: Mapping[End, Source]) -> None:
-        self.models, self.sources = models, sources
+    def __init__(self, models: Mapping[str, BlockModel], sources: Mapping[End, Source], sizes: Sizes) -> None:
+        self.models, self.sources, self.sizes = models, sources, sizes
         self.time, self.period = ca.SX.sym("t"), ca.SX.sym("T")
         self.drawn = dict[End, SX]()
         self.ahead = dict[tuple[str, str, int], Leaf]()
@@ -306,9 +308,11 @@ class Resolver:
 
     def _projected(self, model: BlockModel, state: str, rate: SX) -> SX:
         declared = next(item for item in model.block.states if item.name == state)
-        chosen = [key for key in (declared.box, declared.ball) if key in model.parameters]
+        chosen = [key for key in (declared.box, declared.ball, declared.bodies) if key in model.parameters]
         if not chosen:
             return rate
+        if chosen == [declared.bodies]:
+            return self._among(model, state, rate, declared.bodies, self._bodies(model, declared))
         if len(chosen) > 1:
             text = (
                 f"{model.name}: expected one of {declared.box} and {declared.ball}, found both; "
@@ -323,14 +327,32 @@ class Resolver:
                 f"{declared.box}: null takes the box away"
             )
             self.faults.append(ValueFault(text, path=("blocks", model.name, declared.box)))
-        name, leaf = f"{model.name}.{state}", model.states[state]
-        correction = symbol(f"{name}.correction", leaf.shape)
         first, second = ca.horzsplit(model.parameters[chosen[0]])
         kept = Box(first, second) if chosen[0] == declared.box else Ball(first, second, model.parameters[declared.gain])
+        return self._among(model, state, rate, chosen[0], kept)
+
+    def _among(self, model: BlockModel, state: str, rate: SX, parameter: str, kept: Box | Ball | Bodies) -> SX:
+        """The rate with a correction that keeps the state in a set."""
+        name, leaf = f"{model.name}.{state}", model.states[state]
+        correction = symbol(f"{name}.correction", leaf.shape)
         self.projections[model.name, state] = Projection(
-            name, f"{model.name}.{chosen[0]}", leaf, rate, correction, kept
+            name, f"{model.name}.{parameter}", leaf, rate, correction, kept
         )
         return rate + correction
+
+    def _bodies(self, model: BlockModel, state: State) -> Bodies:
+        """The set of bodies around the nominal ones, which the parameters give."""
+        (links,) = self.sizes.of("n")
+        nominal = ca.densify(self.input(model.name, state.nominal))[: TEN * links]
+        parameters = symbols_in(item for other in self.models.values() for item in other.parameters.values())
+        robots = [other.robot.inertia for other in self.models.values() if other.robot is not None]
+        if symbols_in([nominal]) - parameters - symbols_in(robots):
+            text = (
+                f"{model.name}: expected nominal bodies that stand still beside {state.bodies}, found {state.nominal} "
+                "that moves; take that of a regressor"
+            )
+            self.faults.append(ValueFault(text, path=("blocks", model.name, state.bodies)))
+        return Bodies(nominal, model.parameters[state.bodies])
 
     @contextmanager
     def _entered(self, node: str) -> Iterator[bool]:

@@ -178,6 +178,7 @@ def _equations(lines: Sequence[Line], wide: int) -> str:
 
 def _said(state: State) -> str:
     sets = [name for name in (state.box, state.ball) if name]
+    sets += [f"the bodies above {state.bodies}"] * bool(state.bodies)
     said = ["sampled"] * state.sampled + [f"projected onto {' or '.join(sets)}"] * bool(sets)
     return ", ".join(said + ["optional"] * (state.optional and not sets))
 

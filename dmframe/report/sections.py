@@ -221,7 +221,7 @@ def _left(row: TermRow) -> tuple[str | Formula, ...]:
 
 
 def _projected(symbol: str, name: str, found: Terms) -> tuple[Cell, ...]:
-    says = ("what projecting ", Word(name, "code"), " onto its box or ball adds; not positive by the projection lemma")
+    says = ("what projecting ", Word(name, "code"), " onto its set adds; not positive by the projection lemma")
     return name.partition(".")[0], says, Formula(symbol), (), (), _KAPPA if found.consumption else "1"
 
 

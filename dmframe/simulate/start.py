@@ -11,6 +11,7 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.diagram import ClosedLoop, Diagram, Variable
+from dmframe.diagram.bodies import Bodies
 from dmframe.diagram.closed_loop import Followed, stack
 from dmframe.diagram.projection import Projection
 from dmframe.errors import DmframeError, StartError, UnknownNameError, ValueFault, raise_all
@@ -101,7 +102,13 @@ def _outside(loop: ClosedLoop, projection: Projection, start: np.ndarray, k: int
     block, parameter = projection.parameter.split(".")
     label = f"{projection.name}[{k}]" if start.size > 1 else projection.name
     room = evaluate(loop, projection.set.room(projection.state), {projection.name: start})
-    if projection.kind == "ball":
+    if isinstance(projection.set, Bodies):
+        link = int(np.argmin(room)) // 4 + 1
+        found = (
+            f"{projection.name}: expected each link's pseudo-inertia to start at {parameter} times its nominal one or "
+            f"above, found that of link {link} below"
+        )
+    elif projection.kind == "ball":
         found = f"{projection.name}: expected a start inside {parameter}, found {np.sqrt(1 - room[0]):.4g} radii away"
     else:
         lower, upper = start - room[: start.size], start + room[start.size :]

@@ -7,12 +7,13 @@ from fractions import Fraction
 import casadi as ca
 import numpy as np
 import pytest
+from faulty import verdict_with
 
 import dmframe as dm
 from dmframe.certify import claim_of
 from dmframe.certify.along import along
 from dmframe.robot.pseudo_inertia import dual, natural_gain, parameters_of, pseudo_inertia
-from dmframe_blocks._bodies import moved
+from dmframe_blocks._bodies import moved, natural, weight
 
 BODY = [3, 0.4, -0.3, 0.5, 0.9, 0.02, 1.0, -0.03, 0.01, 0.8]
 """A body that there can be, with room on all sides."""
@@ -112,3 +113,86 @@ def test_beside_a_residual_it_is_assumed_again() -> None:
     texts = [item.text for item in graph.verify().assumptions]
     assert any("M_hat stays positive definite" in text for text in texts)
     assert any("stays positive definite, although V may rise" in text for text in texts)
+
+
+def part(rows: np.ndarray, nominal: np.ndarray) -> float:
+    """The least eigenvalue of P0^-1 P over all of a run's estimated links."""
+    found = [
+        np.linalg.eigvals(np.linalg.solve(matrix(body), np.array([matrix(row) for row in rows[:, own]]))).real.min()
+        for k, body in enumerate(nominal.reshape(-1, 10))
+        for own in [slice(10 * k, 10 * k + 10)]
+    ]
+    return float(min(found))
+
+
+def half_of_the_model(graph: dm.Graph) -> np.ndarray:
+    return 0.5 * np.array(graph.experiment.diagram().robot.inertia, dtype=float).ravel()
+
+
+def test_with_a_floor_the_law_is_the_gradient_in_the_metric_of_the_nominal_body() -> None:
+    rng = np.random.default_rng(3)
+    g, c, Gamma = rng.normal(size=12), 0.7, 5.0
+    gain = np.array(natural_gain([Fraction(str(value)) for value in BODY]), dtype=float)
+    nominal = ca.SX([*BODY, 0.0, 0.0])
+    rate = ca.DM(ca.evalf(natural(ca.SX(g), nominal, 1, ca.SX(c), ca.SX(Gamma)))).full().ravel()
+    np.testing.assert_allclose(rate, [*(-c * gain @ g[:10]), *(-Gamma * g[10:])], rtol=1e-12)
+    metric = ca.DM(ca.evalf(ca.densify(weight(nominal, 1, ca.SX(c), ca.SX(Gamma))))).full()
+    expected = np.zeros((12, 12))
+    expected[:10, :10], expected[10, 10], expected[11, 11] = np.linalg.inv(gain) / c, 1 / Gamma, 1 / Gamma
+    np.testing.assert_allclose(metric, expected, rtol=1e-8, atol=1e-10)
+
+
+def test_with_a_floor_no_estimated_body_is_ever_less_of_its_nominal_one() -> None:
+    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.01})
+    run = graph.run(judge=False)  # all of it
+    estimates = run.data["dynamics.a_d_hat"].values[::5]
+    assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.01, abs=1e-12)  # reached, and never passed
+    assert least(estimates, 3) > 0.005
+    error = np.linalg.norm(run.data["arm.x"].values - run.data["path.x_d"].values, axis=1)
+    assert np.sqrt(np.mean(error[-len(error) // 8 :] ** 2)) < 0.35e-3
+
+
+def test_with_a_floor_v_falls_along_the_edge_in_continuous_time() -> None:
+    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.9, "dynamics.c": 100, "clock": "continuous"})
+    run = graph.run(until=0.3, engine="interpreted", judge=False)
+    estimates = run.data["dynamics.a_d_hat"].values
+    assert part(estimates, half_of_the_model(graph)) == pytest.approx(0.9, abs=1e-12)
+    V = along(claim_of(graph.experiment.diagram()), run.recording, 1.0)
+    assert V.largest_increase < 1e-9 * V.V[0]
+
+
+def test_with_a_floor_the_interpreter_runs_what_the_compiled_engine_runs() -> None:
+    graph = dm.load("ur10_consistent").set({"dynamics.floor": 0.9, "dynamics.c": 20})
+    compiled, interpreted = (
+        graph.run(until=0.24, engine=engine, judge=False) for engine in ("compiled", "interpreted")
+    )
+    expected = compiled.data["dynamics.a_d_hat"].values
+    np.testing.assert_allclose(interpreted.data["dynamics.a_d_hat"].values, expected, rtol=1e-12, atol=1e-12)
+
+
+def test_with_a_floor_the_torque_form_assumes_nothing_of_m_hat_even_beside_a_residual() -> None:
+    found = dm.load("torque_consistent_pi").set({"adaptation.floor": 0.1, "inverse.leak": 0.1}).verify()
+    assert found.proved
+    assert not [item.text for item in found.assumptions if "M_hat" in item.text]
+    # where V may rise, a box or a ball would bound the estimates; a cone has no end
+    assert "adaptation.a_d_hat" in found.verdict.states.open
+    said = {(item.signal, item.says) for item in found.verdict.statements}
+    assert ("a_d_hat", "is made of bodies, each at its share of the nominal one or above") in said
+    assert ("a_d_hat - a_d", "is bounded") not in said
+
+
+FLOOR_FAULTS = {
+    "moves in another metric": {"natural": lambda g, nominal, n, c, Gamma: natural(g, 2 * nominal, n, c, Gamma)},
+    "stores at another body": {"weight": lambda nominal, n, c, Gamma: weight(2 * nominal, n, c, Gamma)},
+    "stores friction by the bodies' gain": {"weight": lambda nominal, n, c, Gamma: weight(nominal, n, c, c)},
+}
+
+
+@pytest.mark.parametrize("fault", FLOOR_FAULTS)
+def test_with_a_floor_a_law_and_a_storage_that_are_no_pair_are_refuted(fault: str) -> None:
+    dynamics = {"type": "consistent_compensator", "c": 2, "Gamma": 5, "floor": 0.3}
+    graph = dm.load("pendulum").set({"model.nominal": 0.5, "blocks.dynamics": dynamics}).experiment
+    verdict = verdict_with(graph, "dynamics", **FLOOR_FAULTS[fault])
+    assert verdict.outcome == "refuted"
+    assert verdict.refutation is not None
+    assert verdict.refutation.blame == ("dynamics",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from fractions import Fraction
 from typing import Any, ClassVar
 
@@ -293,7 +293,7 @@ def test_a_fault_in_a_law_takes_the_proof(
     assert verify(built, trials=1).outcome == "proved"
     (projection,) = built.loop.projections
     faulty = type(kind, (type(projection.set),), {method: fault})
-    values = {key: getattr(projection.set, key) for key in type(projection.set).__dataclass_fields__}
+    values = {item.name: getattr(projection.set, item.name) for item in fields(projection.set)}
     found = check_law(replace(projection, set=faulty(**values)), built.loop)
     assert not found.holds, found
     monkeypatch.setattr(type(projection.set), method, _once(fault, getattr(type(projection.set), method)))
