@@ -150,7 +150,8 @@ def _works(library: Path, step: Step) -> bool:
     given, group = (
         brief.instants.rows(0, 2),
         Lanes(brief, None, width).start(
-            *(rng.uniform(0.5, 1.5, (parts.sample.numel_in(place), 1)) * lanes for place in (0, 4)),
+            rng.uniform(0.5, 1.5, (parts.sample.numel_in(0), 1)) * lanes,
+            rng.uniform(0.5, 1.5, (parts.sample.numel_in(4), 1)) * lanes,
             np.ones(width),
         ),
     )

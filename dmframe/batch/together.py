@@ -19,7 +19,7 @@ from dmframe.results.metrics import EIGHTHS, eighth_of
 from dmframe.simulate.instants import TIME
 from dmframe.simulate.run import LATER, Prepared
 from dmframe.simulate.step import FIXED, Step
-from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, RK4_TAKES, stiffness
+from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, stiffness
 
 TICKS: Final = 16384
 """Ticks that a thread computes in one call: Ctrl-C is heard between calls."""
@@ -117,12 +117,12 @@ class Together:
 
     def _kinds(self, p: np.ndarray, states: np.ndarray, speeds: np.ndarray) -> list[tuple[Prepared, np.ndarray]]:
         """Runs for which the same method and steps are chosen, together."""
-        h, chosen = self.prepared.step.length, dict[str, Prepared]()
+        h, takes, chosen = self.prepared.step.length, self.prepared.solver.takes, dict[str, Prepared]()
         kinds = defaultdict[tuple[str, int], list[int]](list)
         made = dict[tuple[str, int], Prepared]()
         for run, speed in enumerate(speeds.tolist()):
-            stiff = speed < MOST_SLOPE and h * speed > RK4_TAKES
-            key = f"{RK4_TAKES / speed:.2g}" if stiff else ""
+            stiff = speed < MOST_SLOPE and h * speed > takes
+            key = f"{takes / speed:.2g}" if stiff else ""
             own = chosen.get(key) or self.prepared.stepping(states[:, run], p[:, run], speed)
             if not key or (own.solver.method == "rk4" and h / float(key) <= RK4_STEPS):  # the speed alone decided
                 chosen[key] = own
