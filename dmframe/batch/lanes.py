@@ -32,7 +32,8 @@ class Lanes:
     Parameters
     ----------
     step
-        The tick that it computes; its recorded outputs are those of which figures are kept.
+        The tick that it computes; its recorded outputs are those of which figures are kept. Its own number of
+        integrator steps counts for nothing: each run has its own.
     """
 
     step: Step
@@ -44,8 +45,14 @@ class Lanes:
         """As `Measured.engine` tells it."""
         return f"lanes of {self.width}"
 
-    def start(self, states: np.ndarray, p: np.ndarray) -> Group:
-        """As many runs as there are columns, at most `width`, from their states; others fill what is left."""
+    def start(self, states: np.ndarray, p: np.ndarray, substeps: np.ndarray) -> Group:
+        """As many runs as there are columns, at most `width`, from their states; others fill what is left.
+
+        Parameters
+        ----------
+        substeps
+            Integrator steps in a tick, of each run.
+        """
         count = states.shape[1]
         fill = np.minimum(np.arange(self.width), count - 1)
         outputs = self.step.parts.outputs.numel_out(0)
@@ -53,7 +60,7 @@ class Lanes:
         figures[:] = np.array([*[0.0] * EIGHTHS, np.inf, -np.inf, np.nan, -1.0])[:, None]
         ended = np.full(self.width, -1, dtype=np.int64)
         begin, p = (np.ascontiguousarray(values[:, fill]) for values in (states, p))
-        return Group(count, begin, begin.copy(), p, figures, ended)
+        return Group(count, begin, begin.copy(), p, np.asarray(substeps, dtype=np.int64)[fill], figures, ended)
 
     def advance(self, group: Group, given: np.ndarray, first: int, parts: np.ndarray, limits: np.ndarray) -> int:
         """Move a group on by as many ticks as `given` has rows but one; returns how many of its lanes are alive.
@@ -74,7 +81,7 @@ class Lanes:
                 address(group.state),
                 address(group.p),
                 ctypes.c_double(self.step.period),
-                whole(self.step.substeps),
+                address(group.substeps),
                 whole(first),
                 whole(len(given) - 1),
                 address(given),
@@ -96,6 +103,8 @@ class Group:
     ----------
     count
         Lanes that count; those behind them repeat the last one.
+    substeps
+        (lanes,), integrator steps in a tick: the group takes the time of the lane that has most.
     figures
         (outputs, 8 + 4, lanes): sums of squares by eighths, least, most, last, crossed.
     ended
@@ -106,6 +115,7 @@ class Group:
     begin: np.ndarray
     state: np.ndarray
     p: np.ndarray
+    substeps: np.ndarray
     figures: np.ndarray
     ended: np.ndarray
 
@@ -140,7 +150,9 @@ def _works(library: Path, step: Step) -> bool:
     given, group = (
         brief.instants.rows(0, 2),
         Lanes(brief, None, width).start(
-            *(rng.uniform(0.5, 1.5, (parts.sample.numel_in(place), 1)) * lanes for place in (0, 4))
+            rng.uniform(0.5, 1.5, (parts.sample.numel_in(0), 1)) * lanes,
+            rng.uniform(0.5, 1.5, (parts.sample.numel_in(4), 1)) * lanes,
+            np.ones(width),
         ),
     )
     found = called(
@@ -149,7 +161,8 @@ def _works(library: Path, step: Step) -> bool:
         [
             *({"doubles": array.ravel().tolist()} for array in (group.begin, group.state, group.p)),
             {"double": brief.period},
-            *({"integer": value} for value in (1, 0, 1)),
+            {"integers": group.substeps.tolist()},
+            *({"integer": value} for value in (0, 1)),
             {"doubles": given.ravel().tolist()},
             {"integers": [0, -1]},
             {"doubles": [np.inf] * len(group.figures)},

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Final, final
 
@@ -19,7 +19,7 @@ from dmframe.results.metrics import EIGHTHS, eighth_of
 from dmframe.simulate.instants import TIME
 from dmframe.simulate.run import LATER, Prepared
 from dmframe.simulate.step import FIXED, Step
-from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, RK4_TAKES, stiffness
+from dmframe.simulate.stiffness import MOST_SLOPE, RK4_STEPS, stiffness
 
 TICKS: Final = 16384
 """Ticks that a thread computes in one call: Ctrl-C is heard between calls."""
@@ -117,12 +117,12 @@ class Together:
 
     def _kinds(self, p: np.ndarray, states: np.ndarray, speeds: np.ndarray) -> list[tuple[Prepared, np.ndarray]]:
         """Runs for which the same method and steps are chosen, together."""
-        h, chosen = self.prepared.step.length, dict[str, Prepared]()
+        h, takes, chosen = self.prepared.step.length, self.prepared.solver.takes, dict[str, Prepared]()
         kinds = defaultdict[tuple[str, int], list[int]](list)
         made = dict[tuple[str, int], Prepared]()
         for run, speed in enumerate(speeds.tolist()):
-            stiff = speed < MOST_SLOPE and h * speed > RK4_TAKES
-            key = f"{RK4_TAKES / speed:.2g}" if stiff else ""
+            stiff = speed < MOST_SLOPE and h * speed > takes
+            key = f"{takes / speed:.2g}" if stiff else ""
             own = chosen.get(key) or self.prepared.stepping(states[:, run], p[:, run], speed)
             if not key or (own.solver.method == "rk4" and h / float(key) <= RK4_STEPS):  # the speed alone decided
                 chosen[key] = own
@@ -146,14 +146,10 @@ class Together:
     ) -> Ran:
         """All runs of each kind with its method and steps; of others nothing is told."""
         step, keeping = self.prepared.step, self.prepared.keeping
-        groups = list[tuple[Lanes, np.ndarray, Group]]()
-        for own, members in kinds:
-            lanes = self._lanes_of(own)
-            assert lanes is not None  # it fits
-            lanes = replace(lanes, step=replace(lanes.step, substeps=own.step.substeps))
-            for first in range(0, members.size, lanes.width):
-                some = members[first : first + lanes.width]
-                groups.append((lanes, some, lanes.start(states[:, some], p[:, some])))
+        groups = [
+            (lanes, some, lanes.start(states[:, some], p[:, some], substeps))
+            for lanes, some, substeps in self._side_by_side(kinds)
+        ]
         ticks = self.prepared.ticks if groups else 0
         for first in range(0, ticks, TICKS):
             count = min(TICKS, ticks - first)
@@ -167,6 +163,24 @@ class Together:
         for _, some, group in groups:
             ran.put(some, Ran(group.figures[..., : group.count], group.ended[: group.count]))
         return ran
+
+    def _side_by_side(
+        self, kinds: Sequence[tuple[Prepared, np.ndarray]]
+    ) -> Iterator[tuple[Lanes, np.ndarray, np.ndarray]]:
+        """Runs of one method that go in lanes together, and the steps of each: those of like steps, the shortest first.
+
+        A group takes the time of its shortest steps; what is left over at the end takes the longest.
+        """
+        for method in dict.fromkeys(own.solver.method for own, _ in kinds):
+            alike = [(own, members) for own, members in kinds if own.solver.method == method]
+            runs = np.concatenate([members for _, members in alike])
+            substeps = np.concatenate([np.full(members.size, own.step.substeps) for own, members in alike])
+            lanes = self._lanes_of(alike[0][0])
+            assert lanes is not None  # it fits
+            order = np.argsort(-substeps, kind="stable")
+            for first in range(0, order.size, lanes.width):
+                some = order[first : first + lanes.width]
+                yield lanes, runs[some], substeps[some]
 
     def _again(
         self,

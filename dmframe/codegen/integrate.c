@@ -1,5 +1,5 @@
 /* From one tick to the next: what a tick works with, and its integrators. Numbers are of the type dm_real, one or one of
-   several runs in a vector. Above this stand the sizes DM_Z ... and the closed loop's own functions. Arrays have one element
+   several runs in a vector, each of which may take other steps than its neighbours: it rests when it has taken its own. Above this stand the sizes DM_Z ... and the closed loop's own functions. Arrays have one element
    more than they need, as C knows no empty ones. Nothing here allocates memory. */
 
 typedef struct {
@@ -7,22 +7,19 @@ typedef struct {
 } dm_work;
 
 /* dx at time t, commands held. */
-static void dm_slope(double t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
-  const dm_real now = dm_all(t);
-  if (DM_MOVED) dm_trajectory(&now, p, k->c, k->w);
+static void dm_slope(dm_real t, const dm_real *x, const dm_real *p, dm_work *k, dm_real *dx) {
+  if (DM_MOVED) dm_trajectory(&t, p, k->c, k->w);
   dm_rate(x, k->u, k->w, p, k->c, dx);
 }
 
 #ifdef DM_STAGES
 /* x from t to t + T by the Rosenbrock method whose numbers stand above: (3) of dmframe.diagram.rosenbrock. */
-static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
+static void dm_integrate(dm_real *x, double t, dm_real h, dm_steps substeps, const dm_real *p, dm_work *k) {
   dm_real u[DM_STAGES][DM_X + 1], at[DM_X + 1], right[DM_X + 1], drift[DM_X + 1], dw[DM_W + 1] = {0}, factors[DM_F + 1];
-  const dm_real step = dm_all(h);
-  for (int64_t j = 0; j < substeps; j++) {
-    const double now = t + (double)j * h;
-    const dm_real moment = dm_all(now);
-    if (DM_MOVED) dm_moving(&moment, p, k->c, k->w, dw);
-    dm_begin(x, k->u, k->w, dw, &step, p, k->c, factors, drift, u[0]);
+  for (int64_t j = 0; j < dm_most(substeps); j++) {
+    const dm_real now = t + (double)j * h;
+    if (DM_MOVED) dm_moving(&now, p, k->c, k->w, dw);
+    dm_begin(x, k->u, k->w, dw, &h, p, k->c, factors, drift, u[0]);
     for (int s = 1; s < DM_STAGES; s++) {
       for (int i = 0; i < DM_X; i++) {
         at[i] = x[i];
@@ -36,16 +33,19 @@ static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const
       }
       dm_solve(factors, right, p, k->c, u[s]);
     }
-    for (int i = 0; i < DM_X; i++)
-      for (int s = 0; s < DM_STAGES; s++) x[i] += dm_method_m[s] * u[s][i];
+    for (int i = 0; i < DM_X; i++) {
+      dm_real next = x[i];
+      for (int s = 0; s < DM_STAGES; s++) next += dm_method_m[s] * u[s][i];
+      x[i] = dm_before(j, substeps, next, x[i]);
+    }
   }
 }
 #else
 /* x from t to t + T by classical Runge-Kutta. */
-static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const dm_real *p, dm_work *k) {
+static void dm_integrate(dm_real *x, double t, dm_real h, dm_steps substeps, const dm_real *p, dm_work *k) {
   dm_real k1[DM_X + 1], k2[DM_X + 1], k3[DM_X + 1], k4[DM_X + 1], at[DM_X + 1];
-  for (int64_t j = 0; j < substeps; j++) {
-    const double now = t + (double)j * h;
+  for (int64_t j = 0; j < dm_most(substeps); j++) {
+    const dm_real now = t + (double)j * h;
     dm_slope(now, x, p, k, k1);
     for (int i = 0; i < DM_X; i++) at[i] = x[i] + h / 2 * k1[i];
     dm_slope(now + h / 2, at, p, k, k2);
@@ -53,7 +53,8 @@ static void dm_integrate(dm_real *x, double t, double h, int64_t substeps, const
     dm_slope(now + h / 2, at, p, k, k3);
     for (int i = 0; i < DM_X; i++) at[i] = x[i] + h * k3[i];
     dm_slope(now + h, at, p, k, k4);
-    for (int i = 0; i < DM_X; i++) x[i] += h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+    for (int i = 0; i < DM_X; i++)
+      x[i] = dm_before(j, substeps, x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]), x[i]);
   }
 }
 #endif

@@ -29,19 +29,23 @@ DM_EXPORT void dm_lanes(double *count) { *count = DM_LANES; }
    tick, as of dm_run, and `part` says in which eighth it is kept, or -1. Of one row more, behind these ticks, figures are
    taken alone, if it is kept. A run that leaves its bounds has that tick in `ended`, which is -1 before; from then on it
    goes again from `begin`, unseen, so that its wild numbers hold up no other. Returns how many runs are alive. */
-DM_EXPORT int64_t dm_run_lanes(const double *begin, double *state, const double *p, double period, int64_t substeps,
+DM_EXPORT int64_t dm_run_lanes(const double *begin, double *state, const double *p, double period, const int64_t *substeps,
                                int64_t first, int64_t ticks, const double *given, const int64_t *part,
                                const double *limits, const double *bounds, double *figures, int64_t *ended) {
   dm_work k;
   dm_real x[DM_S + 1], fresh[DM_S + 1], values[DM_P + 1], n[DM_N + 1];
   dm_figures all[DM_Y + 1];
   dm_mask left;
+  dm_steps steps;
+  dm_real parts;
   const dm_real whole = dm_all(period);
   memcpy(x, state, DM_S * sizeof *x); /* vectors lie at other addresses than a caller's numbers may */
   memcpy(fresh, begin, DM_S * sizeof *x);
   memcpy(values, p, DM_P * sizeof *x);
   memcpy(all, figures, DM_Y * sizeof *all);
   memcpy(&left, ended, sizeof left);
+  memcpy(&steps, substeps, sizeof steps);
+  for (int i = 0; i < DM_LANES; i++) parts[i] = (double)steps[i];
   dm_mask alive = left < 0;
   dm_constants(values, k.c);
   for (int64_t tick = 0; tick <= ticks && dm_any(alive); tick++, given += 2 + DM_N, part++) {
@@ -53,7 +57,7 @@ DM_EXPORT int64_t dm_run_lanes(const double *begin, double *state, const double 
     if (*part >= 0) dm_keep(all, k.y, limits, given[0], *part, alive);
     if (tick == ticks) break;
     memcpy(x, k.z, DM_Z * sizeof *x);
-    dm_integrate(x + DM_Z, given[0], given[1] / (double)substeps, substeps, values, &k);
+    dm_integrate(x + DM_Z, given[0], given[1] / parts, steps, values, &k);
     dm_clip(x + DM_Z, values, k.c, x + DM_Z);
     dm_mask sound = alive;
     for (int i = 0; i < DM_S; i++) sound &= (dm_mask)(dm_abs(x[i]) <= bounds[i]);

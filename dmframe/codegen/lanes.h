@@ -27,6 +27,18 @@ static inline int dm_any(dm_mask yes) {
   for (int i = 0; i < DM_LANES; i++) found |= yes[i];
   return found != 0;
 }
+
+/* How many steps each run takes in a tick, the most of these, and a run's number while step j is one of its own, or then. */
+typedef dm_mask dm_steps;
+static inline int64_t dm_most(dm_steps substeps) {
+  int64_t most = substeps[0];
+  for (int i = 1; i < DM_LANES; i++) most = substeps[i] > most ? substeps[i] : most;
+  return most;
+}
+static inline dm_real dm_before(int64_t j, dm_steps substeps, dm_real next, dm_real rest) {
+  return dm_choose(j < substeps, next, rest);
+}
+
 static inline dm_real dm_abs(dm_real x) { return (dm_real)((dm_mask)x & INT64_MAX); }
 
 static inline void dm_sincos_lanes(dm_real x, dm_real *sine, dm_real *cosine) {

@@ -2,3 +2,10 @@
 
 typedef double dm_real;
 static inline dm_real dm_all(double x) { return x; }
+
+/* How many steps there are in a tick, and what a number is while step j is one of them, or then. */
+typedef int64_t dm_steps;
+static inline int64_t dm_most(dm_steps substeps) { return substeps; }
+static inline dm_real dm_before(int64_t j, dm_steps substeps, dm_real next, dm_real rest) {
+  return j < substeps ? next : rest; /* always the first */
+}

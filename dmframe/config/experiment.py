@@ -82,7 +82,7 @@ class Experiment:
     def solver(self) -> Solver:
         """The solver that the file asks for."""
         section = self.file.solver
-        return Solver(section.method, section.step, section.output, section.tolerance)
+        return Solver(section.method, section.step, section.output, section.tolerance, section.share)
 
     @property
     def log(self) -> Log:
@@ -212,7 +212,7 @@ class Experiment:
         document, asked = self.with_steps(steps[0], steps[1], faults)
         raise_all(faults)
         mine = [f"baseline.{text}" if text.partition(".")[0] in (self.swapped or ()) else text for text in overrides]
-        made, overrides = experiment_of(document), (*self.overrides, *mine)
+        made, overrides = experiment_of(document, like=self), (*self.overrides, *mine)
         return replace(made, name=self.name, overrides=overrides, swapped=self.swapped, asked=asked)
 
     def with_steps(
@@ -319,10 +319,11 @@ def _expanded(document: Document, find: Find) -> Document:
     return found.document
 
 
-def experiment_of(document: Document, find: Find = find_block) -> Experiment:
+def experiment_of(document: Document, find: Find = find_block, like: Experiment | None = None) -> Experiment:
     """An experiment from its document, whose old names are read as the new ones; `find` gives the class of a type.
 
-    Raises what `load_experiment` does.
+    Where its robot is asked for in the words of another, `like`, that one's is taken: a model takes longer to read than
+    all the rest. Raises what `load_experiment` does.
     """
     path, asked = Path(document.name), Asked(document) if KEY in document.data else None
     document = _expanded(document, find)
@@ -330,7 +331,7 @@ def experiment_of(document: Document, find: Find = find_block) -> Experiment:
     raise_all(read.faults)
     for notice in read.notices:
         sys.stderr.write(f"{visible(notice)}\n")
-    return replace(_made(read.document, path, find), asked=asked)
+    return replace(_made(read.document, path, find, like), asked=asked)
 
 
 def _again(
@@ -344,8 +345,8 @@ def _again(
     return replace(experiment_of(document), name=name, overrides=overrides, swapped=swapped, asked=asked)
 
 
-def _made(document: Document, path: Path, find: Find = find_block) -> Experiment:
-    """An experiment from its document; `path` names it, and files are looked for beside it."""
+def _made(document: Document, path: Path, find: Find = find_block, like: Experiment | None = None) -> Experiment:
+    """An experiment from its document; `path` names it, and files are looked for beside it. See `experiment_of`."""
     data = document.data
     faults = list[DmframeError]()
     try:
@@ -356,7 +357,10 @@ def _made(document: Document, path: Path, find: Find = find_block) -> Experiment
     blocks = blocks_of("blocks", data.get("blocks"), path.parent, faults, find)
     named = data.get("blocks")
     check_baseline(data.get("baseline"), named if isinstance(named, dict) else {}, path.parent, faults, find)
-    robot = robot_of(data.get("robot"), path.parent, faults)
+    if like is not None and (like.data.get("robot"), like.document.name) == (data.get("robot"), document.name):
+        robot = like.robot
+    else:
+        robot = robot_of(data.get("robot"), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [at_name(fault) for fault in faults]
     start = start_of(data.get("start"), faults)

@@ -113,6 +113,9 @@ class SolverSection(Section):
     )
     output: Seconds = Field(0.01, description="with a continuous clock, how often a result is kept")
     tolerance: Annotated[float, Field(gt=0, lt=1)] = Field(1e-9, description="of cvodes, relative")
+    share: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.8, description="of the step up to which rk4 is stable, how much it takes where no step is given"
+    )
 
 
 @final

@@ -28,7 +28,6 @@ from dmframe.results.resolved import resolved_text, robot_source
 from dmframe.simulate.bounds import bounds_of
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import MOST_SUBSTEPS, PLAIN_STEP, RK4_STABLE
-from dmframe.simulate.stiffness import RK4_TAKES
 from dmframe.version import version
 
 HORIZON = 20.0
@@ -62,7 +61,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "tick": file.clock if file.clock is not None else experiment.solver.output,
         "step": experiment.solver.step,
         "horizon": min(HORIZON, file.duration),
-        "solver": {"plain": PLAIN_STEP, "takes": RK4_TAKES, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
+        "solver": {"plain": PLAIN_STEP, "takes": experiment.solver.takes, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
         "sizes": _sizes(functions),
         "p": _numbers(loop.p_values),
         "state": _numbers(state),

@@ -25,7 +25,7 @@ from dmframe.simulate.march import End, Progress, divergence_of, march
 from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
-from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
+from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, left_out, speed_of, stiffness
 from dmframe.simulate.told import between, exceptions, telling, too_fast, unread
 from dmframe.units import plain
 
@@ -211,9 +211,9 @@ class Prepared:
         if self.solver.method not in FIXED or self.solver.step is not None:
             return self
         h = self.step.length
-        if self.solver.method != "rk4" or not speed < MOST_SLOPE or h * speed <= RK4_TAKES:
+        if self.solver.method != "rk4" or not speed < MOST_SLOPE or h * speed <= self.solver.takes:
             return replace(self, solver=replace(self.solver, step=h))
-        short = float(f"{RK4_TAKES / speed:.2g}")
+        short = float(f"{self.solver.takes / speed:.2g}")
         possible, stiff = self.step.period / short <= MOST_SUBSTEPS, "the plant is stiff: rk4"
         if not (possible and h / short <= RK4_STEPS):
             own = self.solved_by(replace(self.solver, method="ros34pw2"))

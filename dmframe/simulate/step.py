@@ -68,12 +68,15 @@ class Solver:
         With a continuous clock, how often a result is kept [s].
     tolerance
         Of cvodes, relative; absolute is a thousandth of it.
+    share
+        How much of the step up to which rk4 is stable its steps take, where they are chosen.
     """
 
     method: Method = "rk4"
     step: float | None = None
     output: float = 0.01
     tolerance: float = 1e-9
+    share: float = 0.8
 
     def __post_init__(self) -> None:
         """Refuse what cannot integrate."""
@@ -84,6 +87,13 @@ class Solver:
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise ValueFault(f"solver.{name}: expected a positive number, found {value}")
+        if not 0 < self.share <= 1:
+            raise ValueFault(f"solver.share: expected a number above 0, at most 1, found {self.share}")
+
+    @property
+    def takes(self) -> float:
+        """The largest h |lambda| of the steps that are chosen for rk4."""
+        return self.share * RK4_STABLE
 
 
 @final

@@ -13,9 +13,6 @@ from dmframe.diagram.rosenbrock import ROS34PW2
 from dmframe.errors import EngineError
 from dmframe.simulate.step import FIXED, RK4_STABLE, Solver, Step
 
-RK4_TAKES = 0.8 * RK4_STABLE
-"""h |lambda| of the steps that are chosen for rk4."""
-
 RK4_STEPS = 10
 """How many times more steps than on a plant that is not stiff rk4 may take, before ros34pw2 runs it: one of its steps
 costs up to 2.2 of rk4, and there are twice as many."""
@@ -83,7 +80,7 @@ def stiffness(step: Step, solver: Solver, speed: float, state: np.ndarray, p: np
     if solver.method == "rk4" and h * speed > 0.9 * RK4_STABLE:
         return (
             f"the plant is stiff: at rest h |lambda| = {h * speed:.2f} for rk4 at {h * 1e3:.3g} ms, stable up to "
-            f"{RK4_STABLE}; take solver.step: {RK4_TAKES / speed * 1e3:.2g} ms, leave it out, or take "
+            f"{RK4_STABLE}; take solver.step: {solver.takes / speed * 1e3:.2g} ms, leave it out, or take "
             "solver.method: ros34pw2",
         )
     return ()

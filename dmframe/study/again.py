@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, final
 
 from dmframe.errors import OutputError
-from dmframe.files import write_text, writing
 from dmframe.graph import load
-from dmframe.results.resolved import companions
+from dmframe.study.beside import write_graph
 from dmframe.study.plan import Study
 from dmframe.study.results import Results
 from dmframe.study.store import RUNS, polars
@@ -87,11 +85,7 @@ def again(study: Study, run: int, place: Path, into: Path, *, force: bool = Fals
     target = into / f"{study.name}_run_{run}.yaml"
     if target.exists() and not force and target.read_text(encoding="utf-8") != graph.text:
         raise OutputError(f"{target}: expected a new file, found another one; move it, or take --force")
-    write_text(target, graph.text)
-    for name, source in companions(graph.experiment).items():
-        if source.resolve() != (into / name).resolve():
-            with writing(into / name):
-                shutil.copyfile(source, into / name)
+    write_graph(graph, target)
     done = load(target).run(progress=False)
     figures = study.row_of(done.recording, graph)
     units = {column.name: column.unit for column in study.measures}

@@ -14,13 +14,24 @@ from typing import Any, Final, final
 
 from dmframe.config.document import Document
 from dmframe.config.experiment import Experiment
-from dmframe.files import encoded
+from dmframe.files import encoded, write_text, writing
+from dmframe.graph import Graph
 from dmframe.results.resolved import companions, resolved_text
 from dmframe.study.computed import Computable
 from dmframe.study.identity import graphs_of
 from dmframe.study.plan import Study
 
 GRAPH: Final = "graph.yaml"
+
+
+def write_graph(graph: Graph, path: Path) -> None:
+    """Write a graph, and beside it the files that it names. Raises `OutputError`."""
+    write_text(path, graph.text)
+    for name, source in companions(graph.experiment).items():
+        target = path.with_name(name)
+        if source.resolve() != target.resolve():
+            with writing(target):
+                shutil.copyfile(source, target)
 
 
 def files_beside(study: Computable) -> dict[str, bytes]:

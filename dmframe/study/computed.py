@@ -87,7 +87,7 @@ class Computed:
     Parameters
     ----------
     seconds
-        That it took.
+        Of its process that it took: how large chunks become must not hang on what else a machine does.
     made
         Processor, machine, versions: what is kept beside the rows.
     """
@@ -117,12 +117,12 @@ class Failed:
 
 def compute(study: Computable, chunk: Chunk) -> Computed | Failed:
     """The rows of a chunk. Whatever a block raises is told, and ends no worker."""
-    began = time.perf_counter()
+    began = time.process_time()
     try:
         table = _table(study, chunk)
     except Exception as error:
         return Failed(f"{type(error).__name__}: {visible(str(error))}")
-    return Computed(table, time.perf_counter() - began, {**machine(), "engine": study.engine})
+    return Computed(table, time.process_time() - began, {**machine(), "engine": study.engine})
 
 
 def _table(study: Computable, chunk: Chunk) -> Table:

@@ -178,7 +178,7 @@ def changed(base: Experiment, sets: Sequence[Given]) -> Experiment:
     real, others = ([given.put for given in sets if names_reality(given.label) is first] for first in (True, False))
     document, asked = base.with_steps(real, others, faults)
     try:
-        made = experiment_of(document)
+        made = experiment_of(document, like=base)
     except DmframeError as error:
         raise_all([*faults, *error.faults])
         raise

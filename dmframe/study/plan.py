@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,35 +11,19 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
-from dmframe.batch import Wanted
-from dmframe.batch.figures import ERROR, TURN
 from dmframe.config.document import Document
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, UnknownNameError, ValueFault, raise_all
+from dmframe.errors import DmframeError, ValueFault, raise_all
 from dmframe.graph import Graph
-from dmframe.results.metrics import TurnError, goal_of
 from dmframe.simulate import Recording
-from dmframe.simulate.keep import apart_of
 from dmframe.study.design import Design
 from dmframe.study.grammar import StudyFile
 from dmframe.study.grid import Axis, Case, changed, scaled
-from dmframe.study.table import (
-    Column,
-    Columns,
-    Group,
-    Loops,
-    apart,
-    columns_of,
-    faulty,
-    joined,
-    row_of,
-    rows_of,
-    together,
-    wanted_of,
-)
-from dmframe.study.varied import START, Factor
-from dmframe.units import to_unit
+from dmframe.study.measured import asked_of, measures_of, raise_at
+from dmframe.study.rows import alone, band
+from dmframe.study.table import Column, Columns, Loops, row_of
+from dmframe.study.varied import Factor
 
 if TYPE_CHECKING:
     from dmframe.study.results import Results
@@ -159,7 +143,7 @@ class Study:
         try:
             return Design(section.method, section.seed, names, section.runs)
         except ValueFault as fault:
-            _raise_placed([fault], self.document)
+            raise_at([fault], self.document)
             raise
 
     @property
@@ -180,19 +164,7 @@ class Study:
         DmframeError
             A graph that cannot be built, a signal that none of them has, a limit in a unit that does not fit.
         """
-        section, known = self.file.measure, set[str]().union(*map(_units_of, self._diagrams))
-        faults = [
-            _unknown("signals", label, known - {ERROR, TURN})
-            for label in section.signals
-            if label not in known - {ERROR, TURN}
-        ]
-        faults += [_unknown("limits", label, known) for label in section.limits if label not in known]
-        _raise_placed([*faults, *(fault for each in self._diagrams for fault in self._limits(each)[1])], self.document)
-        found = dict[str, Column]()
-        for diagram in self._diagrams:
-            for column in columns_of(diagram, self._wanted(diagram)):
-                found.setdefault(column.name, column)
-        return tuple(found.values())
+        return measures_of(self)
 
     @cached_property
     def key(self) -> str:
@@ -245,52 +217,14 @@ class Study:
 
     def rows_of(self, point: int, samples: np.ndarray, *, threads: int = 1) -> Columns:
         """`rows` of any samples of a point, in their order."""
-        return self._head(point, samples) | self._measured(self.points[point], samples, threads)
+        return alone(self, point, samples, threads)
 
     def band(self, point: int, end: int, first: int, stop: int, *, threads: int = 1) -> Columns:
         """The same rows of the points [point, end), one point after another, sooner: many differ in numbers alone.
 
         A batch advances several runs at once, and a grid of single runs has but one at each point.
         """
-        found, count = dict[int, Columns](), stop - first
-        for group in self._alike(point, end) if count else ():
-            values = [self.values(each, first, stop) for each in group.points]
-            batch = self._loops.batch(group.diagram, group.experiment, self._wanted(group.diagram), threads)
-            together = group.measured(values, count, batch)
-            if together is None:
-                continue
-            self._loops.engine = together.engine
-            rows = rows_of(together, self.measures, count * len(group.points))
-            for k, each in enumerate(group.points):
-                part = {name: column[k * count : (k + 1) * count] for name, column in rows.items()}
-                found[each] = self._head(each, np.arange(first, stop)) | part
-        rest = [each for each in range(point, end) if each not in found]
-        found |= {each: self.rows(each, first, stop, threads=threads) for each in rest}
-        return joined([found[each] for each in range(point, end)])
-
-    def _alike(self, point: int, end: int) -> list[Group]:
-        """Points of one closed loop, clock, duration and solver, where there are several."""
-        if any(self._apart(label) for factor in self.factors for label in factor.labels):
-            return []
-        groups = list[Group]()
-        for each in range(point, end):
-            experiment = self.points[each].graph.experiment
-            diagram, numbers = self._loops.of(experiment)
-            group = next((group for group in groups if group.takes(experiment, diagram)), None)
-            if group is None:
-                groups.append(group := Group(experiment, diagram))
-            group.points.append(each)
-            group.numbers.append(numbers)
-        return [group for group in groups if len(group.points) > 1]
-
-    def _head(self, point: int, samples: np.ndarray) -> Columns:
-        """Which runs they are, and what varies."""
-        here, count = self.points[point], len(samples)
-        told: Columns = {"run": samples * len(self.points) + point, "point": np.full(count, point, dtype=np.int32)}
-        told["sample"] = np.asarray(samples, dtype=np.int64)
-        for name, value in here.values.items():
-            told[name] = [value] * count if isinstance(value, str) else np.full(count, value)
-        return told | self._drawn(samples)
+        return band(self, point, end, first, stop, threads)
 
     def graph_of(self, run: int) -> Graph:
         """One run as a graph of its own, with the very numbers of its row.
@@ -377,33 +311,6 @@ class Study:
                 faults += error.faults
         raise_all(faults)
 
-    def _measured(self, here: Point, samples: np.ndarray, threads: int) -> Columns:
-        experiment, count = here.graph.experiment, len(samples)
-        diagram, _ = self._loops.of(experiment)
-        wanted = self._wanted(diagram)
-        if count and not any(self._apart(label) for factor in self.factors for label in factor.labels):
-            values = self._values(here, samples)
-            found = together(self._loops, experiment, values, count, wanted, threads)
-            if found is not None:
-                return rows_of(found, self.measures, count)
-        alone = list[Experiment | DmframeError]()
-        for sample in samples.tolist():
-            try:
-                alone.append(self.graph_of(sample * len(self.points) + here.index).experiment)
-            except DmframeError as error:
-                alone.append(error)
-        parts = [
-            faulty(each, self.measures, 1) if isinstance(each, DmframeError) else rows_of(each, self.measures, 1)
-            for each in apart(self._loops, alone, wanted, threads)
-        ]
-        return joined(parts) if parts else faulty(ValueFault("none"), self.measures, 0)
-
-    def _apart(self, label: str) -> bool:
-        """True for what is no parameter of a block that has a value: its runs are prepared one by one."""
-        block, _, key = label.partition(".")
-        held = self.bases[""].blocks
-        return label.startswith(START) or block not in held or getattr(held[block], key, None) is None
-
     @cached_property
     def _loops(self) -> Loops:
         return Loops()
@@ -429,26 +336,7 @@ class Study:
 
     def row_of(self, run: Recording, graph: Graph) -> dict[str, Any]:
         """What the table would measure of a whole run of one of the study's graphs."""
-        return row_of(run, self._wanted(graph.diagram), self.measures)
-
-    def _wanted(self, diagram: Diagram) -> Wanted:
-        """What is measured of a loop: the asked signals that it has, limits in their units."""
-        units, (limits, faults) = _units_of(diagram), self._limits(diagram)
-        _raise_placed(faults, self.document)
-        signals = self.file.measure.signals
-        return wanted_of([label for label in signals if label in units and label not in (ERROR, TURN)], limits)
-
-    def _limits(self, diagram: Diagram) -> tuple[dict[str, float], list[DmframeError]]:
-        """The limits of what a loop has, in its units; and the faults of those that do not fit."""
-        units, faults, limits = _units_of(diagram), list[DmframeError](), dict[str, float]()
-        for label, value in self.file.measure.limits.items():
-            if label in units:
-                try:
-                    limits[label] = to_unit(value, units[label])
-                except DmframeError as error:
-                    text = f"measure.limits.{label}: {error.text}"
-                    faults.append(type(error)(text, path=("measure", "limits", label)))
-        return limits, faults
+        return row_of(run, asked_of(self, graph.diagram), self.measures)
 
     def __reduce__(self) -> Any:
         """Small: the file's data and the graphs' documents; a process that has it ready uses that."""
@@ -476,26 +364,6 @@ def _again(name: str, state: tuple[Any, ...]) -> Study:
 def _numbers_alone(label: str, axis: Axis) -> bool:
     """True for a key that changes no wires and no blocks."""
     return not label.startswith(("blocks.", "robot", "wires")) or label.count(".") > 1
-
-
-def _units_of(diagram: Diagram) -> dict[str, str]:
-    """Of all that can be measured of a loop."""
-    loop = diagram.loop
-    units = {signal.label: signal.unit for signal in loop.outputs}
-    units |= {variable.label: variable.unit for variable in loop.variables}
-    goal = goal_of(loop)
-    units |= {} if goal is None else {ERROR: units[goal.actual]}
-    return units if apart_of(loop) is None else units | {TURN: TurnError.unit}
-
-
-def _unknown(section: str, label: str, known: Iterable[str]) -> DmframeError:
-    return UnknownNameError(f"measure.{section}", "signal", label, known, path=("measure", section))
-
-
-def _raise_placed(faults: Sequence[DmframeError], document: Document) -> None:
-    from dmframe.study.read import raise_placed
-
-    raise_placed(faults, document)
 
 
 def load_study(source: str | Path | Mapping[str, Any] | Study, **options: Any) -> Study:

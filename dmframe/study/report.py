@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,13 +18,13 @@ from dmframe.report.html import Html, plain, tag
 from dmframe.report.page import document
 from dmframe.study.answer import Saved, Told, best_of, lead
 from dmframe.study.basis import what
+from dmframe.study.beside import write_graph
 from dmframe.study.figures import figures_of
 from dmframe.study.findings import Findings, findings_of
 from dmframe.study.proof import proofs_of
 from dmframe.study.sections import sections
 
 if TYPE_CHECKING:
-    from dmframe.graph import Graph
     from dmframe.study.results import Results
 
 PAGE: Final = "report.html"
@@ -132,7 +131,7 @@ def _saved(results: Results, told: Findings) -> list[Saved]:
     for place, (run, figure) in enumerate(runs.items(), start=1):
         sample, point = divmod(run, len(study.points))
         file = WORST.format(place)
-        _save(study.graph_of(run), results.folder / file)
+        write_graph(study.graph_of(run), results.folder / file)
         found.append(
             Saved(
                 file,
@@ -145,18 +144,6 @@ def _saved(results: Results, told: Findings) -> list[Saved]:
             )
         )
     return found
-
-
-def _save(graph: Graph, path: Path) -> None:
-    """Write a graph, and beside it the files that it names."""
-    from dmframe.results.resolved import companions
-
-    write_text(path, graph.text)
-    for name, source in companions(graph.experiment).items():
-        target = path.with_name(name)
-        if source.resolve() != target.resolve():
-            with writing(target):
-                shutil.copyfile(source, target)
 
 
 def _robots(results: Results) -> bool:

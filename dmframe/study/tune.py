@@ -6,25 +6,22 @@ tried at a trial follows from the seed, its number and the trials before it alon
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
-import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, final
+from typing import TYPE_CHECKING, Any, final
 
 import numpy as np
 
-from dmframe.errors import DmframeError, MissingError, OutputError, ValueFault
-from dmframe.files import expanded, writing
+from dmframe.errors import DmframeError, MissingError, ValueFault
+from dmframe.files import expanded
 from dmframe.study.candidate import Family, Proofs, excess, rounded, unstable, with_tuned
 from dmframe.study.front import Trial, dominates
 from dmframe.study.grammar import TuneSection
-from dmframe.study.identity import key_of
+from dmframe.study.journal import FIGURES, JOURNAL, ORDER, STOPPED, WHY, ended, feasible, hardest, opened
 from dmframe.study.objective import (
     CONDITIONS,
     EFFORT,
@@ -48,12 +45,6 @@ if TYPE_CHECKING:
     import optuna
 
     from dmframe.study.tuned import Tuned
-
-JOURNAL: Final = "tune.journal"
-NAME: Final = "tune"
-"""Of the search in the journal."""
-ORDER, STOPPED, FIGURES, WHY = "hardest", "stopped", "figures", "why"
-"""What a trial keeps beside its values: its hardest plants, whether it was stopped early, what it came to, and why."""
 
 
 @final
@@ -122,18 +113,18 @@ class Tuning:
             After the trial that ran was marked as stopped; the next call goes on.
         """
         wanted = trials or self.section.trials
-        with _opened(folder, self, create=True) as held:
+        with opened(folder, self, create=True) as held:
             own = self.own
             if own is not None and not held.trials:
                 held.enqueue_trial(own, skip_if_exists=True)
-            while (done := _ended(held)) < wanted:
+            while (done := ended(held)) < wanted:
                 self._try(held)
                 tell(self._line(held, done + 1, wanted))
             return done
 
     def trials(self, folder: Path) -> list[Trial]:
         """The trials of a folder that have ended. Raises `MissingError` where there is no search."""
-        with _opened(folder, self, create=False) as held:
+        with opened(folder, self, create=False) as held:
             return [_trial(each, self) for each in held.get_trials(deepcopy=False) if each.state.is_finished()]
 
     def figures_of(self, candidate: Study, family: Family) -> tuple[list[float], dict[str, Any]]:
@@ -203,7 +194,7 @@ class Tuning:
     ) -> tuple[list[float] | None, str, str, float]:
         """Run the hardest plants first, and others as long as those leave the candidate a chance."""
         size, ran = self.family.size, list[int]()
-        order, best = _hardest(held, size), _feasible(held)
+        order, best = hardest(held, size), feasible(held)
         share = self.section.screen
         first = size if share is None or size < 8 else max(1, math.ceil(share * size))
         parts = [dict[str, Any]()]
@@ -224,12 +215,12 @@ class Tuning:
                     return None, f"{each.text} does not hold", each.text, beyond
             if len(ran) < size and any(dominates(other, least) for other in best):
                 return least, "stopped: what it showed is worse than one that was found", "graph", 0.0
-        hardest = np.argsort(-figures[0], kind="stable")
-        trial.set_user_attr(ORDER, [ran[place] for place in hardest.tolist()[:first]])
+        worst = np.argsort(-figures[0], kind="stable")
+        trial.set_user_attr(ORDER, [ran[place] for place in worst.tolist()[:first]])
         return least, "", "graph", 0.0
 
     def _line(self, held: optuna.Study, done: int, wanted: int) -> str:
-        best = _feasible(held)
+        best = feasible(held)
         found = min(best, default=None)
         shown = (
             "none feasible yet" if found is None else f"{self.objectives[0].text} {self.objectives[0].shown(found[0])}"
@@ -373,103 +364,6 @@ def _own(each: Factor, study: Study) -> list[float] | None:
     return [float(value) for value in np.broadcast_to(values, (each.elements,))]
 
 
-@contextmanager
-def _opened(folder: Path, tuning: Tuning, *, create: bool) -> Iterator[optuna.Study]:
-    """The search of a folder."""
-    try:
-        import optuna
-        from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
-    except ImportError:
-        raise MissingError('tuning needs Optuna: pip install "dmframe[tune]"') from None
-    path = folder / JOURNAL
-    if not create and not path.is_file():
-        raise MissingError(f"{folder}: expected a search, {JOURNAL}, found none")
-    with writing(folder, "folder"):
-        folder.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    before = optuna.logging.get_verbosity()
-    optuna.logging.set_verbosity(optuna.logging.ERROR)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            storage = JournalStorage(JournalFileBackend(str(path), lock_obj=JournalFileOpenLock(str(path))))
-            held = optuna.create_study(
-                storage=storage,
-                sampler=_sampler(tuning.section.seed),
-                study_name=NAME,
-                directions=["minimize"] * len(tuning.objectives),
-                load_if_exists=True,
-            )
-            _check_same(held, tuning, folder)
-            yield held
-    finally:
-        optuna.logging.set_verbosity(before)
-
-
-def _check_same(held: optuna.Study, tuning: Tuning, folder: Path) -> None:
-    """Refuse a folder whose trials were made for another search."""
-    mine = {name: key_of({"": part}) for name, part in tuning.identity.items()}
-    there = held.user_attrs.get("identity")
-    if there is None:
-        held.set_user_attr("identity", mine)
-        return
-    differ = [name for name in {**there, **mine} if there.get(name) != mine.get(name)]
-    if differ:
-        raise OutputError(
-            f"{folder}: holds another search, which differs in: {', '.join(sorted(differ))}; name another folder, or "
-            "take the study's file as it was"
-        )
-
-
-def _sampler(seed: int) -> optuna.samplers.BaseSampler:
-    """TPE, whose random numbers follow from the seed and the trial's number: a search that goes on is the same."""
-    from optuna.samplers import BaseSampler, TPESampler
-
-    class ByNumber(BaseSampler):
-        def _of(self, trial: Any, what: str = "") -> TPESampler:
-            digest = hashlib.sha256(f"{seed} {trial.number} {what}".encode()).digest()
-            return TPESampler(seed=int.from_bytes(digest[:4], "big"))
-
-        def infer_relative_search_space(self, study: Any, trial: Any) -> dict[str, Any]:
-            return self._of(trial).infer_relative_search_space(study, trial)
-
-        def sample_relative(self, study: Any, trial: Any, search_space: dict[str, Any]) -> dict[str, Any]:
-            return self._of(trial).sample_relative(study, trial, search_space)
-
-        def sample_independent(self, study: Any, trial: Any, param_name: str, param_distribution: Any) -> Any:
-            return self._of(trial, param_name).sample_independent(study, trial, param_name, param_distribution)
-
-    return ByNumber()
-
-
-def _ended(held: optuna.Study) -> int:
-    """Trials that say something; one that was stopped by Ctrl-C does not."""
-    from optuna.trial import TrialState
-
-    return len(held.get_trials(deepcopy=False, states=(TrialState.COMPLETE, TrialState.PRUNED)))
-
-
-def _feasible(held: optuna.Study) -> list[list[float]]:
-    """The objectives of all trials that ran to their end and broke nothing."""
-    from optuna.trial import TrialState
-
-    found = held.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return [each.values for each in found if not each.user_attrs.get(STOPPED)]
-
-
-def _hardest(held: optuna.Study, size: int) -> list[int]:
-    """All plants; first those that were the hardest for the best trial so far."""
-    from optuna.trial import TrialState
-
-    found = [
-        each for each in held.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)) if ORDER in each.user_attrs
-    ]
-    best = min(found, key=lambda each: (each.values[0], each.number), default=None)
-    first = [] if best is None else list(best.user_attrs[ORDER])
-    return [*first, *sorted(set(range(size)) - set(first))]
-
-
 def _trial(each: Any, tuning: Tuning) -> Trial:
     from optuna.trial import TrialState
 
@@ -485,4 +379,4 @@ def _trial(each: Any, tuning: Tuning) -> Trial:
     return Trial(each.number, values, shown, state, why)
 
 
-__all__ = ["Trial", "Tuning", "load_tuning", "tune"]
+__all__ = ["JOURNAL", "Trial", "Tuning", "load_tuning", "tune"]

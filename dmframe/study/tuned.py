@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,28 +12,23 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.analysis.period import TOLERANCE, sampled_radius
 from dmframe.config.experiment import Experiment
-from dmframe.errors import MissingError, listed
+from dmframe.errors import MissingError
 from dmframe.files import write_bytes, write_text, writing
 from dmframe.graph import Graph
+from dmframe.study.beside import write_graph
 from dmframe.study.candidate import Family
-from dmframe.study.design import Spread
+from dmframe.study.cautions import CLOSE, LONGER, near_end, notices, with_unit
 from dmframe.study.front import Trial, front_of
 from dmframe.study.plan import Study
 from dmframe.study.tune import Tuning
-from dmframe.units import plain
 
 if TYPE_CHECKING:
     from dmframe.report import Verification
 
-LONGER: Final = 5.0
-"""By this factor the runs are longer that show whether the search's horizon misled it."""
 MOST: Final = 3
 """Points of the front that are checked and proved."""
-CLOSE: Final = 0.02
-"""Share of what was searched, from which on the best value may lie beyond its end."""
 _FRESH: Final = 2**63
 """Between the seed of the search's plants and that of the fresh ones."""
-_NO_NOISE: Final = "the study's loops have no noise: high gains that it would punish are not punished here"
 PAGE, PROOF, SUMMARY, FIGURES = "report.html", "certificate.html", "tuned.json", "figures"
 
 
@@ -86,7 +80,7 @@ class Chosen:
     def told(self, tuning: Tuning, mark: str = "") -> list[str]:
         """Its values with their units; a `mark` stands on both sides of each name."""
         units = {name: factor.unit for name, factor in tuning.columns.items()}
-        return [f"{mark}{name}{mark} = {_number(value, units[name])}" for name, value in self.values.items()]
+        return [f"{mark}{name}{mark} = {with_unit(value, units[name])}" for name, value in self.values.items()]
 
 
 @final
@@ -154,7 +148,7 @@ class Tuned:
     @cached_property
     def notices(self) -> tuple[str, ...]:
         """What a user should know before using the values."""
-        return tuple(_notices(self))
+        return tuple(notices(self))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -193,7 +187,7 @@ class Tuned:
                 old.unlink()
             (self.folder / FIGURES).mkdir(exist_ok=True)
         for each in self.front:
-            _save(each.graph, self.folder / f"{each.label}.yaml")
+            write_graph(each.graph, self.folder / f"{each.label}.yaml")
         figures = figures_of(self)
         for name, figure in figures.items():
             for file, content in files_of(figure, name, self.tuning.study.name).items():
@@ -314,66 +308,6 @@ def _of(candidate: Study, family: Study) -> Study:
     return family.on(candidate.bases)
 
 
-def _notices(found: Tuned) -> list[str]:
-    tuning, own, told = found.tuning, found.own, list[str]()
-    first = tuning.objectives[0]
-    study = tuning.study
-    duration = study.points[0].graph.duration
-    if not found.front:
-        said = ["no trial keeps to all limits: widen what is searched, or loosen a limit"]
-        return [*said, *([_NO_NOISE] if found.quiet else [])]
-    best = found.front[0]
-    if best.fresh and best.searched and best.fresh[0] > 1.1 * best.searched[0]:
-        now, then = first.shown(best.fresh[0]), first.shown(best.searched[0])
-        told.append(f"on fresh plants {first.text} is {now}, in the search {then}: more runs a trial would tell more")
-    if best.longer:
-        long, then = plain(LONGER * duration, "s"), first.shown(best.longer[0])
-        if own is not None and own.longer and own.longer[0] < best.longer[0]:
-            now = f"{first.text} is {then}" if math.isfinite(best.longer[0]) else "runs diverge"
-            told.append(
-                f"the horizon misleads: over {long} {now}, and with the graph's own values {first.text} is "
-                f"{first.shown(own.longer[0])}; tune over longer runs, set: {{duration: {long}}}"
-            )
-    lost = [each.label for each in found.front if each.longer and not all(map(math.isfinite, each.longer))]
-    if lost:
-        told.append(
-            f"{listed(lost)}: over {plain(LONGER * duration, 's')} runs diverge that did not over "
-            f"{plain(duration, 's')}; tune over longer runs"
-        )
-    told += [f"{each.label}: {text}; tune over more plants" for each in found.front for text in each.broken]
-    shaky = [each for each in found.front if each.unstable]
-    if shaky:
-        clock = plain(shaky[0].graph.clock or 0.0, "s")
-        told.append(
-            f"{listed([each.label for each in shaky])}: with the estimates at their true values the loop is unstable "
-            f"near its set-point on its clock, linearised; add subject_to: stable period >= {clock}"
-        )
-    for name, value in best.values.items():
-        spread = tuning.columns[name].spread
-        end = None if spread is None else near_end(value, spread)
-        if end is not None:
-            unit = tuning.columns[name].unit
-            told.append(f"{name} = {_number(value, unit)} lies at an end of what was searched, {end:g}; look beyond it")
-    if best.proof is not None and not best.proof.proved:
-        told.append(f"the best values are not proved: {best.proof.reason}")
-    if found.quiet:
-        told.append(_NO_NOISE)
-    return told
-
-
-def near_end(value: float, spread: Spread) -> float | None:
-    """The end of what was searched that a value lies at, as far as a search of some hundred trials can tell."""
-    low, high, at = spread.lower, spread.upper, value
-    if spread.kind == "log":
-        low, high, at = math.log(low), math.log(high), math.log(at)
-    share = (at - low) / (high - low)
-    return spread.lower if share <= CLOSE else spread.upper if share >= 1 - CLOSE else None
-
-
-def _number(value: float, unit: str) -> str:
-    return f"{value:g} {unit}".rstrip()
-
-
 def _figures(tuning: Tuning, each: Chosen) -> list[str]:
     parts = {"in the search": each.searched, "on fresh plants": each.fresh, f"{LONGER:g} times as long": each.longer}
     lines = list[str]()
@@ -401,16 +335,4 @@ def _plain(each: Chosen, names: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _save(graph: Graph, path: Path) -> None:
-    """Write a graph, and beside it the files that it names."""
-    from dmframe.results.resolved import companions
-
-    write_text(path, graph.text)
-    for name, source in companions(graph.experiment).items():
-        target = path.with_name(name)
-        if source.resolve() != target.resolve():
-            with writing(target):
-                shutil.copyfile(source, target)
-
-
-__all__ = ["Chosen", "Tuned", "tuned_of"]
+__all__ = ["CLOSE", "LONGER", "Chosen", "Tuned", "near_end", "tuned_of"]

@@ -154,6 +154,46 @@ def test_a_stiff_run_goes_in_lanes_by_the_linearly_implicit_method() -> None:
     assert furthest(found, whole) < 1e-9
 
 
+UNLIKE = {"servo.K_D": np.array([80, 8000, 800, 2400, 4000, 6000, 500, 1000, 3000, 90, 5000.0])}
+"""Servos from one step of rk4 a millisecond to seven."""
+
+
+@needs_compiler
+def test_runs_of_unlike_stiffness_fill_the_lanes_each_with_the_steps_that_it_takes_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    groups, start = list[list[int]](), dmframe.batch.lanes.Lanes.start
+
+    def noted(lanes: Any, states: Any, p: Any, substeps: Any) -> Any:
+        groups.append(list(substeps))
+        return start(lanes, states, p, substeps)
+
+    made, whole = (batch("ur10_fast", 0.2, engine, Wanted(("arm.q",))) for engine in ("compiled", "interpreted"))
+    made.measure({"servo.K_D": UNLIKE["servo.K_D"][:1]})  # so that the library's own trial is over
+    monkeypatch.setattr(dmframe.batch.lanes.Lanes, "start", noted)
+    found = made.measure(UNLIKE)
+    monkeypatch.undo()
+    runs, width = UNLIKE["servo.K_D"], int(found.engine.removeprefix("lanes of "))
+    steps = [step for group in groups for step in group]
+    assert len(groups) == -(-runs.size // width), "a lane was left empty"
+    assert steps == sorted(steps, reverse=True)
+    assert len(set(steps)) > 4
+    assert furthest(found, whole.measure(UNLIKE)) < 1e-9
+    for k in (0, 1, 4):
+        one = made.measure({"servo.K_D": runs[k : k + 1]})
+        for part in PARTS:
+            mine, alone = (getattr(each.signals["arm.q"], part) for each in (found, one))
+            np.testing.assert_array_equal(mine[k], alone[0])
+
+    def wrong(lanes: Any, states: Any, p: Any, substeps: Any) -> Any:
+        return start(lanes, states, p, np.full_like(substeps, min(steps)))
+
+    monkeypatch.setattr(dmframe.batch.lanes.Lanes, "start", wrong)
+    spoilt = made.measure(UNLIKE).signals["arm.q"].last
+    missed = ~(np.abs(spoilt - found.signals["arm.q"].last) < 1e-9).all(axis=1)
+    assert missed[runs > 2000].all(), "steps of another run would pass unseen"
+
+
 @needs_compiler
 def test_blocks_of_runs_and_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
     columns = spread(21, servo__K_D=(600, 900))

@@ -68,6 +68,14 @@ def test_an_override_goes_before_the_file() -> None:
     assert load_experiment("pendulum").data["blocks"]["task"]["alpha_bar"] == 2
 
 
+def test_a_robot_asked_for_in_the_same_words_is_not_read_again() -> None:
+    graph = load_experiment("ur10_fast")
+    assert graph.changed({"dynamics.Gamma": 3}).robot is graph.robot
+    other = graph.changed({"robot.friction_velocity": "1 mrad/s"})
+    assert other.robot is not graph.robot
+    assert other.robot.friction_velocity == 0.001
+
+
 def test_the_last_override_of_a_value_holds() -> None:
     assert load_experiment("pendulum", ["task.alpha_bar=3", "task.alpha_bar=4"]).blocks["task"].alpha_bar == 4.0  # type: ignore[attr-defined]
 

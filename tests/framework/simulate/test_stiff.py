@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
 from dmframe.diagram import Diagram
+from dmframe.errors import ValueFault
 from dmframe.parameter import Real, Scalar
 from dmframe.port import TIME, Access, Port, Side, State
 from dmframe.simulate import Log, Recording, Solver, simulate, simulate_many
@@ -249,6 +250,22 @@ def test_a_step_whose_system_has_lost_its_digits_ends_the_run_instead_of_passing
     assert "plant.y[0] is no longer finite at t = 0.01 s" in str(run.divergence)
     sound = ran(Singular(speed=0.01), 0.1, [1, 1], 0.009, 0.01)
     assert sound.divergence is None
+
+
+def test_a_smaller_share_of_the_stable_step_is_a_smaller_error() -> None:
+    graph = load_experiment("ur10_fast", ["servo.K_D=[2400, 2400, 1200]", "arm.viscous=0", "arm.coulomb=0"])
+    diagram = graph.diagram()
+
+    def run(solver: Solver) -> Recording:
+        return simulate(diagram, 0.4, clock=0.002, solver=solver, start=graph.start)
+
+    exact, plain, half = run(Solver(step=1e-4)), run(Solver()), run(Solver(share=0.5))
+    assert (plain.solver.step, half.solver.step) == (1e-3, pytest.approx(0.5 / 0.8 * 1e-3, rel=0.2))
+    wrong, less = (float(np.max(np.abs(each["arm.q"] - exact["arm.q"]))) for each in (plain, half))
+    assert less < wrong / 5
+    for share in (0.0, 1.5, float("nan")):
+        with pytest.raises(ValueFault, match="share: expected a number above 0, at most 1"):
+            Solver(share=share)
 
 
 def test_a_plant_of_which_too_much_is_left_out_is_told_and_not_chosen() -> None:

@@ -206,6 +206,22 @@ grid:
     assert len(set(together["rms_final"])) == 22
 
 
+def test_points_of_unlike_stiffness_run_together_as_each_of_them_alone(study: Make) -> None:
+    found = study("""\
+set: {duration: 0.2 s, solver.share: 0.5}
+grid:
+  servo: {scale: [1, 30, 3, 10, 0.3], of: [servo.K_P, servo.K_I]}
+  dynamics.Gamma: [1, 10]
+""")
+    rows, steps = found.band(0, 10, 0, 1), set[float]()
+    for run in range(10):
+        alone = found.graph_of(run).run(engine="compiled")
+        steps.add(alone.recording.solver.step or 0.0)
+        assert alone.error is not None
+        assert rows["rms_final"][run] == pytest.approx(alone.error.rms_final, rel=1e-12)
+    assert len(steps) > 2
+
+
 def test_a_signal_that_no_closed_loop_has_is_told_with_a_grid_too(study: Make) -> None:
     asked = "measure: {signals: [servo.nope, error], limits: {servo.u: 1 V, servo.v: 1}}"
     for grid in ("", "grid: {dynamics.Gamma: [1, 10]}\n"):

@@ -9,46 +9,17 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import final
 
 import pytest
 from stand_in_study import StandIn
 from study_processes import environment, frame, written
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.study import computed, execute, lock
+from dmframe.study import computed, lock
 from dmframe.study.chunks import Chunk
-from dmframe.study.computed import Computed, Failed, compute
+from dmframe.study.computed import Computed, compute
 from dmframe.study.execute import run_study
 from dmframe.study.store import opened
-
-
-@final
-class Here:
-    """Workers in this process: what is tested is what the folder asks of them."""
-
-    count = 1
-
-    def __init__(self, study: StandIn, _: int | None) -> None:
-        self._study, self._waiting = study, list[Chunk]()
-
-    def submit(self, chunk: Chunk) -> None:
-        self._waiting.append(chunk)
-
-    def ended(self, timeout: float) -> tuple[Chunk, Computed | Failed] | None:
-        chunk = self._waiting.pop()
-        return chunk, compute(self._study, chunk)
-
-    def __enter__(self) -> Here:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-
-@pytest.fixture
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(execute, "Pool", Here)
 
 
 @pytest.fixture
