@@ -27,9 +27,10 @@ from dmframe.certify.checked import Checked, Numbers, decided, lower
 from dmframe.certify.claim import Claim, Field
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
+from dmframe.certify.smoothness import HORIZON, SAMPLES
 from dmframe.certify.starts import ZERO, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
-from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
 from dmframe.errors import ValueFault
 from dmframe.exact import ZeroDivision, zero_test
@@ -87,9 +88,28 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
     if room.numel():
         shown = INSIDE[projection.kind].format("true value")
         yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False, margin=room)
-    if rest:
-        at = sorted({row % truth.shape[0] for row in rest})
-        yield Assumption(f"{text}{_at(projection, at)}: where the plant starts decides it", SOURCE)
+    room = projection.set.room(truth)
+    loop = numbers.claim.loop
+    handed = {
+        row: path for row in rest if symbols_in([path := loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])
+    }
+    for rows, says in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
+        if rows:
+            at = sorted({row % truth.shape[0] for row in rows})
+            yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
+    if handed:
+        yield from _outside(text, ca.vertcat(*handed.values()), loop)
+
+
+def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
+    """That what a source hands out, such as a load, is seen outside of the set; at instants alone."""
+    function = ca.Function("room", [loop.time, loop.p], [room])
+    times = np.linspace(0.0, HORIZON, SAMPLES)
+    found = np.min(function(times[None, :], loop.p_values).full(), axis=0)
+    least = int(np.argmin(found))
+    if found[least] < -ROUNDING:
+        where = f"{text} at t = {times[least]:.6g} s"
+        yield Checked(where, "as a source has it then", float(found[least]), False, SOURCE, "sampled", strict=False)
 
 
 def _decidable(room: SX, numbers: Numbers) -> tuple[SX, list[int]]:

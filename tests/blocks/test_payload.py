@@ -155,6 +155,14 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assert "model (payload_regressor) knows exactly" in assumed
 
 
+def test_a_load_that_the_box_of_its_estimate_does_not_hold_is_told() -> None:
+    graph = dm.load(SMALL).set({"dynamics.a_d_hat_box": [[0, -1, -1, -1, 0, -1, -1, 0, -1, 0, 0, 0], 1.5]})
+    within, beyond = (graph.set({"load.mass": [mass, 0]}).verify() for mass in (1.4, 1.6))
+    assert within.outcome == "proved"
+    assert beyond.outcome == "not_applicable"
+    assert "dynamics.a_d_hat: true value inside the box at t = 0.2 s" in str(beyond.reason)
+
+
 def test_a_robot_of_one_joint_takes_up_a_load_too() -> None:
     text = SMALL
     for old, new in {"arm2": "pendulum", "0.5, 0.9": "0.5", "1, 2": "1", "[60, 30]": "60", "[240, 120]": "240"}.items():
