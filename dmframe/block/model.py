@@ -78,7 +78,10 @@ class BlockModel:
 
 def symbols_in(expressions: Iterable[SX]) -> set[int]:
     """Identities of the scalar symbols on which expressions depend."""
-    return {symbol.element_hash() for symbol in ca.symvar(ca.veccat(ca.SX(0, 1), *expressions))}
+    given = list(expressions)
+    alone = len(given) == 1 and isinstance(given[0], ca.SX)  # as most are: a copy takes as long as the rest
+    column = given[0] if alone else ca.veccat(ca.SX(0, 1), *given)
+    return {symbol.element_hash() for symbol in ca.symvar(column)}
 
 
 def same_expression(one: SX, other: SX) -> bool:

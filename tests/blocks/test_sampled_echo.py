@@ -29,7 +29,8 @@ def told(name: str = "ur10_slow_sampled", block: str = "inverse", echo: str = "s
 
 
 def test_where_commands_arrive_as_they_were_sent_an_echo_changes_nothing() -> None:
-    runs = [told(echo=echo).run("6 s", progress=False, engine="interpreted") for echo in ("", "servo.q_c", "arm.q")]
+    graphs = [told(echo=echo).set({"inverse.replay": 2}) for echo in ("", "servo.q_c", "arm.q")]
+    runs = [graph.run("6 s", progress=False, engine="interpreted") for graph in graphs]
     poses = [run.recording["arm.q"] for run in runs]
     np.testing.assert_allclose(poses[1], poses[0], atol=1e-10)
     assert np.max(np.abs(poses[2] - poses[0])) > 1e-4  # what is not the target is found out

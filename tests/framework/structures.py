@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from functools import cache
+from typing import Any
+
 from dmframe.catalogue import graphs
 from dmframe.config.document import read_file
+
+
+@cache
+def packaged() -> dict[str, dict[str, Any]]:
+    """The data of every packaged graph; a small robot's first."""
+    return {name: read_file(graphs()[name]).data for name in sorted(graphs(), key=lambda name: ("_full" in name, name))}
 
 
 def structures() -> list[str]:
     """One graph of each structure: the blocks, which parameters each is given, and the wires; a small robot's first."""
     found = dict[str, str]()
-    for name in sorted(graphs(), key=lambda name: ("_full" in name, name)):
-        data = read_file(graphs()[name]).data
+    for name, data in packaged().items():
         blocks = sorted((block, entry["type"], sorted(entry)) for block, entry in data["blocks"].items())
         found.setdefault(f"{blocks}, {data.get('wires')}", name)
     return list(found.values())
@@ -18,11 +26,10 @@ def structures() -> list[str]:
 
 def every_block() -> list[str]:
     """Few graphs that hold every packaged graph's blocks between them, one of a redundant robot of 7 joints."""
-    kinds = {name: {entry["type"] for entry in read_file(graphs()[name]).data["blocks"].values()} for name in graphs()}
-    names = sorted(kinds, key=lambda name: ("_full" in name, name))
+    kinds = {name: {entry["type"] for entry in data["blocks"].values()} for name, data in packaged().items()}
     found, left = ["panda_full"], set[str]().union(*kinds.values()) - kinds["panda_full"]
     while left:
-        most = max(names, key=lambda name: len(kinds[name] & left))
+        most = max(kinds, key=lambda name: len(kinds[name] & left))
         found.append(most)
         left -= kinds[most]
     return found

@@ -28,7 +28,7 @@ def root(K_D: float, K_P: float, K_I: float, B: float, K: float) -> float:
     return float(max(np.roots([K_D + B / K, K_P, -K_I]).real))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(pair, pair, pair, pair, pair)
 def test_it_is_the_largest_root_over_the_corners_rounded_up_in_the_last_digit(
     K_D: Any, K_P: Any, K_I: Any, B: Any, K: Any
@@ -39,7 +39,7 @@ def test_it_is_the_largest_root_over_the_corners_rounded_up_in_the_last_digit(
     assert expected * (1 - 1e-9) <= float(found) <= expected * (1 + 1e-9) + unit * 1.001
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(pair, pair, pair, pair, pair, st.randoms(use_true_random=False))
 def test_no_gains_inside_their_intervals_need_more(K_D: Any, K_P: Any, K_I: Any, B: Any, K: Any, random: Any) -> None:
     found = float(least_K_c(K_D, K_P, K_I, B=B, K=K))
@@ -48,7 +48,7 @@ def test_no_gains_inside_their_intervals_need_more(K_D: Any, K_P: Any, K_I: Any,
         assert root(*inside) <= found * (1 + 1e-9)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(pair, pair, pair)
 def test_one_unit_less_in_the_last_digit_is_too_small_exactly(K_D: Any, K_P: Any, K_I: Any) -> None:
     def M_bar(k: Fraction) -> Fraction:
@@ -72,7 +72,7 @@ def test_the_other_end_of_any_interval_would_be_too_small(wrong: str) -> None:
     assert least_K_c(**other, digits=9) < found  # type: ignore[arg-type] - as above
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(gain, st.floats(1, 1e3), st.floats(1, 1e3))
 def test_the_golden_ratio_is_enough_where_the_integral_gain_is_the_least(K_I: float, p: float, d: float) -> None:
     golden = (math.sqrt(5) - 1) / 2

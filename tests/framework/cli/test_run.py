@@ -31,6 +31,11 @@ def strict(text: str) -> Any:
     return json.loads(text, parse_constant=refuse)
 
 
+def names_of(figure: object, name: str, about: str, formats: Sequence[str]) -> dict[str, bytes]:
+    """The files of a figure where names alone are looked at."""
+    return {f"{name}.{ending}": b"" for ending in formats}
+
+
 def test_a_run_prints_a_table_and_writes_a_folder(dmframe: Any, tmp_path: Path) -> None:
     said = dmframe("run", "arm2_joint", *SHORT, "--out", "mine")
     assert (said.status, said.err) == (0, "")
@@ -110,10 +115,13 @@ def test_the_resolved_graph_gives_the_same_run(dmframe: Any) -> None:
     assert again["error"] == first["error"]
 
 
-def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path) -> None:
+def test_figures_are_drawn_unless_told_otherwise(dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
+        monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     assert dmframe("run", "pendulum", "--until", "0.5", "--out", "mine").status == 0
     names = {path.name for path in tmp_path.joinpath("mine").iterdir()}
     assert {"error.svg", "commands.svg"} <= names
+    monkeypatch.setattr("dmframe.results.figures.files_of", names_of)
     assert dmframe("run", "pendulum", "--until", "0.5", "--figures", "png,pdf", "--out", "other").status == 0
     names = {path.name for path in tmp_path.joinpath("other").iterdir() if path.suffix not in FILES_END}
     assert names == {f"{name}.{ending}" for name in (*FIGURES, *OF_EACH) for ending in ("png", "pdf")}
@@ -282,10 +290,7 @@ def test_results_go_where_they_were_told_whatever_is_there(dmframe: Any, tmp_pat
 def test_graphs_of_any_name_lie_beside_their_figures(
     dmframe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def files_of(figure: object, name: str, about: str, formats: Sequence[str]) -> dict[str, bytes]:
-        return {f"{name}.{ending}": b"" for ending in formats}  # names alone are looked at
-
-    monkeypatch.setattr("dmframe.results.figures.files_of", files_of)
+    monkeypatch.setattr("dmframe.results.figures.files_of", names_of)
     for module in ("dmframe.plotting", "dmframe.results.estimate_figure"):
         monkeypatch.setattr(f"{module}.settle", lambda figure: None)
     names = ("error.png.yaml", "..yaml", "new\nline.yaml", "Error_PNG.yaml")

@@ -81,7 +81,7 @@ def outside(low: float, high: float, x: float) -> list[str]:
         ]
 
 
-@settings(max_examples=500)
+@settings(max_examples=200)
 @given(angles, st.floats(0, 8), shares)
 def test_sine_and_cosine_enclose_every_value(low: float, width: float, share: float) -> None:
     assert outside(low, low + width, between(low, low + width, share)) == []

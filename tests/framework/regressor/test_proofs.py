@@ -65,7 +65,7 @@ def urdf(kinds: list[str], seed: int) -> str:
     return "".join([*parts, "</robot>"])
 
 
-@settings(max_examples=12, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=6, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.sampled_from(["revolute", "prismatic"]), min_size=1, max_size=6), st.integers(0, 2**31))
 def test_every_property_is_proved_for_random_urdf_chains(kinds: list[str], seed: int) -> None:
     chain = SerialChain.from_model(pin.buildModelFromXML(urdf(kinds, seed)), name="random")
