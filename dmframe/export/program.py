@@ -18,7 +18,7 @@ from dmframe.errors import EngineError, OutputError
 from dmframe.files import told_apart
 from dmframe.port import Side
 from dmframe.robot.symbolic import SymbolicRobot
-from dmframe.runtime.controller import control_function, path_function, start_function
+from dmframe.runtime.controller import control_function, path_function, path_leaves, start_function
 
 _WORDS: Final = frozenset(
     "auto bool break case char const continue default do double else enum extern float for goto if inline int long "
@@ -144,9 +144,7 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         commanded=members((leaf.name, leaf.symbol, units[leaf.name]) for leaf in loop.commanded),
         states=members((variable.label, variable.symbol, variable.unit) for variable in loop.controller),
         parameters=members((item.label, item.symbol, item.unit, item.value.ravel(order="F").tolist()) for item in kept),
-        path=members(
-            (leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in (*loop.trajectories, *loop.ahead)
-        ),
+        path=members((leaf.name, leaf.symbol, _path_unit(leaf.name, units)) for leaf in path_leaves(diagram)),
         control=ca.Function("control", [*inputs, p], list(told)),
         follow=ca.Function("follow", [*inputs, p, path], list(follow(*inputs, loop.p, path))),
         own_path=ca.Function("own_path", [*inputs[2:], p], [own_path(*inputs[2:], loop.p)]),

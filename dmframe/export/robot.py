@@ -11,7 +11,7 @@ from dmframe.block.model import symbols_in
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError
+from dmframe.errors import EngineError, listed
 from dmframe.export.program import Member, identifier, members
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state
@@ -72,8 +72,14 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     shown = parts.outputs(loop.state, loop.w, loop.drawn, loop.period, loop.p)
     own, rest = symbols_in([x, commands, loop.p]), symbols_in([loop.state, loop.w, held, loop.period])
     for expression, allowed in ((rate, own), (shown, own - symbols_in([commands]))):
-        if (symbols_in([expression]) & rest) - allowed:
-            raise EngineError(f"{name}: what its robot does depends on more than its state and what it is commanded")
+        if unknown := (symbols_in([expression]) & rest) - allowed:
+            leaves = [(leaf.name, leaf.symbol) for leaf in loop.trajectories]
+            leaves += [(variable.label, variable.symbol) for variable in loop.variables]
+            names = [label for label, symbol in leaves if symbols_in([symbol]) & unknown]
+            raise EngineError(
+                f"{name}: expected a robot that moves by its state and its commands alone, found one that reads "
+                f"{listed(names or ['the time'])}; export the controller alone, with --c, or a robot without it"
+            )
     if any(
         projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])
         for projection in loop.projections
