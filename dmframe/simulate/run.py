@@ -26,7 +26,7 @@ from dmframe.simulate.rank import Rank, ranks, watched
 from dmframe.simulate.start import check_start, start_state
 from dmframe.simulate.step import FIXED, MOST_SUBSTEPS, Method, Solver, Step, build_step, substeps_of
 from dmframe.simulate.stiffness import EXPLICIT_TAKES, MOST_SLOPE, RK4_STEPS, RK4_TAKES, left_out, speed_of, stiffness
-from dmframe.simulate.told import between, exceptions, telling, too_fast
+from dmframe.simulate.told import between, exceptions, telling, too_fast, unread
 from dmframe.units import plain
 
 LATER = 1.5
@@ -294,6 +294,7 @@ class Prepared:
             engine=engine.name,
             notices=(
                 *([way] if way else []),
+                *unread(diagram),
                 *told,
                 *self.notices,
                 *self.keeping.notices,
@@ -394,13 +395,15 @@ def check_run(
 
 
 def moving_outputs(diagram: Diagram) -> list[Signal]:
-    """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
+    """Outputs worth keeping: columns that move or are told, that are no states, and whose rank is not watched."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
     leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
-    moving = stack([loop.time, loop.drawn, loop.state, *leaves])
+    moving, told = stack([loop.time, loop.drawn, loop.state, *leaves]), {signal.label for signal in telling(diagram)}
     return [
         signal
         for signal in loop.outputs
-        if signal.label not in others and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
+        if signal.label not in others
+        and signal.expression.is_column()
+        and (signal.label in told or ca.depends_on(signal.expression, moving))
     ]

@@ -30,6 +30,23 @@ def between(diagram: Diagram) -> str:
     return f"not ideal: {'; '.join(said)}" if said else ""
 
 
+def unread(diagram: Diagram) -> list[str]:
+    """A sentence on each block whose outputs nobody takes, though it may be that a wire was forgotten."""
+    free = dict[str, list[str]]()
+    for wire in diagram.unread:
+        free.setdefault(wire.block, []).append(wire.port)
+    return [
+        f"no block takes {listed([f'{block}.{port}' for port in ports])}, so that {_part(diagram, block, ports)} "
+        "changes nothing; a wire hands it on, or the graph goes without it"
+        for block, ports in free.items()
+    ]
+
+
+def _part(diagram: Diagram, block: str, ports: Sequence[str]) -> str:
+    whole = len(ports) == len(diagram.models[block].equations.outputs)
+    return f"{block} ({diagram.type_of(block)})" if whole else "it"
+
+
 def exceptions(
     diagram: Diagram, signals: Sequence[Signal], columns: Mapping[str, np.ndarray], times: np.ndarray
 ) -> list[str]:
