@@ -320,7 +320,7 @@ class Leak(AbstractBlock):
         return Equations(rates={"h": -1 - x.h**1.5})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> dict[str, Any]:
-        return {"h": 1.0}
+        return {"h": 0.5}
 
 
 def test_a_diagram_without_a_servo_or_a_goal_is_told() -> None:
