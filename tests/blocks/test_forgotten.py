@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.catalogue import find_block
+from dmframe.cli import _unexpected
 from dmframe.errors import DmframeError
 
 ARM = {
@@ -146,3 +148,17 @@ def test_a_robot_that_moves_by_more_than_its_commands_says_by_what(
 ) -> None:
     with pytest.raises(DmframeError, match=rf"its commands alone, found one that reads {reads};"):
         graph(change).export(tmp_path / "out", "fmi3")
+
+
+def test_an_export_on_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("dmframe.files._replace", full)
+    with pytest.raises(DmframeError, match="cannot be written: no space left on device; free some space"):
+        graph().export(tmp_path / "out", "c")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_fault_of_a_full_disk_that_nobody_tells_is_no_defect() -> None:
+    assert _unexpected(OSError(errno.EFBIG, "File too large")).startswith("a file cannot be written: file too large; ")
