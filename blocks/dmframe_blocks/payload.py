@@ -65,7 +65,9 @@ class Payload(AbstractBlock):
             xx, xy, yy, xz, yz, zz = row
             second = (xx + yy + zz) / 2 * np.eye(3) - np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             if mass < 0 or np.linalg.eigvalsh(second)[0] < -1e-12 or (mass == 0 and any(row)):
-                raise ValueError(f"expected rigid bodies, found mass {mass:g} with inertia {list(row)}")
+                found = f"found mass {mass:g} with inertia {list(row)}"
+                why = "no principal moment is more than the sum of the other two, and without mass there is none"
+                raise ValueError(f"expected rigid bodies, {found}; a mass is 0 or above, {why}")
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

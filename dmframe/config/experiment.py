@@ -354,7 +354,7 @@ def _made(document: Document, path: Path, find: Find = find_block) -> Experiment
         faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
     blocks = blocks_of("blocks", data.get("blocks"), path.parent, faults, find)
-    check_baseline(data.get("baseline"), blocks, path.parent, faults, find)
+    check_baseline(data.get("baseline"), data.get("blocks"), path.parent, faults, find)
     robot = robot_of(data.get("robot"), path.parent, faults)
     if isinstance(data.get("robot"), str):
         faults = [at_name(fault) for fault in faults]

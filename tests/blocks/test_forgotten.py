@@ -15,7 +15,7 @@ from dmframe.catalogue import find_block
 from dmframe.cli import _unexpected
 from dmframe.errors import DmframeError
 
-ARM = {
+ARM: dict[str, Any] = {
     "dmframe": 1,
     "robot": "arm2",
     "clock": "8 ms",
@@ -162,3 +162,12 @@ def test_an_export_on_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: py
 
 def test_a_fault_of_a_full_disk_that_nobody_tells_is_no_defect() -> None:
     assert _unexpected(OSError(errno.EFBIG, "File too large")).startswith("a file cannot be written: file too large; ")
+
+
+def test_a_block_with_a_wrong_number_is_not_told_as_one_that_there_is_not() -> None:
+    baseline = {"geometry": None, "other": None}
+    with pytest.raises(DmframeError) as caught:
+        dm.load(ARM | {"blocks": ARM["blocks"] | {"geometry": {"type": "kinematics", "x": 1}}, "baseline": baseline})
+    texts = [str(fault) for fault in caught.value.faults]
+    assert any("blocks.geometry.x: unknown parameter" in text for text in texts)
+    assert [text for text in texts if "unknown block" in text] == [text for text in texts if "baseline.other" in text]
