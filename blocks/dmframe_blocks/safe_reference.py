@@ -79,7 +79,7 @@ class SafeReference(AbstractBlock):
     outputs: ClassVar[tuple[Port, ...]] = (
         Port("dq_r", "n", "rad/s"),
         Port("outside", "n", "rad", told="a joint is beyond the limits that are to be kept"),
-        Port("lacking", "n", "rad", told="the margins leave no room between the limits that are to be kept"),
+        Port("overlap", "n", "rad", told="the margins leave no room between the limits that are to be kept"),
     )
 
     approach: Diagonal = Positive("n", "1/s", default=3.0)
@@ -101,7 +101,7 @@ class SafeReference(AbstractBlock):
             outputs={
                 "dq_r": (v_low + v_up + above - below) / 2,
                 "outside": ca.fmax(ca.fmax(u.q - q_max, q_min - u.q), 0),
-                "lacking": ca.fmax(2 * p.margin + q_min - q_max, 0),
+                "overlap": ca.fmax(2 * p.margin + q_min - q_max, 0),
             }
         )
 
