@@ -13,7 +13,7 @@ from typing import Final
 
 from dmframe.errors import OutputError
 
-_FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
+FULL: Final = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC), errno.EFBIG)
 
 
 def encoded(text: str) -> bytes:
@@ -161,7 +161,7 @@ def writing(path: str | Path, kind: str = "file") -> Iterator[None]:
     except OSError as error:
         thing = "file" if kind == "file" else "folder"
         hint = f"name another {thing}"
-        if error.errno in _FULL:
+        if error.errno in FULL:
             hint = f"free some space, or name a {thing} on another disk"
         elif error.errno == errno.ENAMETOOLONG:
             hint = "name a shorter one"

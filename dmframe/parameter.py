@@ -120,6 +120,11 @@ def read(value: Any, spec: Spec) -> Any:
     wanted = {"diagonal": (0, 1) if spec.shape else (0,), "vector": (1,), "table": (2,)}[spec.form]
     if depth not in wanted:
         raise ValueError(f"expected {_form(spec)}, found {_shown(value)}")
+    last = spec.shape.split()[-1] if spec.shape else ""
+    row = numbers[0] if depth == 2 else numbers
+    if last.isdecimal() and depth and len(row) != int(last):  # a size that no graph binds, and blocks may count on
+        rows = "rows of " if depth == 2 else ""
+        raise ValueError(f"expected {rows}{last} numbers{_in(spec)}, found {len(row)} in {_shown(value)}")
     return numbers
 
 
@@ -196,7 +201,7 @@ def _depth(value: Any) -> int:
 
 
 def _form(spec: Spec) -> str:
-    unit = f" in {spec.unit}" if spec.unit else ""
+    unit = _in(spec)
     if spec.form in PAIRS:
         return f"{PAIRS[spec.form]}{unit}"
     if spec.form == "table":
@@ -206,6 +211,10 @@ def _form(spec: Spec) -> str:
     if spec.form == "gain":
         return f"a number{unit}, a list of numbers, or the rows of a symmetric positive definite matrix"
     return f"a number{unit}" + (" or a list of numbers" if spec.shape else "")
+
+
+def _in(spec: Spec) -> str:
+    return f" in {spec.unit}" if spec.unit else ""
 
 
 def _shown(value: Any) -> str:

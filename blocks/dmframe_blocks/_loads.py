@@ -27,7 +27,9 @@ def check_bodies(at: Row, mass: Row, center: Sequence[Row] | None, inertia: Sequ
         xx, xy, yy, xz, yz, zz = row
         second = (xx + yy + zz) / 2 * np.eye(3) - np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if heavy < 0 or np.linalg.eigvalsh(second)[0] < -1e-12 or (heavy == 0 and any(row)):
-            raise ValueError(f"expected rigid bodies, found mass {heavy:g} with inertia {list(row)}")
+            found = f"found mass {heavy:g} with inertia {list(row)}"
+            why = "no principal moment is more than the sum of the other two, and without mass there is none"
+            raise ValueError(f"expected rigid bodies, {found}; a mass is 0 or above, {why}")
 
 
 def check_times(at: Row) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import ClassVar, final
 
 import casadi as ca
+from pydantic import model_validator
 
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import Certificate
 from dmframe.naming import named
 from dmframe.parameter import Positive, Real, Scalar, Vector
 from dmframe.port import Access, Port, Side
+from dmframe_blocks._directions import check_space
 
 
 @final
@@ -37,8 +39,8 @@ class Camera(AbstractBlock):
     position : (3,), m
         Of the pinhole, in the base's frame.
     right, down, ahead : (3,)
-        Along the rows and columns of the image, and into the scene, in the base's frame; `ahead` of length 1 makes the
-        depth one in metres.
+        Along the rows and columns of the image, and into the scene, in the base's frame; not in one plane. `ahead` of
+        length 1 makes the depth one in metres.
     depth_min : scalar, m, > 0
         A run tells where the tool comes nearer than this, or behind the camera.
 
@@ -65,6 +67,11 @@ class Camera(AbstractBlock):
     down: Vector = Real("3", spread=False)
     ahead: Vector = Real("3", spread=False)
     depth_min: Scalar = Positive("", "m", default=0.1)
+
+    @model_validator(mode="after")
+    def _sees_a_plane(self) -> Camera:
+        check_space(right=self.right, down=self.down, ahead=self.ahead)
+        return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""

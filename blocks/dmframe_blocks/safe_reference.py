@@ -76,7 +76,11 @@ class SafeReference(AbstractBlock):
 
     uses_robot: ClassVar[bool] = True
     inputs: ClassVar[tuple[Port, ...]] = (Port("q", "n", "rad"), Port("dq_wish", "n", "rad/s"))
-    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_r", "n", "rad/s"),)
+    outputs: ClassVar[tuple[Port, ...]] = (
+        Port("dq_r", "n", "rad/s"),
+        Port("outside", "n", "rad", told="a joint is beyond the limits that are to be kept"),
+        Port("overlap", "n", "rad", told="the margins leave no room between the limits that are to be kept"),
+    )
 
     approach: Diagonal = Positive("n", "1/s", default=3.0)
     margin: Diagonal = NonNegative("n", "rad", default=0.0)
@@ -93,7 +97,13 @@ class SafeReference(AbstractBlock):
         v_up = named("v_up", (v_max + r_up - p.rounding * root((v_max - r_up) / p.rounding)) / 2)
         v_low = named("v_low", (p.rounding * root((v_max - r_low) / p.rounding) - v_max - r_low) / 2)
         above, below = (p.rounding * root((u.dq_wish - end) / p.rounding) for end in (v_low, v_up))
-        return Equations(outputs={"dq_r": (v_low + v_up + above - below) / 2})
+        return Equations(
+            outputs={
+                "dq_r": (v_low + v_up + above - below) / 2,
+                "outside": ca.fmax(ca.fmax(u.q - q_max, q_min - u.q), 0),
+                "overlap": ca.fmax(2 * p.margin + q_min - q_max, 0),
+            }
+        )
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """Nothing is stored; what is wished is not what is followed."""

@@ -11,6 +11,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.naming import named
 from dmframe.parameter import Real, Scalar, Vector
 from dmframe.port import TIME, Port, Side
+from dmframe_blocks._directions import check_direction
 from dmframe_blocks._quaternions import about, quaternion, turned
 
 
@@ -55,8 +56,7 @@ class Turning(AbstractBlock):
 
     @model_validator(mode="after")
     def _an_axis(self) -> Turning:
-        if not any(self.axis):
-            raise ValueError(f"axis: expected a direction, found {list(self.axis)}")
+        check_direction("axis", self.axis)
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

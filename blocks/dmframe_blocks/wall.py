@@ -13,6 +13,7 @@ from dmframe.naming import named, operation
 from dmframe.parameter import NonNegative, Positive, Real, Scalar, Vector
 from dmframe.port import Access, Port, Side
 from dmframe.terms import norm
+from dmframe_blocks._directions import check_direction
 
 
 @final
@@ -71,8 +72,7 @@ class Wall(AbstractBlock):
 
     @model_validator(mode="after")
     def _some_direction(self) -> Wall:
-        if not any(self.normal):
-            raise ValueError(f"expected a normal that says a direction, found {list(self.normal)}")
+        check_direction("normal", self.normal)
         return self
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

@@ -92,26 +92,28 @@ def equilibrium(
     field = rates(loop)
     slope = field.jacobian()
     p = loop.p_values
+    computable(loop, "set-point", field(x, p, T).full())
+    computable(loop, "set-point", slope(x, p, T, 0)[0].full())
     for _ in range(_STEPS):
-        rate = field(x, p, T).full().ravel()
-        if not np.all(np.isfinite(rate)):
+        rate, now = field(x, p, T).full().ravel(), slope(x, p, T, 0)[0].full()
+        if not (_moderate(rate) and _moderate(now)):
             break
         if at_rest(rate, x, 1e-3):
             return x
-        now = computable(loop, "set-point", slope(x, p, T, 0)[0].full())
         if len(x) > LARGE:
             step = _shortest(now[:, free], -rate)
         else:
             step = lstsq(now[:, free], -rate, cond=1e-12, lapack_driver="gelsd")[0]
         x[free] += step * min(1.0, 1.0 / max(float(np.max(np.abs(step), initial=0.0)), 1e-300))
-    computable(loop, "set-point", rate)
     worst = int(np.argmax(np.abs(np.nan_to_num(rate, nan=np.inf))))
     if at_rest(rate[worst], x):
         return x
+    moves = f"{labels[worst]} still moves at {rate[worst]:.3g} a {_unit(loop, worst)}"
+    if not (_moderate(rate) and _moderate(now)):
+        moves = f"the search for one leads to where the rate of {labels[worst]}, or its slope, overflows"
     raise EngineError(
-        f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {labels[worst]} "
-        f"still moves at {rate[worst]:.3g} a {_unit(loop, worst)}; give estimates with which the loop can rest, or "
-        "another start"
+        f"set-point: expected an equilibrium of the loop with its trajectories frozen, found none; {moves}; "
+        "give estimates with which the loop can rest, or another start"
     )
 
 
@@ -147,7 +149,7 @@ def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
 
     Raises `EngineError` where they overflow, with the parameters that are far from 1.
     """
-    if np.max(np.abs(numbers), initial=0.0) < MOST:  # not so of nan
+    if _moderate(numbers):
         return numbers
     far = [
         f"{parameter.label} = {value:g}"
@@ -157,6 +159,10 @@ def computable(loop: ClosedLoop, where: str, numbers: np.ndarray) -> np.ndarray:
     ]
     cause = f", with {', '.join(far)}" if far else ""
     raise EngineError(f"{where}: the rates of the loop overflow{cause}; take numbers nearer to 1")
+
+
+def _moderate(numbers: np.ndarray) -> bool:
+    return bool(np.max(np.abs(numbers), initial=0.0) < MOST)  # not so of nan
 
 
 def _distance(values: np.ndarray) -> np.ndarray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from threading import RLock
 from typing import Any, Final, final
 
 import casadi as ca
@@ -17,11 +16,12 @@ from dmframe.block.sizes import Sizes
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.certificate import SX
 from dmframe.errors import BlockError, nearest
+from dmframe.interrupts import Insistent
 from dmframe.linalg import Inverted, inverting, nodes
 from dmframe.parameter import specs
 from dmframe.port import Adapted, Port, Side, State
 
-SYMBOLIC: Final = RLock()
+SYMBOLIC: Final = Insistent()
 """Held where expressions are made or read: CasADi counts their owners without regard to threads."""
 
 

@@ -8,6 +8,7 @@ import traceback
 
 from dmframe.cli.signals import stoppable
 from dmframe.cli.streams import OutputGone, drop_output, prepare
+from dmframe.files import FULL
 
 FAULT = 2
 STOPPED = 130
@@ -74,6 +75,9 @@ def _unexpected(error: BaseException) -> str:
     """What no class of `dmframe.errors` tells: a file that cannot be read, or a defect, with its line."""
     if isinstance(error, OSError) and isinstance(error.filename, str | bytes):  # what is written is told by `writing`
         return f"{os.fsdecode(error.filename)}: cannot be read: {(error.strerror or str(error)).lower()}"
+    if isinstance(error, OSError) and error.errno in FULL:
+        why = (error.strerror or str(error)).lower()
+        return f"a file cannot be written: {why}; free some space, also where temporary files are kept"
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"  # noqa: PTH119 - pathlib may be what failed
     text = " ".join(str(error).split())

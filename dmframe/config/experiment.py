@@ -355,8 +355,7 @@ def _made(document: Document, path: Path, find: Find = find_block, like: Experim
         faults += [fault_of(detail) for detail in error.errors(include_url=False)]
         file = None
     blocks = blocks_of("blocks", data.get("blocks"), path.parent, faults, find)
-    named = data.get("blocks")
-    check_baseline(data.get("baseline"), named if isinstance(named, dict) else {}, path.parent, faults, find)
+    check_baseline(data.get("baseline"), data.get("blocks"), path.parent, faults, find)
     if like is not None and (like.data.get("robot"), like.document.name) == (data.get("robot"), document.name):
         robot = like.robot
     else:

@@ -18,9 +18,9 @@ from dmframe.units import to_unit
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 
-def check_baseline(section: Any, blocks: Mapping[str, Any], base: Path, faults: list[DmframeError], find: Find) -> None:
-    """Its blocks can be made, and what it leaves out is there: among the names of `blocks`, made or not."""
-    entries = section if isinstance(section, dict) else {}
+def check_baseline(section: Any, stated: Any, base: Path, faults: list[DmframeError], find: Find) -> None:
+    """Its blocks can be made, and what it leaves out is there, also where that is wrong; `stated` is ``blocks``."""
+    entries, blocks = (item if isinstance(item, dict) else {} for item in (section, stated))
     if entries:
         made = {name: spec for name, spec in entries.items() if spec is not None}
         blocks_of("baseline", made or None, base, faults, find)

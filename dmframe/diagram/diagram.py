@@ -15,7 +15,18 @@ from dmframe.diagram.closed_loop import ClosedLoop, Parameter
 from dmframe.diagram.fingerprint import fingerprint
 from dmframe.diagram.flatten import flatten
 from dmframe.diagram.resolve import Resolver
-from dmframe.diagram.wiring import End, Outputs, Source, Way, check_truths, check_wires, ways, wire_blocks
+from dmframe.diagram.wiring import (
+    End,
+    Outputs,
+    Source,
+    Way,
+    Wire,
+    check_truths,
+    check_wires,
+    unread,
+    ways,
+    wire_blocks,
+)
 from dmframe.errors import DmframeError, MissingError, SizeError, WiringError, raise_all
 from dmframe.port import Port
 
@@ -114,6 +125,11 @@ class Diagram:
     def ways(self) -> list[Way]:
         """The signals that do not pass unchanged between controller and robot, and what they pass through."""
         return ways(self.blocks, _produced(self.models), self.sources)
+
+    @cached_property
+    def unread(self) -> list[Wire]:
+        """The outputs that nobody takes, of sources, and of blocks that thereby do nothing."""
+        return unread(self.blocks, _produced(self.models), self.sources)
 
     def type_of(self, name: str) -> str:
         """The type of a block, as graph files write it."""

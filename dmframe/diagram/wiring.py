@@ -255,6 +255,23 @@ def _remedy(name: str, port: Port, outputs: Outputs, blocks: Mapping[str, Abstra
     return f"wire one of its shape and unit ({nearest(port.name, fitting)}), or {add}"
 
 
+def unread(blocks: Mapping[str, AbstractBlock], outputs: Outputs, sources: Mapping[End, Source]) -> list[Wire]:
+    """Outputs without which a graph would do the same: all of a block, or one of a source, that no block takes.
+
+    Blocks whose outputs are there to be shown or told are left out, and parts of the plant that move by themselves.
+    """
+    taken = {source for source in sources.values() if isinstance(source, Wire)}
+    found = list[Wire]()
+    for name, block in blocks.items():
+        moves = block.side is Side.PLANT and block.states
+        if moves or any(port.shown or port.told for port in block.outputs):
+            continue
+        free = [wire for wire in (Wire(name, port) for port in outputs[name]) if wire not in taken]
+        if block.side is Side.SOURCE or len(free) == len(outputs[name]):
+            found += free
+    return found
+
+
 def check_wires(
     blocks: Mapping[str, AbstractBlock],
     outputs: Outputs,

@@ -29,7 +29,7 @@ from dmframe.errors import OutputError
 from dmframe.export.c import functions_of, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
-from dmframe.files import expanded
+from dmframe.files import expanded, write_text
 from dmframe.results.folder import provenance
 from dmframe.results.resolved import resolved_text
 from dmframe.units import base_units
@@ -342,7 +342,7 @@ def _library(unit: Unit, source: str) -> bytes | None:
         return None
     with TemporaryDirectory(prefix="dmframe-") as folder:
         file, library = Path(folder, f"{unit.name}.c"), Path(folder, "unit.so")
-        file.write_text(source, encoding="utf-8")
+        write_text(file, source)
         try:
             compiler.build_plain([file], library, define="FMI_SHARED")
         except (OSError, CompileFailed):

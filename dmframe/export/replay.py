@@ -16,6 +16,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
 from dmframe.export.program import Program
+from dmframe.files import write_text
 from dmframe.runtime.controller import Controller
 from dmframe.simulate import Log, simulate
 
@@ -75,7 +76,7 @@ def computed_by_c(program: Program, texts: Mapping[str, str], samples: Samples) 
     with TemporaryDirectory(prefix="dmframe-") as folder:
         place = Path(folder)
         for name, text in texts.items():
-            (place / name).write_text(text, encoding="utf-8")
+            write_text(place / name, text)
         library = place / "replay.so"
         try:
             compiler.build_plain([place / f"{program.name}.c", place / "replay.c"], library, define="DM_NO_MAIN")

@@ -73,12 +73,13 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     shown = parts.outputs(loop.state, loop.w, loop.drawn, loop.period, loop.p)
     own, rest = symbols_in([x, commands, loop.p]), symbols_in([loop.state, loop.w, held, loop.period])
     for expression, allowed in ((rate, own), (shown, own - symbols_in([commands]))):
-        if (symbols_in([expression]) & rest) - allowed:
-            moved = [leaf.name for leaf in loop.trajectories if ca.depends_on(expression, ca.vec(leaf.symbol))]
-            found = listed(moved) or "the time or a state of the controller"
+        if unknown := (symbols_in([expression]) & rest) - allowed:
+            leaves = [(leaf.name, leaf.symbol) for leaf in loop.trajectories]
+            leaves += [(variable.label, variable.symbol) for variable in loop.variables]
+            names = [label for label, symbol in leaves if symbols_in([symbol]) & unknown]
             raise EngineError(
-                f"{name}: expected a robot whose motion follows from its state and what it is commanded, "
-                f"found one that reads {found} too; export it without that, or the controller alone with --c"
+                f"{name}: expected a robot that moves by its state and its commands alone, found one that reads "
+                f"{listed(names or ['the time'])}; export the controller alone, with --c, or a robot without it"
             )
     if any(
         projection.state.is_dense() and symbols_in([projection.state]) & symbols_in([x])

@@ -45,8 +45,8 @@ def _read(block: type[AbstractBlock], options: tuple[tuple[str, Any], ...]) -> R
     known = specs(block)
     try:
         given = {
-            name: _some(known[name])
-            for name, field in block.model_fields.items()
+            name: _some(known[name], place)
+            for place, (name, field) in enumerate(block.model_fields.items())
             if field.is_required() and name in known and name not in values
         }
         made = block(**given, **values)
@@ -179,14 +179,18 @@ def _choices(kind: Any, default: Any) -> Iterator[Any]:
         yield from [words, *((word,) for word in words)]
 
 
-def _some(spec: Spec) -> Any:
-    """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase."""
+def _some(spec: Spec, place: int = 0) -> Any:
+    """A number, or numbers, that fit; of a table three rows, of a list without a size three numbers that increase.
+
+    A vector has another direction at each place: three of them lie in no plane.
+    """
     if spec.form == "table":
         return tuple((float(row),) * _size(spec.shape.split()[-1]) for row in range(3))
     if spec.shape == "*":
         return (0.0, 1.0, 2.0)
     if spec.form == "vector" and spec.shape != "*":
-        return (1.0,) * _size(spec.shape)
+        size = _size(spec.shape)
+        return tuple(2.0 if k == place % size else 1.0 for k in range(size))
     return 1.0
 
 

@@ -22,6 +22,7 @@ from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
+from dmframe.simulate.told import unread
 from dmframe.units import plain
 
 
@@ -47,7 +48,9 @@ def check_page(graph: Experiment, diagram: Diagram) -> str:
         parts.append(f"robot     {diagram.robot.name}: {', '.join(diagram.robot.joint_names)}")
         parts.append(f"          rotations made exact; the largest change is {diagram.robot.rotation_change:.1e}")
     heads = ("name", "type", "side", "states")
-    return "\n".join([*parts, "", "blocks", columns([heads, *blocks]), "", "wires", columns(wires)])
+    idle = ["", *(f"notice: {text}" for text in unread(diagram))]
+    page = [*parts, "", "blocks", columns([heads, *blocks]), "", "wires", columns(wires), *(idle if idle[1:] else [])]
+    return "\n".join(page)
 
 
 def _wire(diagram: Diagram, name: str, port: Port) -> tuple[str, str, str, str, str]:

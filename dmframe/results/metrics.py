@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, final
 
@@ -147,12 +148,15 @@ def tracking_error(run: Recording) -> TrackingError | None:
 def euclidean(values: np.ndarray) -> np.ndarray:
     """The norm of each row, also of numbers whose squares overflow, as before a divergence."""
     scale = np.max(np.abs(values), axis=1, initial=0.0)
-    safe = np.where(scale > 0, scale, 1.0)
+    safe = np.where((scale > 0) & np.isfinite(scale), scale, 1.0)
     return np.asarray(scale * np.sqrt(np.sum((values / safe[:, None]) ** 2, axis=1)))
 
 
 def rms_by_eighth(times: np.ndarray, norm: np.ndarray, duration: float) -> tuple[float | None, ...]:
-    """Root mean square over the eighths ``[k, k + 1) duration / 8``; the last one holds its end."""
+    """Root mean square over the eighths ``[k, k + 1) duration / 8``; the last one holds its end.
+
+    None of an eighth that no instant is in, or where a number is not finite.
+    """
     part = eighth_of(times, duration)
     return tuple(_rms(norm[part == k]) if np.any(part == k) else None for k in range(EIGHTHS))
 
@@ -162,6 +166,8 @@ def eighth_of(times: np.ndarray, duration: float) -> np.ndarray:
     return np.floor(times * EIGHTHS / duration + _ROUNDING).astype(np.int64).clip(0, EIGHTHS - 1)
 
 
-def _rms(values: np.ndarray) -> float:
+def _rms(values: np.ndarray) -> float | None:
     scale = float(np.max(values))
+    if not math.isfinite(scale):
+        return None
     return scale * float(np.sqrt(np.mean((values / scale) ** 2))) if scale > 0 else 0.0

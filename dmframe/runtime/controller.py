@@ -13,6 +13,7 @@ from typing import Any, final, get_args
 import casadi as ca
 import numpy as np
 
+from dmframe.block.model import symbols_in
 from dmframe.build import load
 from dmframe.build.library import address
 from dmframe.build.trial import called
@@ -20,9 +21,7 @@ from dmframe.codegen import control_source
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.resolve import Leaf
-from dmframe.diagram.wiring import Wire
 from dmframe.errors import EngineError, ValueFault, listed
-from dmframe.port import Side
 from dmframe.simulate.engine import Choice, alike
 from dmframe.simulate.instants import Instants
 from dmframe.simulate.start import start_state
@@ -187,33 +186,31 @@ def control_function(diagram: Diagram, *, path: bool = False) -> Any:
 
     With `path` the path is no function of time, but one more argument, last: `path_leaves`.
     """
-    loop, resolver = diagram.loop, diagram.resolver
-    size = stack(variable.symbol for variable in loop.controller).numel()
-    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
-    advanced, commands = loop.projected([loop.advanced, commands], joined=False)
-    expressions = [loop.put_back(advanced)[:size], commands]
+    loop = diagram.loop
+    expressions = _expressions(diagram)
     if not path:
         expressions = [loop.on_path(expression) for expression in expressions]
     for noise in loop.noises:
         if any(ca.depends_on(expression, noise.symbol) for expression in expressions):
             raise EngineError(f"controller: {noise.label} is drawn anew at each sample, in simulations alone")
-    z, measured = loop.state[:size], stack(leaf.symbol for leaf in loop.measured)
+    z, measured = loop.state[: expressions[0].numel()], stack(leaf.symbol for leaf in loop.measured)
     given = [stack(leaf.symbol for leaf in path_leaves(diagram))] if path else []
     return ca.Function("control", [z, measured, loop.time, loop.period, loop.p, *given], ca.cse(expressions))
 
 
-def path_leaves(diagram: Diagram) -> list[Leaf]:
-    """The trajectories of the sources that the controller reads, and what they are later where the law looks ahead.
+def path_leaves(diagram: Diagram) -> tuple[Leaf, ...]:
+    """The trajectories, now and later, that the controller reads: not those of the plant alone, such as a load's."""
+    loop, used = diagram.loop, symbols_in(_expressions(diagram))
+    return tuple(leaf for leaf in (*loop.trajectories, *loop.ahead) if symbols_in([leaf.symbol]) & used)
 
-    A source that the plant alone reads, as a load, is nothing that a controller could be told.
-    """
-    read = {
-        source.block
-        for (reader, _), source in diagram.sources.items()
-        if isinstance(source, Wire) and diagram.blocks[reader].side is Side.CONTROLLER
-    }
-    leaves = (*diagram.loop.trajectories, *diagram.loop.ahead)
-    return [leaf for leaf in leaves if leaf.name.partition(".")[0] in read]
+
+def _expressions(diagram: Diagram) -> list[Any]:
+    """The controller's states one period later, and its commands, on the symbols of the path."""
+    loop, resolver = diagram.loop, diagram.resolver
+    size = stack(variable.symbol for variable in loop.controller).numel()
+    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
+    advanced, commands = loop.projected([loop.advanced, commands], joined=False)
+    return [loop.put_back(advanced)[:size], commands]
 
 
 def path_function(diagram: Diagram) -> Any:

@@ -277,7 +277,7 @@ class Prepared:
         columns = {label: values for label, (_, values) in items.items()}
         ranked = ranks(self.matrices, columns, times)
         told = [*exceptions(diagram, telling(diagram), columns, times), *too_fast(diagram, columns, times)]
-        said = [text for text in (between(diagram), unread(diagram)) if text]
+        way = between(diagram)
         for matrix in self.matrices:
             del items[matrix.label]
         return Recording(
@@ -293,7 +293,8 @@ class Prepared:
             wall_time=wall,
             engine=engine.name,
             notices=(
-                *said,
+                *([way] if way else []),
+                *unread(diagram),
                 *told,
                 *self.notices,
                 *self.keeping.notices,
@@ -394,13 +395,15 @@ def check_run(
 
 
 def moving_outputs(diagram: Diagram) -> list[Signal]:
-    """Outputs worth keeping: columns that move, that are not states already, and whose rank is not watched."""
+    """Outputs worth keeping: columns that move or are told, that are no states, and whose rank is not watched."""
     loop = diagram.loop
     others = {state.label for state in loop.variables} | {matrix.label for matrix in watched(diagram)}
     leaves = (leaf.symbol for leaf in (*loop.trajectories, *loop.ahead, *loop.crossings))
-    moving = stack([loop.time, loop.drawn, loop.state, *leaves])
+    moving, told = stack([loop.time, loop.drawn, loop.state, *leaves]), {signal.label for signal in telling(diagram)}
     return [
         signal
         for signal in loop.outputs
-        if signal.label not in others and signal.expression.is_column() and ca.depends_on(signal.expression, moving)
+        if signal.label not in others
+        and signal.expression.is_column()
+        and (signal.label in told or ca.depends_on(signal.expression, moving))
     ]

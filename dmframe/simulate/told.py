@@ -8,9 +8,9 @@ import numpy as np
 
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
-from dmframe.diagram.wiring import Way, Wire
+from dmframe.diagram.wiring import Way
 from dmframe.errors import listed
-from dmframe.port import Access, Side
+from dmframe.port import Access
 from dmframe.units import plain
 
 
@@ -30,12 +30,21 @@ def between(diagram: Diagram) -> str:
     return f"not ideal: {'; '.join(said)}" if said else ""
 
 
-def unread(diagram: Diagram) -> str:
-    """A sentence that names the sources that no block reads, such as a load beside a robot that takes none."""
-    read = {source.block for source in diagram.sources.values() if isinstance(source, Wire)}
-    found = [name for name, block in diagram.blocks.items() if block.side is Side.SOURCE and name not in read]
-    said = [f"{name} ({', '.join(port.name for port in diagram.blocks[name].outputs)})" for name in found]
-    return f"no block reads {listed(said)}, which changes nothing here" if said else ""
+def unread(diagram: Diagram) -> list[str]:
+    """A sentence on each block whose outputs nobody takes, though it may be that a wire was forgotten."""
+    free = dict[str, list[str]]()
+    for wire in diagram.unread:
+        free.setdefault(wire.block, []).append(wire.port)
+    return [
+        f"no block takes {listed([f'{block}.{port}' for port in ports])}, so that {_part(diagram, block, ports)} "
+        "changes nothing; a wire hands it on, or the graph goes without it"
+        for block, ports in free.items()
+    ]
+
+
+def _part(diagram: Diagram, block: str, ports: Sequence[str]) -> str:
+    whole = len(ports) == len(diagram.models[block].equations.outputs)
+    return f"{block} ({diagram.type_of(block)})" if whole else "it"
 
 
 def exceptions(

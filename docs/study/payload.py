@@ -24,19 +24,22 @@ NO_BOX: Final = {"dynamics.a_d_hat_box": None}
 
 
 def graph_with(masses: Sequence[float], at: Sequence[float]) -> dm.Graph:
-    """`ur10_payload` with these loads, the gripper alone where the mass is its own; it is told of all but the first."""
+    """`ur10_payload` with these loads, the gripper alone where the mass is its own."""
     bodies = [GRIPPER[1:] if mass == GRIPPER[0] else HELD for mass in masses]
     center, inertia = [body[0] for body in bodies], [body[1] for body in bodies]
     loads = {"mass": list(masses), "at": list(at), "center": center, "inertia": inertia}
     changes: dict[str, Any] = {f"load.{name}": value for name, value in loads.items()}
-    return dm.load("ur10_payload").set({**changes, "gripper.at": list(at[1:])})
+    return dm.load("ur10_payload").set(changes)
 
 
 def reset(graph: dm.Graph, gripper: Mapping[str, Any] | None = None, **options: Any) -> dm.Graph:
-    """The same with resets."""
+    """The same with resets, told of all loads but the first."""
     known: Any = graph.blocks["dynamics"]
     law = {"type": "reset_compensator", "Gamma": list(known.Gamma), "a_d_hat": list(known.a_d_hat), **options}
-    return graph.set({"dynamics": law, **{f"gripper.{name}": value for name, value in (gripper or {}).items()}})
+    load: Any = graph.blocks["load"]
+    return graph.set(
+        {"dynamics": law, "blocks.gripper": {"type": "gripper", "at": list(load.at[1:]), **(gripper or {})}}
+    )
 
 
 @cache

@@ -150,7 +150,6 @@ def test_it_is_proved_between_the_steps_of_the_load() -> None:
     assert all(control.refuted for control in verdict.controls)
     assumed = " / ".join(item.text for item in verdict.assumptions)
     assert "all is said of the time between its steps, each of which begins a new V" in assumed
-    assert "gripper" not in assumed  # to which nobody listens
     assert "load.a_load is the inertia of a rigid body: its pseudo-inertia is not negative" in assumed
     assert "model (payload_regressor) knows exactly" in assumed
 

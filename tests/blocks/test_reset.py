@@ -67,7 +67,7 @@ def graph() -> dm.Graph:
     loads = {
         "load.mass": [0.3, HEAVY, LIGHT],
         "load.at": [0, 20, 50],
-        "gripper.at": [20, 50],
+        "blocks.gripper": {"type": "gripper", "at": [20, 50]},
         "load.center": [[0, 0.04, 0], list(CENTER), list(CENTER)],
         "load.inertia": [gripper, body, body],
     }

@@ -303,6 +303,26 @@ def test_a_loop_that_cannot_rest_is_told() -> None:
         equilibrium(frozen(diagram), {"inverse.w_I": 0})
 
 
+def test_a_search_that_leaves_the_numbers_is_told_as_a_loop_that_cannot_rest() -> None:
+    with pytest.raises(
+        EngineError, match=r"found none; .* leads to where the rate of leak\.h, or its slope, overflows"
+    ):
+        equilibrium(frozen(Diagram.build({"leak": Leak()})))
+
+
+@final
+class Leak(AbstractBlock):
+    """A tank that goes on leaking where it is empty."""
+
+    states: ClassVar[tuple[State, ...]] = (State("h", "", "m"),)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations(rates={"h": -1 - x.h**1.5})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> dict[str, Any]:
+        return {"h": 0.5}
+
+
 def test_a_diagram_without_a_servo_or_a_goal_is_told() -> None:
     wheel = Diagram.build({"arm": Flywheel(J=(J,)), "servo": PiServo(K_P=1, K_I=1), "push": Still()})
     with pytest.raises(EngineError, match="largest stable period: expected a goal to follow, such as x_d for x, found"):

@@ -241,7 +241,7 @@ def test_what_follows_the_pose_starts_at_the_pose_that_is_measured() -> None:
     [
         (["pendulum_kinematic", "new", "--c"], "expected a clock such as 8 ms, found continuous"),
         (["ur10_slow_probe", "new", "--c"], "is drawn anew at each sample, in simulations alone"),
-        (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load too; export it without that"),
+        (["ur10_payload", "new", "--fmi2"], "found one that reads load.a_load; export the controller alone, with --c"),
         (["ur10_fast", "new"], "expected one of --c, --fmi2, --fmi3 and --ros2, found none"),
         (["ur10_fast", ".", "--c"], "is there already; name a new folder"),
     ],
