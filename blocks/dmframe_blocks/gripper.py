@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import casadi as ca
 from pydantic import model_validator
@@ -61,7 +61,7 @@ class Gripper(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """1 more at each instant, and 1 less at the next."""
-        odd = ca.SX(0)
+        odd: Any = 0
         for k, at in enumerate(ca.vertsplit(p.at)):
             odd += (-1) ** k * (u.t >= at)
         return Equations({"odd": odd, **({"a_expected": now_held(u.t, p)} if "mass" in p else {})})
