@@ -71,6 +71,7 @@ EXAMPLES["reset_compensator"] = (
     + "  load:     {type: payload, mass: [1], at: [1]}\n"
     + "  gripper:  {type: gripper, at: [1]}\n"
 )
+EXAMPLES["gripper"] = EXAMPLES["reset_compensator"]
 EXAMPLES["path_pace"] = EXAMPLES["setpoint"] + "  pace:     {type: path_pace}\n"
 
 # no proof in continuous time reaches what stands between controller and robot
