@@ -45,25 +45,25 @@ def decidable(weight: SX, numbers: Numbers) -> SX:
 def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[list[Checked], list[Assumption]]:
     """The weights that an author calls positive: whether they can be, and what is assumed."""
     checked, assumed = list[Checked](), list[Assumption]()
-    for part, role, term, written in _squares(claim):
+    for part, role, place, term in _squares(claim):
         if is_assumed(term, numbers):
-            text = f"the weight {written} of |{term.of}|^2 in {role}"
+            text = f"the weight {_written(claim, part, role, place)} of |{term.of}|^2 in {role}"
             assumed.append(Assumption(f"{part.block}: {text} stays above a positive constant: {term.positive}", SIGNS))
             checked.append(_looked_at(f"{part.block}: {text}", term.weight, numbers, start))
     return checked, assumed
 
 
-def _squares(claim: Claim) -> Iterator[tuple[Part, str, Square, str]]:
-    """Each square of V and of the dissipation, with how its weight prints."""
+def _squares(claim: Claim) -> Iterator[tuple[Part, str, int, Square]]:
+    """Each square of V and of the dissipation, with its place among the terms."""
     for part in claim.parts:
-        law, certificate = claim.laws[part.block], part.certificate
-        for role, terms, lines in (
-            ("V", certificate.storage, law.storage),
-            ("dV/dt", certificate.dissipation, law.dissipation),
-        ):
-            for term, line in zip(terms, lines, strict=True):
-                if isinstance(term, Square):
-                    yield part, role, term, line.weight.text
+        for role, terms in (("V", part.certificate.storage), ("dV/dt", part.certificate.dissipation)):
+            yield from ((part, role, place, term) for place, term in enumerate(terms) if isinstance(term, Square))
+
+
+def _written(claim: Claim, part: Part, role: str, place: int) -> str:
+    """How the weight of a term prints."""
+    law = claim.laws[part.block]
+    return (law.storage if role == "V" else law.dissipation)[place].weight.text
 
 
 def _looked_at(name: str, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:

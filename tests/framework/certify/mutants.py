@@ -290,6 +290,7 @@ def nothing_printed() -> Iterator[None]:
     with (
         mock.patch("dmframe.certify.claim._laws", return_value=({}, ())),
         mock.patch("dmframe.certify.claim.labelled", unlabelled),
+        mock.patch("dmframe.certify.assumed._written", return_value=""),
         mock.patch("dmframe.certify.verify.statements_of", return_value=[]),
         mock.patch("dmframe.certify.verify.hypotheses", return_value=[]),
     ):

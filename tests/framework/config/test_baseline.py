@@ -113,7 +113,7 @@ def test_a_bad_baseline_is_told_when_the_graph_is_read(tmp_path: Path, baseline:
 def test_each_packaged_baseline_is_the_kinematic_controller_before_the_same_robot(name: str) -> None:
     graph = load_experiment(name)
     if not graph.file.baseline:
-        beside = ("ur10_fast", "ur10_slow", "arm2_joint", "pendulum")  # they have graphs beside them
+        beside = ("ur10_fast", "ur10_slow", "ur10_full", "arm2_joint", "pendulum")  # they have graphs beside them
         assert "servo" not in graph.file.blocks or name.startswith(beside)
         return
     other = graph.baseline()
