@@ -91,7 +91,7 @@ class UnknownNameError(DmframeError, KeyError):
 
     def __init__(self, where: str, kind: str, name: str, choices: Iterable[str], **place: object) -> None:
         self.name, self.choices = name, tuple(sorted(choices))
-        super().__init__(f"{where}: unknown {kind}; {nearest(name, self.choices)}", **place)  # type: ignore[arg-type]
+        super().__init__(f"{where}: unknown {kind}; {nearest(name, self.choices)}", **place)  # type: ignore[arg-type]  # as DmframeError takes it
 
 
 @final

@@ -95,7 +95,7 @@ def _field(spec: Spec, default: Any) -> Any:
 def spec_of(field: FieldInfo) -> Spec | None:
     """The `Spec` of a pydantic field, or None where it is no number (an option, a name)."""
     extra = field.json_schema_extra
-    return Spec(**extra[KEY]) if isinstance(extra, dict) and KEY in extra else None  # type: ignore[arg-type]
+    return Spec(**extra[KEY]) if isinstance(extra, dict) and KEY in extra else None  # type: ignore[arg-type]  # `asdict` above
 
 
 def specs(block: type[BaseModel]) -> dict[str, Spec]:

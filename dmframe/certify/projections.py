@@ -84,12 +84,11 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
     """That the true value lies in the set, decided or assumed."""
     text = f"{projection.name}: true value inside the {projection.kind}"
-    room, rest = _decidable(projection.set.room(truth), numbers)
-    if room.numel():
+    room, loop = projection.set.room(truth), numbers.claim.loop
+    known, rest = _decidable(room, numbers)
+    if known.numel():
         shown = INSIDE[projection.kind].format("true value")
-        yield decided(text, shown, SOURCE, partial(numbers.least, room), strict=False, margin=room)
-    room = projection.set.room(truth)
-    loop = numbers.claim.loop
+        yield decided(text, shown, SOURCE, partial(numbers.least, known), strict=False, margin=known)
     handed = {
         row: path for row in rest if symbols_in([path := loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])
     }
@@ -102,12 +101,12 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
 
 
 def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
-    """That what a source hands out, such as a load, is seen outside of the set; at instants alone."""
+    """A condition that fails where what a source hands out, such as a load, is outside of the set, or no number."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)
     found = np.min(function(times[None, :], loop.p_values).full(), axis=0)
     least = int(np.argmin(found))
-    if found[least] < -ROUNDING:
+    if not found[least] >= -ROUNDING:
         where = f"{text} at t = {times[least]:.6g} s"
         yield Checked(where, "as a source has it then", float(found[least]), False, SOURCE, "sampled", strict=False)
 

@@ -197,5 +197,5 @@ def _read(path: Path, needed: list[str]) -> dict[str, np.ndarray]:
             return {name: np.array(opened.variables[name][...]) for name in ("time", *needed, *beside)}
     except MissingError:
         raise
-    except Exception:
+    except Exception:  # h5netcdf raises what it likes of a file that is none of its own
         raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, final
 
@@ -115,7 +115,10 @@ def prove(
 def _dynamic(s: Symbols) -> Iterator[Claim]:
     r, q, dq, a, b = s.robot, s.q, s.dq, s.a, s.b
     p, weight = ca.SX.sym("p", r.inertia.numel()), ca.SX.sym("weight")
-    torque: Callable[[Any], Any] = lambda inertia: r.inverse_dynamics(q, dq, a, b, inertia)  # noqa: E731
+
+    def torque(inertia: Any) -> Any:
+        return r.inverse_dynamics(q, dq, a, b, inertia)
+
     own, other = torque(r.inertia), torque(p)
     sum_of = torque(r.inertia + weight * p)
     yield (

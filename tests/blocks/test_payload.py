@@ -15,6 +15,7 @@ import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.along import along
+from dmframe.certify.projections import _outside
 from dmframe.config.document import read_document
 from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
@@ -160,6 +161,14 @@ def test_a_load_that_the_box_of_its_estimate_does_not_hold_is_told() -> None:
     assert within.outcome == "proved"
     assert beyond.outcome == "not_applicable"
     assert "dynamics.a_d_hat: true value inside the box at t = 0.2 s" in str(beyond.reason)
+
+
+@pytest.mark.parametrize(("later", "told"), [(1.0, False), (-1e-6, True), (np.nan, True)])
+def test_what_is_no_number_is_outside_too(later: float, told: bool) -> None:
+    loop = dm.load(SMALL).diagram.loop
+    found = list(_outside("dynamics.a_d_hat: true value inside the box", ca.if_else(loop.time > 60, later, 1), loop))
+    assert bool(found) is told
+    assert all(not item.holds and "at t = 60.005 s" in item.name for item in found)
 
 
 def test_a_robot_of_one_joint_takes_up_a_load_too() -> None:
