@@ -20,7 +20,7 @@ from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
-from dmframe.formula.names import symbol
+from dmframe.names import symbol
 
 T = TypeVar("T", bound=Positive)
 
