@@ -97,10 +97,10 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
             at = sorted({row % truth.shape[0] for row in rows})
             yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
     if handed:
-        yield from _outside(text, ca.vertcat(*handed.values()), loop)
+        yield from outside(text, ca.vertcat(*handed.values()), loop)
 
 
-def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
+def outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     """A condition that fails where what a source hands out, such as a load, is outside of the set, or no number."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)
