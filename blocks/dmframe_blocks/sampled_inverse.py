@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import (
     SX,
+    Acted,
     Condition,
     Kept,
     Relation,
@@ -326,6 +327,7 @@ class SampledInverse(AbstractBlock):
                 *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
             ),
             relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
+            acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
             constants={"offset": offset},
         )
 

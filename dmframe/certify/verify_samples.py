@@ -14,6 +14,7 @@ from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSte
 from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
+from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.memories import triangle_starts
@@ -170,6 +171,7 @@ def _conditions(
     checked += dict.fromkeys(undefined(claim.base, numbers))
     for part in claim.parts:
         checked += _weights(part, numbers)
+        checked += delay_conditions(claim, part)
         for item in part.steps:
             checked += _steps(part, item, numbers)
             if isinstance(item, LeastSquaresSteps):
@@ -245,7 +247,7 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
             yield Assumption(
                 f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
             )
-        if part.relations:
+        if part.relations and not decided_delays(claim, part):
             text = (
                 f"{part.block}: the command that a row holds is what acted in its sample: a delay is as told, or echoed"
             )
