@@ -16,6 +16,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.errors import MissingError, OutputError
+from dmframe.export.c import write_all
 from dmframe.files import hidden_name
 from dmframe.results.place import built, complete, reserved
 from dmframe.results.run import Run
@@ -155,6 +156,15 @@ def test_figures_that_follow_are_sealed_and_a_lost_seal_is_told(tmp_path: Path) 
         (place.folder / "seal.json").unlink()
         with pytest.raises(OutputError, match=r"seal.json is gone"):
             complete(place)
+
+
+def test_an_export_takes_the_lock_of_a_run_and_writes_over_nothing(tmp_path: Path) -> None:
+    with reserved(tmp_path / "out"), pytest.raises(OutputError, match="another process writes there"):
+        write_all(tmp_path / "out", {"a.c": "1"})
+    assert write_all(tmp_path / "out", {"a.c": "1", "b/c.h": "2"})[1].read_text() == "2"
+    with pytest.raises(OutputError, match=r"a.c: is there already"):
+        write_all(tmp_path / "out", {"new.c": "3", "a.c": "4"})
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.c", "b"]
 
 
 def test_a_sealed_text_is_its_bytes() -> None:
