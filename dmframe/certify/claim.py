@@ -106,6 +106,8 @@ class Claim:
         Equations of docstrings that are held to nothing.
     truths
         True values of estimates that certificates state, by block and name.
+    memories
+        Labels of the states that steps of least squares gather, over samples.
     """
 
     diagram: Diagram
@@ -115,6 +117,12 @@ class Claim:
     truths: Stated
     laws: Mapping[str, PrintedLaw]
     notices: tuple[str, ...] = ()
+    memories: frozenset[str] = frozenset()
+
+    @cached_property
+    def starts(self) -> Mapping[str, SX]:
+        """A symbol for where each state starts, a column, by the state's label."""
+        return {v.label: ca.SX.sym(f"start.{v.label}", v.symbol.numel()) for v in self.loop.variables}
 
     @property
     def cascaded(self) -> bool:
