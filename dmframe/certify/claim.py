@@ -245,7 +245,7 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths, laws, notices, differentiated)
+    return Claim(diagram, loop, parts, kappa, truths, laws, notices, differentiated=differentiated)
 
 
 @final
