@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -19,8 +19,13 @@ from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.program import CONST, instructions
 
-SHORT = 12
-"""How many digits of a hash are printed beside a verdict."""
+SHORT: Final = 12
+"""How many digits of a hash are printed near a verdict."""
+
+
+def short(digits: str) -> str:
+    """A hash as a page for a reader has it."""
+    return digits[:SHORT]
 
 
 def fingerprint(loop: ClosedLoop, beside: Mapping[str, Any] | None = None) -> str:

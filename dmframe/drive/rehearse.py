@@ -84,6 +84,8 @@ class Rehearsal:
         How long each run was [s].
     asked
         How long it must be to decide anything [s].
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     """
 
     name: str
@@ -92,6 +94,7 @@ class Rehearsal:
     seconds: float
     asked: float
     outcomes: Sequence[Outcome]
+    field_hash: str = ""
 
     @property
     def whole(self) -> bool:
@@ -122,6 +125,7 @@ class Rehearsal:
         """Plain data."""
         return {
             "graph": self.name,
+            "field_hash": self.field_hash,
             "passed": self.passed,
             "sentence": self.sentence,
             "seconds": self.seconds,
@@ -219,7 +223,7 @@ def rehearsed(
         signal, unit = found.signal, found.unit
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes)
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, diagram.fingerprint)
 
 
 @final

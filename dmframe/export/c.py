@@ -190,7 +190,8 @@ def _unused(head: re.Match[str]) -> str:
 def about(program: Program) -> str:
     """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
-    return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
+    made = f"Model {program.field_hash}. Written by dmframe {version()}."
+    return f"{program.name}{title}. {made}".replace("*/", "* /")
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:
@@ -281,14 +282,15 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
         "example.c": _called("example.c", program).replace("DM_STILL", first_sample(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
         "README.md": _readme(program, exact=exact),
-        **origin(experiment),
+        **origin(experiment, program.field_hash),
     }
 
 
-def origin(experiment: Experiment) -> dict[str, str]:
+def origin(experiment: Experiment, field_hash: str) -> dict[str, str]:
     """The files that say from what others were made."""
     text = resolved_text(experiment)
-    return {"graph.yaml": text, "provenance.json": json.dumps(provenance(experiment, text), indent=2) + "\n"}
+    made = provenance(experiment, text, field_hash=field_hash)
+    return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 
 def _called(name: str, program: Program) -> str:

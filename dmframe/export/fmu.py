@@ -94,7 +94,7 @@ def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fm
         if file.exists():
             raise OutputError(f"{file}: is there already; name a new folder")
     text = resolved_text(experiment)
-    made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text))}
+    made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text, field_hash=diagram.fingerprint))}
     return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
 
 
@@ -106,7 +106,7 @@ def _of_controller(program: Program) -> Unit:
     functions, constants = functions_of(program, free=False)
     return Unit(
         name=program.name,
-        about=f"{program.title} (the controller)".strip(),
+        about=f"{program.title} (the controller; model {program.field_hash})".strip(),
         period=program.period,
         inputs=_zero(program.measured),
         outputs=_zero(program.commanded),
@@ -124,7 +124,7 @@ def _of_robot(robot: Robot) -> Unit:
     made, constants = split({"rate": ([x, u], [robot.rate(x, u, p)]), "measured": ([x], [robot.shown(x, p)])}, p)
     return Unit(
         name=robot.name,
-        about=f"{robot.title} (the robot and its servo)".strip(),
+        about=f"{robot.title} (the robot and its servo; model {robot.field_hash})".strip(),
         period=robot.period,
         inputs=_zero(robot.commanded),
         outputs=_zero(robot.measured),
