@@ -121,10 +121,9 @@ def _adapted(diagram: Diagram, estimate: Variable, state: Array, centre: Centre)
         raise MissingError(text)
     declared = next(s for s in diagram.blocks[estimate.block].states if s.name == estimate.name)
     options = {"box": declared.box, "ball": declared.ball}
-    exact = {} if diagram.robot is None else {c.name: c.values for c in SymbolicRobot(diagram.robot).constants}
     enclosed = list[Any]()
     for parameter in loop.parameters:
-        rational = exact.get(parameter.label)
+        rational = parameter.rational
         numbers = parameter.value.ravel(order="F") if rational is None else map(Enclosure.around, rational)
         enclosed += [Enclosure.of(number) for number in numbers]
     return {

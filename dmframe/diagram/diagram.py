@@ -200,7 +200,7 @@ def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]
             found.append(Parameter(f"{name}.{key}", symbols, value, units[key]))
     if robot is not None:
         values = robot.values()
-        found += [Parameter(c.name, c.symbol, values[c.name], c.unit) for c in robot.constants]
+        found += [Parameter(c.name, c.symbol, values[c.name], c.unit, tuple(c.values)) for c in robot.constants]
     return found
 
 

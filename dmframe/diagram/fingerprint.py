@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from fractions import Fraction
 from typing import Any, Final
 
 import casadi as ca
@@ -71,7 +72,7 @@ def _walk(name: str, item: Any) -> Iterator[tuple[str, SX | None]]:
     match item:
         case ca.SX():
             yield f"{name} {item.shape}", item
-        case None | bool() | int() | str():
+        case None | bool() | int() | str() | Fraction():
             yield f"{name} {item!r}", None
         case float():
             yield f"{name} {item.hex()}", None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import NamedTuple, final
 
 import numpy as np
@@ -80,12 +81,22 @@ class Noise:
 @final
 @dataclass(frozen=True)
 class Parameter:
-    """A gain, a true parameter or a number of the robot: `symbol` in expressions, `value` in a run."""
+    """A gain, a true parameter or a number of the robot: `symbol` in expressions, `value` in a run.
+
+    `exact` holds the rational numbers of which `value` is the doubles, column by column, where a file gives them.
+    """
 
     label: str
     symbol: SX
     value: np.ndarray
     unit: str
+    exact: tuple[Fraction, ...] = ()
+
+    @property
+    def rational(self) -> tuple[Fraction, ...] | None:
+        """The exact numbers, as long as they are those of `value`."""
+        known = self.exact and [float(number) for number in self.exact] == self.value.ravel(order="F").tolist()
+        return self.exact if known else None
 
 
 @final
