@@ -175,18 +175,11 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
     parts = tuple(_told_part(diagram, name, item) for name, item in claiming.items())
-<<<<<<< HEAD
-    base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
-    own = diagram.loop.becomes()
-    becomes = dict(zip(own, diagram.loop.crossed(list(own.values())), strict=True))
-=======
     steps = [(part.block, item) for part in parts for item in part.steps]
     memories = frozenset(f"{name}.{item.memory}" for name, item in steps if isinstance(item, LeastSquaresSteps))
     base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {}, memories=memories)
-    sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
-    moved = diagram.loop.crossed([_put_back(diagram, variable) for variable in sampled])
-    becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}
->>>>>>> main
+    own = diagram.loop.becomes()
+    becomes = dict(zip(own, diagram.loop.crossed(list(own.values())), strict=True))
     claim = SampledClaim(base, parts, silent, becomes)
     for text in _no_constants(claim):
         raise NotApplicableError(text)

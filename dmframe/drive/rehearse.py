@@ -84,15 +84,12 @@ class Rehearsal:
         How long each run was [s].
     asked
         How long it must be to decide anything [s].
-<<<<<<< HEAD
-    field_hash
-        `Diagram.fingerprint` of the diagram that was driven.
-=======
     until
         How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
     identity
         What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
->>>>>>> main
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     """
 
     name: str
@@ -101,12 +98,9 @@ class Rehearsal:
     seconds: float
     asked: float
     outcomes: Sequence[Outcome]
-<<<<<<< HEAD
-    field_hash: str = ""
-=======
     until: float = 0.0
     identity: Identity | None = None
->>>>>>> main
+    field_hash: str = ""
 
     @property
     def whole(self) -> bool:
@@ -238,12 +232,8 @@ def rehearsed(
         signal, unit = found.signal, found.unit
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
-<<<<<<< HEAD
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, diagram.fingerprint)
-=======
     until = experiment.file.duration
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts)
->>>>>>> main
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, diagram.fingerprint)
 
 
 @final

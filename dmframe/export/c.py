@@ -192,12 +192,7 @@ def _unused(head: re.Match[str]) -> str:
 def about(program: Program) -> str:
     """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
-<<<<<<< HEAD
-    made = f"Model {program.field_hash}. Written by dmframe {version()}."
-    return f"{program.name}{title}. {made}".replace("*/", "* /")
-=======
     return f"{program.name}{title}. Written by dmframe {version()} from model {program.model}.".replace("*/", "* /")
->>>>>>> main
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:
@@ -290,17 +285,6 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
         "samples.h": samples_as_c(shown, exact=computed is not None),
         "example.c": _called("example.c", program).replace("DM_STILL", first_sample(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
-<<<<<<< HEAD
-        "README.md": _readme(program, exact=exact),
-        **origin(experiment, program.field_hash),
-    }
-
-
-def origin(experiment: Experiment, field_hash: str) -> dict[str, str]:
-    """The files that say from what others were made."""
-    text = resolved_text(experiment)
-    made = provenance(experiment, text, field_hash=field_hash)
-=======
         "README.md": _readme(program, len(shown.times), computed),
         **origin(experiment, program.model),
     }
@@ -309,8 +293,7 @@ def origin(experiment: Experiment, field_hash: str) -> dict[str, str]:
 def origin(experiment: Experiment, model: str) -> dict[str, str]:
     """The files that say from what others were made; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
-    made = {**provenance(experiment, text), "field_hash": model}
->>>>>>> main
+    made = provenance(experiment, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 

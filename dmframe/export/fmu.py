@@ -90,12 +90,7 @@ def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fm
     for file in files:
         if file.exists():
             raise OutputError(f"{file}: is there already; name a new folder")
-<<<<<<< HEAD
-    text = resolved_text(experiment)
-    made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text, field_hash=diagram.fingerprint))}
-=======
     made = origin(experiment, program.model)
->>>>>>> main
     return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
 
 
@@ -103,11 +98,7 @@ def _of_controller(program: Program) -> Unit:
     functions, constants = functions_of(program, free=False)
     return Unit(
         name=program.name,
-<<<<<<< HEAD
-        about=f"{program.title} (the controller; model {program.field_hash})".strip(),
-=======
         about=f"{program.title} (the controller, of model {program.model})".strip(),
->>>>>>> main
         period=program.period,
         inputs=_zero(program.measured),
         outputs=_zero(program.commanded),
@@ -125,11 +116,7 @@ def _of_robot(robot: Robot, model: str) -> Unit:
     made, constants = split({"rate": ([x, u], [robot.rate(x, u, p)]), "measured": ([x], [robot.shown(x, p)])}, p)
     return Unit(
         name=robot.name,
-<<<<<<< HEAD
-        about=f"{robot.title} (the robot and its servo; model {robot.field_hash})".strip(),
-=======
         about=f"{robot.title} (the robot and its servo, of model {model})".strip(),
->>>>>>> main
         period=robot.period,
         inputs=_zero(robot.commanded),
         outputs=_zero(robot.measured),

@@ -86,13 +86,8 @@ class Program:
         q -> x, where the robot's tool is; None without a robot.
     untold
         States whose start no measurement tells.
-<<<<<<< HEAD
-    field_hash
-        `Diagram.fingerprint` of the diagram that it is of.
-=======
     model
         The hash of the closed loop, `Diagram.fingerprint`: that of a run and of a verification of the same model.
->>>>>>> main
     """
 
     name: str
@@ -109,11 +104,7 @@ class Program:
     start: Any
     tool: Any
     untold: tuple[str, ...]
-<<<<<<< HEAD
-    field_hash: str
-=======
     model: str
->>>>>>> main
 
 
 def program_of(experiment: Experiment, diagram: Diagram) -> Program:
@@ -163,11 +154,7 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         start=ca.Function("start", [*inputs[1:], p], [begun]),
         tool=_tool(diagram),
         untold=untold,
-<<<<<<< HEAD
-        field_hash=diagram.fingerprint,
-=======
         model=diagram.fingerprint,
->>>>>>> main
     )
 
 

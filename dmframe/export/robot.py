@@ -33,8 +33,6 @@ class Robot:
         Of rk4 in a sampling period.
     states
         With where they start.
-    field_hash
-        `Diagram.fingerprint` of the diagram that it is of.
     """
 
     name: str
@@ -47,7 +45,6 @@ class Robot:
     states: tuple[Member, ...]
     rate: Any
     shown: Any
-    field_hash: str
 
 
 def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
@@ -114,5 +111,4 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
         ),
         rate=ca.Function("rate", [x, commands, p], [rate]),
         shown=ca.Function("shown", [x, p], [shown]),
-        field_hash=diagram.fingerprint,
     )

@@ -167,15 +167,11 @@ def _write_one(
     for name, source in companions(run.experiment).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
-<<<<<<< HEAD
-=======
-    made = provenance(run.experiment, text, seed=seed, command=command, now=now)
-    if run.recording.drive:
-        made["drive"] = dict(run.recording.drive)
->>>>>>> main
     # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
     field_hash = run.recording.diagram.fingerprint
     made = provenance(run.experiment, text, field_hash=field_hash, seed=seed, command=command, now=now)
+    if run.recording.drive:
+        made["drive"] = dict(run.recording.drive)
     _write_json(place / "provenance.json", made)
     _write_signals(place / "signals.nc", run, seed)
 
