@@ -21,7 +21,7 @@ FUNCTIONS: dict[str, Any] = {
     "steps": ca.floor(2 * X) + X * ca.ceil(Y) - ca.sign(X) * Y,
     "rests": ca.fmod(X, 0.7) + ca.remainder(Y, 0.4) * X + ca.fmod(Y, -0.9),
     "powers": X**3 - Y**4 + ca.sqrt(1 + X * X) + (2 + Y * Y) ** -2 + (1 + X**2) ** 0.5,
-    "rising": ca.exp(X) - ca.tanh(3 * Y) + ca.exp(-(1e4 * X * X)),
+    "rising": ca.exp(X) - ca.tanh(3 * Y) + ca.exp(-1e4 * X**2),
 }
 
 
