@@ -31,7 +31,7 @@ import casadi as ca
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Condition, Driven
 from dmframe.certify.checked import Numbers, lower, upper
-from dmframe.certify.claim import Claim, Field
+from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import Group, exact_values, symbols_of
@@ -75,7 +75,7 @@ class Closure:
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
         self._draw(random.Random(seed + 3))
         self._known = Echelon(self._shift.prime, self._columns)
-        self.driven: list[Driven] = []
+        self.driving: list[tuple[str, Driven]] = []
         self.given: list[tuple[str, Driven]] = []
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
@@ -96,6 +96,11 @@ class Closure:
     def variables(self) -> tuple[Variable, ...]:
         """All states."""
         return self._variables
+
+    @property
+    def driven(self) -> list[Driven]:
+        """What followed from stable linear equations."""
+        return [item for _, item in self.driving]
 
     def open_states(self) -> list[Variable]:
         """States of which some combination is not known to be bounded."""
@@ -250,7 +255,7 @@ class Closure:
             if found is None:
                 break
             waiting = [item for item in waiting if item is not found]
-            self.driven.append(found[1])
+            self.driving.append(found)
             vectors += found[1].vectors
         self.missed = waiting
 
@@ -304,7 +309,7 @@ class Closure:
 
     def _follows(self, block: str, item: Driven) -> bool:
         """True where the remainder is bounded by now, and the linear part stable, or assumed to be."""
-        if not all(self.bounds(list(self.remainders(item)))):
+        if not all(self.bounds(list(self.remainders(block, item)))):
             return False
         holds = stable(item, self._numbers, self._claim)
         if holds:
@@ -332,18 +337,20 @@ class Closure:
         """
         if not item.inputs or symbols_in(item.inputs) & symbols_in(item.vectors):
             return False
-        rests = [rest - own for rest, own in zip(self.remainders(item), item.inputs, strict=True)]
+        rests = [rest - own for rest, own in zip(self.remainders(block, item), item.inputs, strict=True)]
         if not (all(self.bounds(rests)) and stable(item, self._numbers, self._claim)):
             return False
         self.given.append((block, item))
         return True
 
-    def remainders(self, driven: Driven) -> Iterator[SX]:
-        """What is left of each equation beside its stable linear part."""
-        field = Field(self._claim.diagram)
+    def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
+        """What is left of each equation of a block next to its stable linear part."""
+        field, of = self._claim.field, f"{block}: what drives {', '.join(driven.of)}"
+        for vector in driven.bounded:
+            field.record.add(of, vector)
         for vector, row in zip(driven.vectors, driven.rates, strict=True):
             linear = sum((rate * other for rate, other in zip(row, driven.vectors, strict=True)), ca.SX(0))
-            yield field.derivative(vector) - linear
+            yield field.derivative(vector, of) - linear
 
 
 def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:

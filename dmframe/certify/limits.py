@@ -101,11 +101,11 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
 def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     symbols = symbols_of(claim, closure.uncertain)
     own = Own(exact_values(claim.diagram), closure.prime, closure.seed)
-    for item in closure.driven:
+    for block, item in closure.driving:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
         ):
-            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(item)]
+            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(block, item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 return Made(

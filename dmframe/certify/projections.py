@@ -24,7 +24,7 @@ import numpy as np
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, TrueValue
 from dmframe.certify.checked import Checked, Numbers, decided, lower
-from dmframe.certify.claim import Claim, Field
+from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.smoothness import HORIZON, SAMPLES
@@ -129,7 +129,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     (truth,) = claim.loop.joined([truth])
     if symbols_in([truth]) <= numbers.known:
         return
-    rate = Field(claim.diagram).derivative(truth)
+    rate = claim.field.derivative(truth, f"{name}: the true value")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)

@@ -100,11 +100,11 @@ class SampledClaim:
 
     @property
     def left(self) -> str:
-        """What V may gain, in words."""
+        """What V may gain, in words; empty where it gains nothing."""
         unexplained = any(part.steps for part in self.parts)
         beside = any(part.residual for part in self.parts)
         kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * beside
-        return " and ".join(kinds) or "nothing"
+        return " and ".join(kinds)
 
     @cached_property
     def symbols(self) -> Mapping[str, SX]:
