@@ -207,7 +207,8 @@ class _Evaluated:
             (size,) = self._mapped(ca.fabs(V) + read, looked)
         bound = operations * np.finfo(float).eps * size
         after = np.minimum(np.searchsorted(looked, np.arange(count)), len(looked) - 1)
-        return np.maximum(bound[after], bound[np.maximum(after - 1, 0)])
+        found: np.ndarray = np.maximum(bound[after], bound[np.maximum(after - 1, 0)])
+        return found
 
     def jumps(self) -> tuple[Jump, ...]:
         """What each step of a source adds to V at the first kept instant that has it, with the states of that instant.

@@ -23,6 +23,9 @@ from dmframe.units import plain
 SIGNALS: Final = ("V", "V_rate", "V_dissipation")
 """What a run has beside the signals of its blocks; the part of one block is ``V.block``."""
 
+UNIT: Final = "unknown"
+"""The claim's weights give all terms of V one unit, which is not derived."""
+
 
 @final
 @dataclass(frozen=True)
@@ -46,16 +49,15 @@ class Storage:
         """V, dV/dt, the dissipation, and the part of each block that stores something, each over time."""
         along, over = self.along, isinstance(self.claim, SampledClaim)
         about = "V of the claim over samples" if over else "V of the claim in continuous time"
-        unit = "1"
-        found = {"V": Beside(along.V[:, None], "", unit, f"{about}, kappa = {along.kappa:.6g}")}
+        found = {"V": Beside(along.V[:, None], "", UNIT, f"{about}, kappa = {along.kappa:.6g}")}
         for block in dict.fromkeys(term.block for term in along.terms):
             part = np.sum([term.values for term in along.terms if term.block == block], axis=0)
-            found[f"V.{block}"] = Beside(part[:, None], "", unit, f"the part of V that {block} stores")
+            found[f"V.{block}"] = Beside(part[:, None], "", UNIT, f"the part of V that {block} stores")
         if along.rate.size:
             rate = "dV/dt that the claim states for continuous time at these states"
-            found["V_rate"] = Beside(along.rate[:, None], "", "1/s", rate)
+            found["V_rate"] = Beside(along.rate[:, None], "", f"{UNIT}/s", rate)
             spent = "the squares that dV/dt spends in continuous time, each with its weight"
-            found["V_dissipation"] = Beside(along.dissipation[:, None], "", "1/s", spent)
+            found["V_dissipation"] = Beside(along.dissipation[:, None], "", f"{UNIT}/s", spent)
         return {label: item for label, item in found.items() if label not in self._taken}
 
     @property
@@ -104,6 +106,7 @@ class Storage:
         """As plain data, for ``run --json``."""
         climb = self.along.climb
         return {
+            "unit": None,
             "start": _number(climb.start),
             "end": _number(climb.end),
             "least": _number(climb.least),
@@ -130,7 +133,7 @@ def storage_of(recording: Recording, experiment: Experiment) -> Storage:
 
 def no_storage(error: DmframeError) -> dict[str, Any]:
     """The keys of `Storage.summary` of a run without V, with the reason."""
-    keys = ("start", "end", "least", "fall", "rise", "share", "at", "until", "rises", "steps")
+    keys = ("unit", "start", "end", "least", "fall", "rise", "share", "at", "until", "rises", "steps")
     return {
         **dict.fromkeys(keys),
         "jumps": [],
