@@ -262,10 +262,9 @@ def _quarters(
     """The error of a drive in its second and in its last quarter."""
     steered = steered_controller(experiment, diagram, engine)
     robot = simulated_robot(experiment, diagram, duration, engine, **options)
-    found = drive(steered, robot, Gate(limits, robot.period), Plan(duration), lambda: "")
-    recording = recording_of(
-        diagram, steered, found, robot=robot.name, until=duration, solver=robot.solver, shadow=False
-    )
+    plan, gate = Plan(duration), Gate(limits, robot.period)
+    found = drive(steered, robot, gate, plan, lambda: "")
+    recording = recording_of(diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver)
     error = tracking_error(recording) if recording is not None else None
     if recording is None or error is None:
         raise DriveError(f"{experiment.name}: expected a graph that follows a path, so that its error can be told")
