@@ -18,7 +18,7 @@ import casadi as ca
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate, Kept, Relation, SampledCertificate, Square, Steps
+from dmframe.certificate import SX, Certificate, Kept, LeastSquaresSteps, Relation, SampledCertificate, Square, Steps
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.certify.identity import Equality
 from dmframe.certify.sample_forms import unfit
@@ -100,11 +100,11 @@ class SampledClaim:
 
     @property
     def left(self) -> str:
-        """What V may gain, in words."""
+        """What V may gain, in words; empty where it gains nothing."""
         unexplained = any(part.steps for part in self.parts)
         beside = any(part.residual for part in self.parts)
         kinds = ["what its data leave unexplained"] * unexplained + ["a residual that nothing bounds"] * beside
-        return " and ".join(kinds) or "nothing"
+        return " and ".join(kinds)
 
     @cached_property
     def symbols(self) -> Mapping[str, SX]:
@@ -175,7 +175,9 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
         reason = f"{diagram.loop.clocked}; a proof in continuous time does not reach it"
         raise NotApplicableError(f"{reason}, and no block of this graph claims anything over samples")
     parts = tuple(_told_part(diagram, name, item) for name, item in claiming.items())
-    base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {})
+    steps = [(part.block, item) for part in parts for item in part.steps]
+    memories = frozenset(f"{name}.{item.memory}" for name, item in steps if isinstance(item, LeastSquaresSteps))
+    base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {}, memories=memories)
     sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
     moved = diagram.loop.crossed([_put_back(diagram, variable) for variable in sampled])
     becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}

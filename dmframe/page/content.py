@@ -16,7 +16,7 @@ from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of

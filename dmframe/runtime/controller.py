@@ -76,7 +76,7 @@ class Controller:
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
         self._held = (inside, outside)  # what the call reads and writes by address
-        self._diagram, self._given, self.clock = diagram, start or {}, clock
+        self.diagram, self.given, self.clock = diagram, start or {}, clock
         call = None if engine == "interpreted" else self._machine_code(function)
         if call is None and engine == "compiled":
             raise EngineError("engine: expected a C compiler for the compiled engine, found none that works")
@@ -119,7 +119,7 @@ class Controller:
 
     @cached_property
     def _start_function(self) -> Any:
-        return start_function(self._diagram, self._given)[0]
+        return start_function(self.diagram, self.given)[0]
 
     def _machine_code(self, function: Any) -> Callable[[], bool] | None:
         try:
