@@ -24,7 +24,7 @@ from dmframe.results.dataset import netcdf
 from dmframe.results.place import Place, built, clear_figures, complete, reserved
 from dmframe.results.ran import Ran
 from dmframe.results.resolved import companions, resolved_text, robot_source
-from dmframe.results.summary import summary
+from dmframe.results.summary import summary_of
 
 _PACKAGES = (
     "dmframe",
@@ -100,7 +100,7 @@ def write_data(
     """All of `write_run` but the figures and the note, `complete`, that nothing is still to come."""
     below = folders_of([run.name for run in runs])
     folders = [place.path / name for name in below] or [place.path]
-    summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
+    summaries = [{**summary_of(run, str(folder)), "graph": run.name} for run, folder in zip(runs, folders, strict=True)]
     with built(place) as building:
         for run, folder, told in zip(runs, folders, summaries, strict=True):
             own = building / folder.relative_to(place.path)
@@ -177,7 +177,7 @@ def _write_one(
 
 
 def _write_signals(file: Path, run: Ran, seed: int | None) -> None:
-    file.write_bytes(netcdf(run.recording, run.experiment, seed))
+    file.write_bytes(netcdf(run.whole, run.experiment, seed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
