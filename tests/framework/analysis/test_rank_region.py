@@ -159,7 +159,7 @@ def test_the_problem_is_that_of_the_loop_that_runs() -> None:
     shown = tuple(replace(item, expression=1.01 * item.expression) for item in loop.outputs)
     for other in (loop, replace(loop, trajectories=goals), replace(loop, outputs=shown)):
         problem = rank_problem(replace(diagram, loop=other), graph.start, "truth")
-        poses = joint_path(problem.reach, problem.start, 2.0, None, 0.05).poses
+        poses = joint_path(problem.reach, problem.start, 2.0, None, 0.05, path_tube(problem.path, 0.05)).poses
         f = ca.Function("J", [problem.q, problem.a, problem.p], [problem.expression])
         found.append((poses, f(problem.start, problem.centre, problem.values).full()))
     (poses, J), (moved, _), (_, larger) = found
