@@ -97,6 +97,8 @@ class Rehearsal:
         How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
     identity
         What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     bar
         What the errors were compared with.
     """
@@ -109,6 +111,7 @@ class Rehearsal:
     outcomes: Sequence[Outcome]
     until: float = 0.0
     identity: Identity | None = None
+    field_hash: str = ""
     bar: Bar = field(default_factory=Bar)
 
     @property
@@ -142,6 +145,7 @@ class Rehearsal:
         """Plain data."""
         return {
             "graph": self.name,
+            "field_hash": self.field_hash,
             "passed": self.passed,
             "sentence": self.sentence,
             "seconds": self.seconds,
@@ -150,7 +154,6 @@ class Rehearsal:
             "tolerance": self.bar.tolerance,
             "rival": self.bar.rival or None,
             "no_rival": self.bar.lacking or None,
-            "field_hash": self.identity["closed loop"]["field"] if self.identity is not None else None,
             "conditions": [
                 {
                     "condition": item.condition.about,
@@ -262,7 +265,8 @@ def rehearsed(
         error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
         outcomes.append(Outcome(condition, error, why, other, found.still))
     until = experiment.file.duration
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, bar)
+    field = diagram.fingerprint
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, field, bar)
 
 
 def _why(run: Measured, ideal: Measured) -> str:
