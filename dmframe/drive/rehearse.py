@@ -88,6 +88,8 @@ class Rehearsal:
         How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
     identity
         What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Rehearsal:
     outcomes: Sequence[Outcome]
     until: float = 0.0
     identity: Identity | None = None
+    field_hash: str = ""
 
     @property
     def whole(self) -> bool:
@@ -128,6 +131,7 @@ class Rehearsal:
         """Plain data."""
         return {
             "graph": self.name,
+            "field_hash": self.field_hash,
             "passed": self.passed,
             "sentence": self.sentence,
             "seconds": self.seconds,
@@ -229,7 +233,7 @@ def rehearsed(
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
     until = experiment.file.duration
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts)
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, diagram.fingerprint)
 
 
 @final
@@ -262,10 +266,9 @@ def _quarters(
     """The error of a drive in its second and in its last quarter."""
     steered = steered_controller(experiment, diagram, engine)
     robot = simulated_robot(experiment, diagram, duration, engine, **options)
-    found = drive(steered, robot, Gate(limits, robot.period), Plan(duration), lambda: "")
-    recording = recording_of(
-        diagram, steered, found, robot=robot.name, until=duration, solver=robot.solver, shadow=False
-    )
+    plan, gate = Plan(duration), Gate(limits, robot.period)
+    found = drive(steered, robot, gate, plan, lambda: "")
+    recording = recording_of(diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver)
     error = tracking_error(recording) if recording is not None else None
     if recording is None or error is None:
         raise DriveError(f"{experiment.name}: expected a graph that follows a path, so that its error can be told")
