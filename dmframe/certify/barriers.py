@@ -107,7 +107,7 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
     if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
         return
     resolver = claim.diagram.resolver
-    if any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
+    if numbers.starts or any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
         return
     begin = _start(claim, numbers, start)
     if begin is None:

@@ -107,6 +107,8 @@ class Claim:
         Equations of docstrings that are held to nothing.
     truths
         True values of estimates that certificates state, by block and name.
+    memories
+        Labels of the states that steps of least squares gather, over samples.
     differentiated
         All that has been differentiated for this claim, and has to be smooth.
     """
@@ -118,7 +120,13 @@ class Claim:
     truths: Stated
     laws: Mapping[str, PrintedLaw]
     notices: tuple[str, ...] = ()
+    memories: frozenset[str] = frozenset()
     differentiated: Record = field(default_factory=Record, compare=False)
+
+    @cached_property
+    def starts(self) -> Mapping[str, SX]:
+        """A symbol for where each state starts, a column, by the state's label."""
+        return {v.label: ca.SX.sym(f"start.{v.label}", v.symbol.numel()) for v in self.loop.variables}
 
     @cached_property
     def field(self) -> Field:
@@ -237,7 +245,7 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths, laws, notices, differentiated)
+    return Claim(diagram, loop, parts, kappa, truths, laws, notices, differentiated=differentiated)
 
 
 @final
@@ -252,7 +260,7 @@ class Field:
         loop = self.loop
         variables = loop.variables
         self._leaves = [loop.time, *(variable.symbol for variable in variables)]
-        self._rates = [ca.SX(1), *loop.joined([variable.rate for variable in variables])]
+        self._rates = [ca.SX(1), *loop.joined(loop.rates_of(variables))]
         self._labels = ["", *(variable.label for variable in variables)]
 
     def with_parameters(self, symbols: SX, others: SX) -> Field:

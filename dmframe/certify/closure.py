@@ -65,10 +65,24 @@ class Closure:
     ----------
     bases
         What V or a projection bounds.
+    anywhere
+        Parameters have random values, so that what follows does so at almost all numbers; else the graph's own, but
+        for those in intervals.
+    zeros
+        Labels of parameters that are zero.
     """
 
-    def __init__(self, claim: Claim, numbers: Numbers, bases: Bases, *, seed: int) -> None:
-        self._claim, self._numbers = claim, numbers
+    def __init__(
+        self,
+        claim: Claim,
+        numbers: Numbers,
+        bases: Bases,
+        *,
+        seed: int,
+        anywhere: bool = False,
+        zeros: frozenset[str] = frozenset(),
+    ) -> None:
+        self._claim, self._numbers, self._free, self._zeros = claim, numbers, anywhere, zeros
         self._symbols = symbols_of(claim, numbers.uncertain)
         self._variables = claim.loop.variables
         self.seed = seed
@@ -80,6 +94,7 @@ class Closure:
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
         self.tapes = list[tuple[Sequence[Group], Tape]]()
+        self.read = list[SX]()
         self._follow(bases)
 
     @property
@@ -159,7 +174,7 @@ class Closure:
 
     @cached_property
     def _rates(self) -> Mapping[str, SX]:
-        joined = self._claim.loop.joined([variable.rate for variable in self._variables])
+        joined = self._claim.loop.joined(self._claim.loop.rates_of(self._variables))
         return {variable.label: rate for variable, rate in zip(self._variables, joined, strict=True)}
 
     def _rate(self, variable: Variable) -> SX:
@@ -178,12 +193,20 @@ class Closure:
         for group in self._symbols.groups:
             if group.label not in first:
                 size = group.symbol.numel()
-                if group.kind == "parameter":
+                if group.label in self._zeros:
+                    first[group.label] = [0] * size
+                elif group.kind == "parameter" and not self._varies(group):
                     first[group.label] = [self._shift.residue(value) for value in own[group.label]]
                 else:
                     first[group.label] = [self._shift.random() for _ in range(size)]
                 shared = group.kind in ("parameter", "weight")
                 second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
+
+    def _varies(self, group: Group) -> bool:
+        """True for a parameter whose number says nothing: one in an interval; the robot's rotations are orthogonal."""
+        if group.label in self._numbers.uncertain:
+            return True
+        return self._free and group.values is None
 
     def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
         """A point with its states and its time moved along u."""
@@ -219,6 +242,7 @@ class Closure:
         ):
             self._symbols = symbols_of(self._claim, self._numbers.uncertain)
             self._extend()
+        self.read += expressions
         tape = Tape.from_function(self._symbols.function("closure", expressions))
         self.tapes.append((self._symbols.groups, tape))
         return tape

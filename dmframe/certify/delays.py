@@ -19,7 +19,7 @@ from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
 from dmframe.certify.checked import Checked
 from dmframe.certify.samples import SampledClaim, SampledPart
-from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
 from dmframe.errors import listed
 
 MOST: Final = 10
@@ -73,7 +73,7 @@ def decided_delays(claim: SampledClaim, part: SampledPart) -> bool:
 def _taken(claim: SampledClaim, item: Acted) -> int | None:
     """How many samples before the one that is over the command was given that the block holds for it."""
     loop = claim.base.loop
-    own, column = _memories(loop.controller), ca.vertsplit(item.held)
+    own, column = _memories(loop, loop.controller), ca.vertsplit(item.held)
     traced = 0
     while traced < MOST and all(row.is_symbolic() and row.element_hash() in own for row in column):
         column, traced = [own[row.element_hash()][0] for row in column], traced + 1
@@ -97,7 +97,7 @@ def _of_position(claim: SampledClaim, item: Acted) -> Late | None:
 
 def _late(claim: SampledClaim, expression: SX, wanted: set[int]) -> Late | None:
     loop = claim.base.loop
-    memories = _memories(tuple(v for v in loop.plant if v.next is not None))
+    memories = _memories(loop, loop.plant)
 
     def leaves(expression: SX) -> list[SX]:
         """At the graph's numbers: a share of 0 takes nothing of the sample before."""
@@ -115,15 +115,15 @@ def _late(claim: SampledClaim, expression: SX, wanted: set[int]) -> Late | None:
     return Late(tuple(found), tuple(through)) if found else None
 
 
-def _memories(variables: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:
+def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:
     """What each element of sampled states becomes, and its block, by the identity of the element's symbol."""
-    found = dict[int, tuple[SX, str]]()
-    for variable in variables:
-        if variable.next is not None:
-            rows = zip(
-                ca.vertsplit(ca.vec(variable.symbol)), ca.vertsplit(ca.vec(ca.densify(variable.next))), strict=True
-            )
-            found |= {symbol.element_hash(): (then, variable.block) for symbol, then in rows}
+    found, wanted, start = dict[int, tuple[SX, str]](), {state.label for state in states if state.sampled}, 0
+    for variable in loop.stepped:
+        elements = ca.vertsplit(ca.vec(variable.symbol))
+        if variable.label in wanted:
+            then = ca.vertsplit(loop.advanced[start : start + len(elements)])
+            found |= {x.element_hash(): (row, variable.block) for x, row in zip(elements, then, strict=True)}
+        start += len(elements)
     return found
 
 

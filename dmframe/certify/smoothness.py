@@ -45,6 +45,9 @@ SUSPECTS: Final = 200
 
 HALVINGS: Final = 60
 
+SCALES: Final = (Fraction(1, 1000), Fraction(1, 1000), Fraction(1), Fraction(-9, 10), Fraction(5))
+"""How far from the graph's numbers a path is followed, to see whether it is continuous by how it is written."""
+
 SOURCE = "dV/dt by the chain rule"
 NEEDED = "V or a derivative that the loop takes needs it continuous"
 
@@ -181,7 +184,7 @@ def _field(claim: Claim) -> Told:
     """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
     loop = claim.loop
     for variable in loop.variables:
-        (rate,) = loop.joined([variable.rate])
+        (rate,) = loop.joined(loop.rates_of([variable]))
         symbols = ca.symvar(rate)
         function = ca.Function("rate", [stack(symbols)], [rate])
         if not JUMPS & codes(function):
@@ -251,28 +254,38 @@ def _differentiated(diagram: Diagram, used: set[int]) -> Iterator[Leaf]:
 def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
     """Trajectories that are held to be continuous at the graph's numbers alone, with the parameters that they read.
 
-    One that is continuous, exactly, at random numbers beside these is so by how it is written, and left out.
+    One that is continuous, exactly, at random numbers near and far from these, and in which parameters alone switch
+    nothing, is so by how it is written, and left out.
     """
     for leaf in _differentiated(diagram, symbols_in([entry.expression for entry in claim.differentiated.since(0)])):
         joined, function = _path(diagram, leaf)
-        if not function.has_free() and _switches(function) and not _continuous_beside(diagram, function):
+        if not function.has_free() and _switches(function) and not _continuous_anywhere(diagram, function):
             moves = symbols_in([diagram.loop.time])
             read = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() not in moves]
             yield leaf.name, ca.vertcat(ca.SX(0, 1), *read)
 
 
-def _continuous_beside(diagram: Diagram, function: ca.Function) -> bool:
+def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     exact, rng, tape = exact_values(diagram), random.Random(0), Tape.from_function(function)
+    timed = {k for k, _ in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
+    of_all = moving_operations(tape, [[True], [True] * tape.inputs[1][1]])
+    if any(k not in timed and code in JUMPS | KINKS | {ca.OP_ATAN2} for k, code in of_all):
+        return False  # another branch may be taken at other numbers
     own = [value for parameter in diagram.loop.parameters for value in exact[parameter.label]]
-    for _ in range(2):
-        beside = [value * (1 + Fraction(rng.randrange(-(10**6), 10**6), 10**9)) for value in own]
+    for scale in SCALES:
         try:
-            course = follow(tape, beside)
+            course = follow(tape, [_beside(value, scale, rng) for value in own])
         except (NotFollowed, UndefinedHere, ZeroDivisionError):
             return False
         if course.jump is not None or course.edged:
             return False
     return True
+
+
+def _beside(value: Fraction, scale: Fraction, rng: random.Random) -> Fraction:
+    """Another number of the same sign; of zero, one that is not, since a factor would leave it what it is."""
+    part = Fraction(rng.randrange(1, 10**6), 10**6)
+    return value * (1 + scale * part) if value else scale * part * rng.choice((1, -1))
 
 
 def _path(diagram: Diagram, leaf: Leaf) -> tuple[SX, ca.Function]:

@@ -18,6 +18,7 @@ from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.identity import check_identity, empty_terms, equalities
+from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
 from dmframe.certify.reals import doubt
@@ -127,7 +128,8 @@ def verify(
     seed
         Of the points and primes.
     uncertain
-        True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
+        Parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint; and starts,
+        ``{"start.arm.q": [...]}``. A condition that is not decided over all of them does not hold.
     start
         A graph's own start values, by a state's name or ``block.state``.
     """
@@ -214,6 +216,7 @@ def _verified(
     smooth = examiner.found()
     if smooth.faults:  # of a trajectory that the statements have differentiated once more
         statements = [item for item in statements if not item.concludes and item.says != "goes to zero"]
+    conditions = over_intervals(conditions, claim, numbers)
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
@@ -310,9 +313,8 @@ def _judge(
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"
-    failing = [condition.name for condition in conditions if not condition.holds]
-    if failing:
-        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    if failing := failing_of(conditions):
+        return "not_applicable", failing
     unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
     if unbounded:
         return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"

@@ -18,6 +18,7 @@ from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.memories import triangle_starts
+from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.projections import outside
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
@@ -101,6 +102,7 @@ def prove_over_samples(
     controls = sampled_controls(claim, symbols, seed=own)
     numbers = Numbers(claim.base, uncertain)
     conditions, assumptions = _conditions(claim, numbers, start)
+    conditions = over_intervals(conditions, claim.base, numbers)
     outcome, reason = _judged(claim, conditions, controls, _empty(claim, symbols, own))
     return SampledProof(
         claim,
@@ -151,9 +153,8 @@ def _judged(
     if not controls or missed:
         told = ", ".join(missed) or "there are none"
         return "not_applicable", f"the negative controls were not refuted: {told}"
-    failing = [condition.name for condition in conditions if not condition.holds]
-    if failing:
-        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    if failing := failing_of(conditions):
+        return "not_applicable", failing
     plus = " plus the residual" if claim.left else ""
     return (
         "proved",
