@@ -9,13 +9,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from dmframe.certify import verify
 from dmframe.study import basis
 from dmframe.study import proof as module
 from dmframe.study.answer import Told, _proof_in_short
 from dmframe.study.design import Spread
+from dmframe.study.drawn import held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
-from dmframe.study.proof import HELD, box_of, held_at, proofs_of
+from dmframe.study.proof import HELD, box_of, proofs_of
 from dmframe.study.varied import Factor
 
 
@@ -70,11 +72,25 @@ def test_of_what_has_no_ends_the_box_holds_what_it_says() -> None:
     assert [float(end[0]) for end in box.ends["servo.K_D"]] == [18, 22]
 
 
-def test_what_is_no_parameter_is_named() -> None:
-    found = study("start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}")
+def test_starts_are_in_the_box_and_what_no_proof_reads_is_named() -> None:
+    found = study(
+        "start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}\nclock: {uniform: [4 ms, 8 ms]}"
+    )
     box = box_of(of(found), found.factors)
-    assert box.outside == ("start.q",)
-    assert set(box.ends) == {"servo.K_D"}
+    assert box.outside == ("clock",)
+    assert box.unknown == ()
+    assert set(box.ends) == {"servo.K_D", "start.arm.q"}
+
+
+def test_a_start_that_a_parameter_states_is_a_start_and_the_graph_goes_before_it() -> None:
+    found = study("inverse.w_I: {scale: [1, 2]}", "arm2_joint")
+    diagram = of(found)
+    box = box_of(diagram, found.factors)
+    own = diagram.models["inverse"].values["w_I"]
+    low, high = box.ends["start.inverse.w_I"]
+    np.testing.assert_allclose([low, high], [own, 2 * own])
+    told = box_of(diagram, found.factors, {"w_I": 1.0})
+    assert told.unknown == ("inverse.w_I",)  # whose numbers nothing reads; that costs a word, and says nothing false
 
 
 def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
@@ -92,12 +108,14 @@ def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
     found = study("servo.K_I: {scale: [0.9, 8]}\nservo.K_D: {scale: [0.5, 1]}", runs=40)
     (told,) = proofs_of(found, [""])
     assert told.drawn is not None
+    assert not told.drawn.unknown.any()
+    drawn = told.drawn.fulfil
     values = found.values(0, 0, 40)
     by_hand = 1.0 * values["servo.K_D"] + 60 - values["servo.K_I"] / 1.0 >= 0  # with K_c = 1 1/s, without friction
-    assert 0 < told.drawn.sum() < 40
-    assert np.array_equal(told.drawn, by_hand.ravel())
-    for sample in (int(np.argmin(told.drawn)), int(np.argmax(told.drawn))):
-        assert found.graph_of(sample).verify().proved == told.drawn[sample]
+    assert 0 < drawn.sum() < 40
+    assert np.array_equal(drawn, by_hand.ravel())
+    for sample in (int(np.argmin(drawn)), int(np.argmax(drawn))):
+        assert found.graph_of(sample).verify().proved == drawn[sample]
 
 
 def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
@@ -105,12 +123,13 @@ def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
     soft = proofs_of(study("servo.K_D: {scale: [0.5, 0.6]}", grid=grid), ["stiff", "soft"])
     assert [each.proved for each in soft] == [True, False]
     assert soft[1].drawn is not None
-    assert not soft[1].drawn.any()
+    assert not soft[1].drawn.fulfil.any()
+    assert not soft[1].drawn.unknown.any()
 
 
 def test_a_loop_without_a_claim_says_nothing_of_draws() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
-    assert held_at(of(found), {}, found.values(0, 0, 5), 5) is None
+    assert held_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
 
 
 def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,8 +141,8 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(
     ("sample", "says", "apart"),
     [
-        ("inverse.w_I: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
-        ("inverse.w_I: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
+        ("clock: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
+        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
         ("servo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", False),
     ],
 )
@@ -138,6 +157,6 @@ def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apar
         (),
     )
     assert says in _proof_in_short(told)
-    assert ("Not in the box, since no parameter of the loop: `inverse.w_I`" in _proof_in_short(told)) == apart
+    assert ("Not in the box, since no proof reads it: `clock`" in _proof_in_short(told)) == apart
     parts = repr(list(basis.proof(told)))
-    assert ("says nothing of the others" in parts) == apart
+    assert ("no proof reads it" in parts) == apart
