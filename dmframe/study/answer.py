@@ -86,7 +86,8 @@ def lead(t: Told) -> Lead:
         outcome = "refuted"
     elif outcome == "proved":
         outcome = worst
-    return Lead(outcome, f"{of_runs.headline}; {words}", of_runs.sentence)
+    runs = of_runs.headline
+    return Lead(outcome, f"{words[0].upper()}{words[1:]}; {runs[0].lower()}{runs[1:]}", of_runs.sentence)
 
 
 def verdict_of(t: Told) -> tuple[str, str] | None:
