@@ -26,6 +26,7 @@ from dmframe.errors import BlockError, UnknownNameError
 from dmframe.files import expanded, is_file
 
 GROUP = "dmframe.blocks"
+_LOADED = "__dmframe_source__"
 
 
 def packages() -> Iterator[ModuleType]:
@@ -128,6 +129,7 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise BlockError(f"{where}: {path} cannot be read as a Python file")
     module = importlib.util.module_from_spec(spec)
+    vars(module)[_LOADED] = hashlib.sha256(source).hexdigest()
     sys.modules[name] = module
     try:
         # not by the loader: it trusts a cached compilation of a file that has the same size and second
@@ -142,6 +144,12 @@ def _load(path: Path, source: bytes, where: str) -> ModuleType:
         said = error.msg if isinstance(error, SyntaxError) else (str(error).splitlines() or [""])[0]
         raise BlockError(f"{where}: {path.name}:{line}: {type(error).__name__}: {said}") from error
     return module
+
+
+def loaded_digest(module: ModuleType | None) -> str | None:
+    """SHA-256 of the source that was run of a user's file, whatever lies there by now; None for any other module."""
+    found = vars(module).get(_LOADED) if module is not None else None
+    return found if isinstance(found, str) else None
 
 
 def graphs() -> dict[str, Path]:

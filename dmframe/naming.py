@@ -18,6 +18,7 @@ from typing import Any, Final, final
 import casadi as ca
 
 from dmframe.errors import DmframeError
+from dmframe.names import distinct, look_alikes, unicode_name
 
 Expression = Any
 """A CasADi expression (SX, MX or DM) or a number; the library is untyped."""
@@ -52,8 +53,6 @@ class Naming:
 
     def define(self, name: str, expression: Expression) -> Expression:
         """The symbol of a name. Raises `NamingError`."""
-        from dmframe.formula.names import distinct, look_alikes, unicode_name  # whose package imports this module
-
         if not name.isidentifier() or iskeyword(name):
             raise NamingError(f"expected a name such as K_star, found {name!r}")
         if name in self.taken:
@@ -176,8 +175,6 @@ RESERVED: Final = frozenset(
 
 def _check_name(function: Callable[..., Any]) -> None:
     """Raise `NamingError` for a name that is none, or that prints as something else."""
-    from dmframe.formula.names import look_alikes  # whose package imports this module
-
     name = function.__name__
     if not name.isidentifier() or iskeyword(name) or look_alikes(name):
         raise NamingError(f"expected a function with a name such as saturated, found {name!a}, which would be printed")

@@ -34,8 +34,9 @@ class NormalisedSteps:
 
     .. math:: - (h^\top \tilde\theta)^2 / n - \nu \varepsilon^2 / n^2 + \eta^2 / n
 
-    whatever the rows are: the first two are never positive, and the third is what the data have that no
-    :math:`\theta_{true}` explains. Put back into a box that holds the true value, an estimate comes no farther from it.
+    whatever the rows are, a textbook property of the projection algorithm [GoodwinSin1984]_: the first two are never
+    positive, and the third is what no :math:`\theta_{true}` explains. Put back into a box that holds the true value, an
+    estimate comes no farther from it.
 
     Parameters
     ----------

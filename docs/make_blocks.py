@@ -25,9 +25,9 @@ from dmframe.condition import Assumption
 from dmframe.diagram.view import view
 from dmframe.formula import Formula, Line, PrintedLaw, printed
 from dmframe.formula.alone import in_yaml, options_of, plainest
-from dmframe.formula.names import latex_name
 from dmframe.formula.tree import Sum
 from dmframe.formula.where import sizes_show, where
+from dmframe.names import latex_name
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side
 from dmframe.report.notation import marked

@@ -20,8 +20,8 @@ from ruamel.yaml import YAML
 
 from dmframe.block import AbstractBlock
 from dmframe.catalogue import block_types
-from dmframe.formula.names import distinct, unicode_name
 from dmframe.formula.robot import CONSTANTS, SIGNS
+from dmframe.names import distinct, unicode_name
 from dmframe.parameter import specs
 from dmframe.units import compatible
 

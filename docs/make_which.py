@@ -25,7 +25,7 @@ from dmframe.catalogue import find_graph
 from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import known_truths
 from dmframe.errors import listed
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 from dmframe.results.metrics import goal_of
 from dmframe.simulate.keep import apart_of

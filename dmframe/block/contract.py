@@ -14,6 +14,7 @@ from pydantic import PydanticUndefinedAnnotation
 from dmframe.block.base import AbstractBlock
 from dmframe.block.names import names_of
 from dmframe.errors import DmframeError, UnitError, nearest
+from dmframe.names import distinct, look_alikes, unicode_name
 from dmframe.parameter import read, specs
 from dmframe.port import DISTRIBUTIONS, TIME, Access, Adapted, Port, Side, State
 from dmframe.units import compatible, shorten
@@ -203,9 +204,6 @@ def _estimate_breaches(block: type[AbstractBlock]) -> Iterator[str]:
 
 def _print_breaches(block: type[AbstractBlock]) -> Iterator[str]:
     """Names that a reader could take for one another."""
-    # which imports the package that reads blocks
-    from dmframe.formula.names import distinct, look_alikes, unicode_name
-
     names = list(dict.fromkeys([*names_of(block), *(port.name for port in block.truth)]))
     for one, other in distinct(names):
         yield f"its names {one} and {other} both print as {unicode_name(one)}; rename one"

@@ -7,6 +7,7 @@ start is known, at one of many sampled states.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 import casadi as ca
@@ -14,11 +15,15 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Square
-from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.begun import Begun
+from dmframe.certify.checked import Checked, Numbers, lower, upper
 from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import is_mass_matrix
-from dmframe.certify.starts import start_expression, start_is_said
+from dmframe.certify.starts import begun_at
 from dmframe.diagram.closed_loop import stack
+from dmframe.errors import ValueFault
+from dmframe.exact.fixed import UndecidedError
+from dmframe.exact.rational import as_float
 from dmframe.linalg import ldl
 
 SIGNS: Final = "V is positive, dV/dt not"
@@ -68,30 +73,40 @@ def _written(claim: Claim, part: Part, role: str, place: int) -> str:
 
 def _looked_at(name: str, weight: SX, numbers: Numbers, start: Mapping[str, Any]) -> Checked:
     """Above zero at the start; where that is not known, at one of many states at least."""
-    loop = numbers.claim.loop
-    begun = _at_start(weight, numbers, start)
-    if begun is None:
-        least, where = _most(weight, numbers), f"at one of {SAMPLES} sampled states"
-    else:
-        least, where = _least(ca.Function("weight", [loop.p], [begun])(loop.p_values)), "at the start"
-    return Checked(f"{name} is above zero {where}", "least value > 0", least, least > 0, SIGNS, "sampled", margin=begun)
+    begun = _begun(weight, numbers, start)
+    margin = begun.at(numbers.starts)
+    known = margin is not None
+    where = "at the start" if known else f"at one of {SAMPLES} sampled states"
+    least, margin = _most(weight, numbers) if margin is None else (_least_of(margin, numbers), margin)
+    name, text = f"{name} is above zero {where}", "least value > 0"
+    found = Checked(name, text, least, least > 0, SIGNS, "sampled", margin=margin, begun=begun, sufficient=not known)
+    if not symbols_in([margin]) & numbers.open:
+        return found
+    return _over(found, margin, numbers)
 
 
-def _at_start(weight: SX, numbers: Numbers, given: Mapping[str, Any]) -> SX | None:
-    """What has to be above zero at the start, in parameters; None where the start is not known."""
+def _over(found: Checked, margin: SX, numbers: Numbers) -> Checked:
+    """The same over the intervals on which its margin depends."""
+    try:
+        least = as_float(min(map(lower, numbers.enclosed(margin))))
+    except (ValueFault, UndecidedError, OverflowError):
+        text = f"{found.expression}; not decided over the intervals"
+        return replace(found, holds=False, value=None, how="undecided", expression=text)
+    return replace(found, holds=least > 0, value=least, how="exact")
+
+
+def _least_of(margin: SX, numbers: Numbers) -> float:
+    """At the graph's own numbers; of starts in intervals, at their middle."""
     loop = numbers.claim.loop
-    (weight,) = loop.joined([weight])
-    used, leaves, starts = symbols_in([weight]), list[SX](), list[SX]()
-    for variable in loop.variables:
-        if used & symbols_in([variable.symbol]):
-            said = start_is_said(variable.label, numbers, given)
-            begun = start_expression(variable.label, numbers, given) if said else None
-            if begun is None:
-                return None
-            leaves.append(ca.vec(variable.symbol))
-            starts.append(ca.densify(begun))
-    (value,) = ca.substitute([_signs(weight)], leaves, starts)
-    return value if symbols_in([value]) <= numbers.known else None
+    columns = [loop.p, *(numbers.claim.starts[label] for label in numbers.starts)]
+    middle = ([as_float(lower(x) + upper(x)) / 2 for x in given] for given in numbers.starts.values())
+    return _least(ca.Function("weight", columns, [margin])(loop.p_values, *middle))
+
+
+def _begun(weight: SX, numbers: Numbers, given: Mapping[str, Any]) -> Begun:
+    """What has to be above zero at the start."""
+    (weight,) = numbers.claim.loop.joined([weight])
+    return begun_at(_signs(weight), numbers, given)
 
 
 def _signs(weight: SX) -> SX:
@@ -100,13 +115,17 @@ def _signs(weight: SX) -> SX:
     return weight if weight.is_column() else ca.vertcat(*ldl((weight + weight.T) / 2)[1])
 
 
-def _most(weight: SX, numbers: Numbers) -> float:
-    """The largest of the least values at sampled states, times and trajectories, at the graph's parameters."""
+def _most(weight: SX, numbers: Numbers) -> tuple[float, SX]:
+    """The largest of the least values at sampled states, times and trajectories, and what is least there."""
     loop, rng = numbers.claim.loop, np.random.default_rng(0)
     (signs,) = loop.joined([_signs(weight)])
     leaves = [leaf for leaf in ca.symvar(signs) if not symbols_in([leaf]) <= numbers.known]
     function = ca.Function("weight", [stack(leaves), loop.p], [signs])
-    return max(_least(function(rng.uniform(-np.pi, np.pi, len(leaves)), loop.p_values)) for _ in range(SAMPLES))
+    points = [rng.uniform(-np.pi, np.pi, len(leaves)) for _ in range(SAMPLES)]
+    values = [_least(function(point, loop.p_values)) for point in points]
+    best = int(np.argmax(values))
+    (there,) = ca.substitute([signs], [stack(leaves)], [ca.SX(ca.DM(points[best]))]) if leaves else [signs]
+    return values[best], there
 
 
 def _least(value: ca.DM) -> float:

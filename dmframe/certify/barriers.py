@@ -15,7 +15,7 @@ import numpy as np
 from dmframe.barrier import Barrier
 from dmframe.certificate import SX, Square
 from dmframe.certify.checked import Numbers, lower, upper
-from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.claim import Claim, Part
 from dmframe.certify.definite import Number
 from dmframe.certify.starts import start_expression, start_is_said
 from dmframe.certify.statements import Statement
@@ -107,14 +107,14 @@ def tubes(claim: Claim, numbers: Numbers, symbols: Symbols, start: Mapping[str, 
     if not stated or claim.cascaded or any(part.certificate.excess for part in claim.parts):
         return
     resolver = claim.diagram.resolver
-    if any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
+    if numbers.starts or any(resolver.steps(block, port) for block, port, _ in resolver.trajectories):
         return
     begin = _start(claim, numbers, start)
     if begin is None:
         return
     spent = max(0.0, _most(claim, numbers, begin, claim.V))
-    for _, barrier in stated:
-        share = _share(claim, numbers, symbols, barrier)
+    for part, barrier in stated:
+        share = _share(claim, numbers, symbols, barrier, f"{part.block}: the position of its barrier")
         if share is None or not math.isfinite(spent):
             continue
         constants = [_column(numbers, item, len(share)) for item in _constants(barrier)]
@@ -175,9 +175,9 @@ def _ends(numbers: Numbers, expression: SX, size: int) -> tuple[np.ndarray, np.n
     return low, high
 
 
-def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier) -> np.ndarray | None:
+def _share(claim: Claim, numbers: Numbers, symbols: Symbols, barrier: Barrier, of: str) -> np.ndarray | None:
     """C of s_i^2 <= c_i times what is spent, of the block that spends the error of following the reference."""
-    error = Field(claim.diagram).derivative(barrier.position) - barrier.reference
+    error = claim.field.derivative(barrier.position, of) - barrier.reference
     for part in claim.parts:
         if part.certificate.pays and _same(part, error, symbols):
             size = error.numel()

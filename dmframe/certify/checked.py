@@ -12,12 +12,15 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
+from dmframe.certify.begun import START, Begun
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number, pivots
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
+from dmframe.exact.fixed import ONE, Fixed, fixed_values
 from dmframe.exact.rational import Interval, as_float, evaluate
+from dmframe.program import read
 
 
 @final
@@ -38,6 +41,13 @@ class Checked:
     margin
         An expression in the claim's symbols whose least element is `value`, by which other numbers of the same loop are
         judged; empty where no number of a graph matters, and None where the condition is not the sign of one.
+    reads
+        Where there is no margin: all parameters, and all symbols of starts (`Claim.starts`), on which the outcome
+        depends. A condition that holds has a margin or this list.
+    begun
+        What has to be above zero at the start, where the condition reads a start.
+    sufficient
+        The margin above zero is enough; below zero it decides nothing.
     """
 
     name: str
@@ -48,16 +58,29 @@ class Checked:
     how: str = "exact"
     strict: bool = True
     margin: SX | None = field(default=None, compare=False)
+    reads: SX | None = field(default=None, compare=False)
+    begun: Begun | None = field(default=None, compare=False)
+    sufficient: bool = field(default=False, compare=False)
 
 
 @final
 class Numbers:
-    """Exact values of expressions in parameters alone, at the graph's numbers or over its intervals."""
+    """Exact values of expressions in parameters alone, at the graph's numbers or over its intervals.
+
+    Parameters
+    ----------
+    uncertain
+        Intervals by ``block.parameter``, and of starts by ``start.block.state``.
+    """
 
     def __init__(self, claim: Claim, uncertain: Mapping[str, Sequence[Interval]]) -> None:
         self.claim = claim
         values: dict[str, Sequence[Number]] = dict(exact_values(claim.diagram))
-        self.values, self.uncertain = values | dict(uncertain), frozenset(uncertain)
+        self.starts = {
+            label.removeprefix(START): given for label, given in uncertain.items() if label.startswith(START)
+        }
+        given = {label: values for label, values in uncertain.items() if not label.startswith(START)}
+        self.values, self.uncertain = values | given, frozenset(given)
         self._p = claim.loop.parameters
         self._columns = [stack([p.symbol]) for p in self._p]
 
@@ -74,6 +97,38 @@ class Numbers:
             free = ", ".join(str(symbol) for symbol in function.get_free())
             raise ValueFault(f"expected an expression in parameters alone, found {free}")
         return evaluate(function, [self.values[p.label] for p in self._p])[0]
+
+    @cached_property
+    def open(self) -> set[int]:
+        """Identities of the symbols that lie in intervals: parameters, and starts (`Claim.starts`)."""
+        parameters = [parameter.symbol for parameter in self._p if parameter.label in self.uncertain]
+        return symbols_in([*parameters, *(self.claim.starts[label] for label in self.starts)])
+
+    def enclosed(self, expression: SX) -> list[Number]:
+        """The elements of an expression in parameters and starts that lie in intervals; of any operations.
+
+        Raises `ValueFault` or `UndecidedError` where they are not found.
+        """
+        joined = ca.vec(ca.densify(expression))
+        columns = [*self._columns, *(self.claim.starts[label] for label in self.starts)]
+        function = ca.Function("value", columns, [joined], {"allow_free": True})
+        if function.has_free():
+            raise ValueFault("expected an expression in parameters and starts alone")
+        given = [*(self.values[p.label] for p in self._p), *self.starts.values()]
+        try:
+            return evaluate(function, given)[0]
+        except (ValueFault, ZeroDivisionError):
+            program = read(function)
+            held = [[Fixed(Fixed.around(lower(x)).lower, Fixed.around(upper(x)).upper) for x in one] for one in given]
+            (found,) = program.dense(fixed_values(program, held), Fixed(0, 0))
+            return [Interval(Fraction(item.lower, ONE), Fraction(item.upper, ONE)) for item in found]
+
+    def reads(self, expression: SX) -> SX:
+        """The parameters that an expression holds, its trajectories on their paths."""
+        loop = self.claim.loop
+        (joined,) = loop.joined([ca.vec(ca.densify(expression))])
+        found = [symbol for symbol in ca.symvar(loop.on_path(joined)) if symbol.element_hash() in self.known]
+        return ca.vertcat(ca.SX(0, 1), *found)
 
     def with_states(self, expression: SX, state: SX, values: Sequence[Number]) -> list[Number] | None:
         """The elements of an expression in parameters and one state, the state anywhere in its intervals."""

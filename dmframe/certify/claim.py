@@ -14,7 +14,7 @@ symbols.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import final
 
@@ -23,7 +23,8 @@ import numpy as np
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate, Dissipated
+from dmframe.certificate import SX, Certificate, Dissipated, LogDet, Potential, Stored
+from dmframe.certify.differentiated import Record
 from dmframe.certify.form import NotApplicableError, check_form
 from dmframe.certify.labels import labelled
 from dmframe.certify.risky import risky
@@ -106,6 +107,10 @@ class Claim:
         Equations of docstrings that are held to nothing.
     truths
         True values of estimates that certificates state, by block and name.
+    memories
+        Labels of the states that steps of least squares gather, over samples.
+    differentiated
+        All that has been differentiated for this claim, and has to be smooth.
     """
 
     diagram: Diagram
@@ -115,6 +120,18 @@ class Claim:
     truths: Stated
     laws: Mapping[str, PrintedLaw]
     notices: tuple[str, ...] = ()
+    memories: frozenset[str] = frozenset()
+    differentiated: Record = field(default_factory=Record, compare=False)
+
+    @cached_property
+    def starts(self) -> Mapping[str, SX]:
+        """A symbol for where each state starts, a column, by the state's label."""
+        return {v.label: ca.SX.sym(f"start.{v.label}", v.symbol.numel()) for v in self.loop.variables}
+
+    @cached_property
+    def field(self) -> Field:
+        """The vector field; what it differentiates is entered in the record of this claim."""
+        return Field(self.diagram, self.differentiated)
 
     @property
     def cascaded(self) -> bool:
@@ -221,26 +238,29 @@ def claim_of(diagram: Diagram, *, near: bool = False) -> Claim:
     unfollowed = _unfollowed(diagram, stated)
     stated |= {name: Certificate(truth=stated[name].truth) for name in unfollowed}
     laws = {name: law.silent if name in unfollowed else law for name, law in laws.items()}
-    field = Field(diagram)
-    named = labelled(stated, laws)
-    parts = tuple(field.part(name, certificate) for name, certificate in named.items())
+    differentiated = Record()
+    along, named = Field(diagram, differentiated), labelled(stated, laws)
+    parts = tuple(along.part(name, certificate) for name, certificate in named.items())
     if not any(part.certificate.storage for part in parts):
         raise NotApplicableError("no block of this graph stores anything; there is no V")
     cascades = [part for part in parts if part.certificate.consumes is not None]
     kappa = ca.SX.sym("kappa") if cascades else ca.SX(1)
-    return Claim(diagram, loop, parts, kappa, truths, laws, notices)
+    return Claim(diagram, loop, parts, kappa, truths, laws, notices, differentiated=differentiated)
 
 
 @final
 class Field:
-    """The closed loop's vector field, measured and commanded signals substituted, and time derivatives along it."""
+    """The closed loop's vector field, measured and commanded signals substituted, and time derivatives along it.
 
-    def __init__(self, diagram: Diagram) -> None:
-        self.diagram, self.loop = diagram, diagram.loop
+    Every derivative is entered in the record; that of a faulty field, by which a check is tried, in one of its own.
+    """
+
+    def __init__(self, diagram: Diagram, record: Record | None = None) -> None:
+        self.diagram, self.loop, self.record = diagram, diagram.loop, Record() if record is None else record
         loop = self.loop
         variables = loop.variables
         self._leaves = [loop.time, *(variable.symbol for variable in variables)]
-        self._rates = [ca.SX(1), *loop.joined([variable.rate for variable in variables])]
+        self._rates = [ca.SX(1), *loop.joined(loop.rates_of(variables))]
         self._labels = ["", *(variable.label for variable in variables)]
 
     def with_parameters(self, symbols: SX, others: SX) -> Field:
@@ -262,10 +282,20 @@ class Field:
         storage = total([term.value for term in joined.storage]) / 2
         lemma = total([self._lemma(name, joined, item) for item in self._projections(name, storage)])
         task = certificate.task or certificate.consumes is not None
-        return Part(name, joined, task, self.derivative(storage), lemma)
+        for term in joined.storage:
+            self.record.add(f"{name}: the storage of {term.of}", _inside(term))
+        return Part(name, joined, task, self._along(storage), lemma)
 
-    def derivative(self, expression: SX) -> SX:
-        """d/dt along the closed loop, trajectories moving as they like."""
+    def derivative(self, expression: SX, of: str) -> SX:
+        """d/dt along the closed loop, trajectories moving as they like; `of` names it in the record."""
+        self.record.add(of, expression)
+        return self._along(expression)
+
+    def unrecorded(self, expression: SX) -> SX:
+        """The same of what the caller itself examines: `dmframe.certify.smoothness.slope` is the only such caller."""
+        return self._along(expression)
+
+    def _along(self, expression: SX) -> SX:
         used = symbols_in([expression])
         pairs = [
             (leaf, rate) for leaf, rate in zip(self._leaves, self._rates, strict=True) if used & symbols_in([leaf])
@@ -276,13 +306,6 @@ class Field:
         if not pairs:
             return ca.SX(0)
         return ca.jtimes(expression, stack(leaf for leaf, _ in pairs), stack(rate for _, rate in pairs))
-
-    def second(self, expression: SX) -> SX | None:
-        """The second derivative; None where the first holds a projection's correction, which may jump."""
-        first = self.derivative(expression)
-        if symbols_in([first]) & symbols_in(item.correction for item in self.loop.projections):
-            return None
-        return self.derivative(first)
 
     def _projections(self, name: str, storage: SX) -> list[Projection]:
         """Of the block's own states. What another block stores may move with them too, as sigma does through dq_ref:
@@ -303,6 +326,14 @@ class Field:
             f"{name}: {projection.name} is projected, but is not stored as one square of its error, which the "
             f"projection lemma needs{hint}"
         )
+
+
+def _inside(term: Stored) -> SX:
+    """What has to be smooth for a term to be.
+
+    A potential is smooth in what it is made of, and so is a divergence where V, which holds it, is finite.
+    """
+    return stack(map(ca.SX, term.pieces)) if isinstance(term, Potential | LogDet) else ca.SX(term.value)
 
 
 def certificates_of(diagram: Diagram) -> tuple[dict[str, Certificate], Stated]:

@@ -31,7 +31,7 @@ import casadi as ca
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Condition, Driven
 from dmframe.certify.checked import Numbers, lower, upper
-from dmframe.certify.claim import Claim, Field
+from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number
 from dmframe.certify.stability import common_margin
 from dmframe.certify.symbols import Group, exact_values, symbols_of
@@ -65,21 +65,36 @@ class Closure:
     ----------
     bases
         What V or a projection bounds.
+    anywhere
+        Parameters have random values, so that what follows does so at almost all numbers; else the graph's own, but
+        for those in intervals.
+    zeros
+        Labels of parameters that are zero.
     """
 
-    def __init__(self, claim: Claim, numbers: Numbers, bases: Bases, *, seed: int) -> None:
-        self._claim, self._numbers = claim, numbers
+    def __init__(
+        self,
+        claim: Claim,
+        numbers: Numbers,
+        bases: Bases,
+        *,
+        seed: int,
+        anywhere: bool = False,
+        zeros: frozenset[str] = frozenset(),
+    ) -> None:
+        self._claim, self._numbers, self._free, self._zeros = claim, numbers, anywhere, zeros
         self._symbols = symbols_of(claim, numbers.uncertain)
         self._variables = claim.loop.variables
         self.seed = seed
         self._columns = sum(variable.symbol.numel() for variable in self._variables) + 1  # the last one is the time
         self._draw(random.Random(seed + 3))
         self._known = Echelon(self._shift.prime, self._columns)
-        self.driven: list[Driven] = []
+        self.driving: list[tuple[str, Driven]] = []
         self.given: list[tuple[str, Driven]] = []
         self.assumed: list[tuple[str, Driven]] = []
         self.missed: list[tuple[str, Driven]] = []
         self.tapes = list[tuple[Sequence[Group], Tape]]()
+        self.read = list[SX]()
         self._follow(bases)
 
     @property
@@ -96,6 +111,11 @@ class Closure:
     def variables(self) -> tuple[Variable, ...]:
         """All states."""
         return self._variables
+
+    @property
+    def driven(self) -> list[Driven]:
+        """What followed from stable linear equations."""
+        return [item for _, item in self.driving]
 
     def open_states(self) -> list[Variable]:
         """States of which some combination is not known to be bounded."""
@@ -154,7 +174,7 @@ class Closure:
 
     @cached_property
     def _rates(self) -> Mapping[str, SX]:
-        joined = self._claim.loop.joined([variable.rate for variable in self._variables])
+        joined = self._claim.loop.joined(self._claim.loop.rates_of(self._variables))
         return {variable.label: rate for variable, rate in zip(self._variables, joined, strict=True)}
 
     def _rate(self, variable: Variable) -> SX:
@@ -173,12 +193,20 @@ class Closure:
         for group in self._symbols.groups:
             if group.label not in first:
                 size = group.symbol.numel()
-                if group.kind == "parameter":
+                if group.label in self._zeros:
+                    first[group.label] = [0] * size
+                elif group.kind == "parameter" and not self._varies(group):
                     first[group.label] = [self._shift.residue(value) for value in own[group.label]]
                 else:
                     first[group.label] = [self._shift.random() for _ in range(size)]
                 shared = group.kind in ("parameter", "weight")
                 second[group.label] = first[group.label] if shared else [self._shift.random() for _ in range(size)]
+
+    def _varies(self, group: Group) -> bool:
+        """True for a parameter whose number says nothing: one in an interval; the robot's rotations are orthogonal."""
+        if group.label in self._numbers.uncertain:
+            return True
+        return self._free and group.values is None
 
     def _moved(self, point: Mapping[str, Sequence[int]], u: Sequence[int]) -> list[list[int]]:
         """A point with its states and its time moved along u."""
@@ -214,6 +242,7 @@ class Closure:
         ):
             self._symbols = symbols_of(self._claim, self._numbers.uncertain)
             self._extend()
+        self.read += expressions
         tape = Tape.from_function(self._symbols.function("closure", expressions))
         self.tapes.append((self._symbols.groups, tape))
         return tape
@@ -250,7 +279,7 @@ class Closure:
             if found is None:
                 break
             waiting = [item for item in waiting if item is not found]
-            self.driven.append(found[1])
+            self.driving.append(found)
             vectors += found[1].vectors
         self.missed = waiting
 
@@ -304,7 +333,7 @@ class Closure:
 
     def _follows(self, block: str, item: Driven) -> bool:
         """True where the remainder is bounded by now, and the linear part stable, or assumed to be."""
-        if not all(self.bounds(list(self.remainders(item)))):
+        if not all(self.bounds(list(self.remainders(block, item)))):
             return False
         holds = stable(item, self._numbers, self._claim)
         if holds:
@@ -332,18 +361,20 @@ class Closure:
         """
         if not item.inputs or symbols_in(item.inputs) & symbols_in(item.vectors):
             return False
-        rests = [rest - own for rest, own in zip(self.remainders(item), item.inputs, strict=True)]
+        rests = [rest - own for rest, own in zip(self.remainders(block, item), item.inputs, strict=True)]
         if not (all(self.bounds(rests)) and stable(item, self._numbers, self._claim)):
             return False
         self.given.append((block, item))
         return True
 
-    def remainders(self, driven: Driven) -> Iterator[SX]:
-        """What is left of each equation beside its stable linear part."""
-        field = Field(self._claim.diagram)
+    def remainders(self, block: str, driven: Driven) -> Iterator[SX]:
+        """What is left of each equation of a block next to its stable linear part."""
+        field, of = self._claim.field, f"{block}: what drives {', '.join(driven.of)}"
+        for vector in driven.bounded:
+            field.record.add(of, vector)
         for vector, row in zip(driven.vectors, driven.rates, strict=True):
             linear = sum((rate * other for rate, other in zip(row, driven.vectors, strict=True)), ca.SX(0))
-            yield field.derivative(vector) - linear
+            yield field.derivative(vector, of) - linear
 
 
 def _alone(column: int, own: Sequence[int], directions: Sequence[Sequence[int]]) -> bool:

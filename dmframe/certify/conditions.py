@@ -197,8 +197,9 @@ def _inside(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) -> tuple[l
             assumed.append(Assumption(f"{part.block}: {term.of} starts positive definite", SIGNS))
         else:
             name, least = f"{part.block}: {term.of} starts positive definite", min(pivots(first))
-            margin = pivots_at_start(claim, numbers, start, term.matrix)
-            checked.append(Checked(name, "least pivot at the start", as_float(least), least > 0, SIGNS, margin=margin))
+            begun = pivots_at_start(claim, numbers, start, term.matrix)
+            margin, text = begun.at(numbers.starts), "least pivot at the start"
+            checked.append(Checked(name, text, as_float(least), least > 0, SIGNS, margin=margin, begun=begun))
         if rising:
             text = f"{part.block}: {term.of} stays positive definite, although V may rise by a residual"
             assumed.append(Assumption(text, SIGNS))
@@ -229,21 +230,28 @@ def _matrices(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
                 yield _mass_matrix(claim, matrix)
 
 
+def load_labels(claim: Claim) -> list[str]:
+    """Loads that a mass matrix holds."""
+    found = [
+        load_in(claim, (term.weight + term.weight.T) / 2)
+        for _, _, term in _terms(claim)
+        if isinstance(term, Square | NormSquare) and is_matrix(claim, term.weight)
+    ]
+    return [label for label in dict.fromkeys(found) if label]
+
+
 def _loads(claim: Claim) -> tuple[list[Checked], list[Assumption]]:
-    """Loads that a mass matrix holds: what a source hands out at all times nobody sees from the graph, but at some."""
-    checked, assumed = list[Checked](), dict[Assumption, None]()
-    for _, _, term in _terms(claim):
-        if isinstance(term, Square | NormSquare) and is_matrix(claim, term.weight):
-            label = load_in(claim, (term.weight + term.weight.T) / 2)
-            if label:
-                text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"
-                assumed[Assumption(text, "property P2")] = None
-                time, least = _least_of_load(claim, label)
-                if not least >= 0:
-                    found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
-                    name = f"{label} is the inertia of a rigid body"
-                    checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
-    return list(dict.fromkeys(checked)), list(assumed)
+    """Loads that a mass matrix holds: what a source gives at all times no graph says, but at some."""
+    checked, assumed = list[Checked](), list[Assumption]()
+    for label in load_labels(claim):
+        text = f"{label} is the inertia of a rigid body: its pseudo-inertia is not negative"
+        assumed.append(Assumption(text, "property P2"))
+        time, least = _least_of_load(claim, label)
+        if not least >= 0:
+            found = f"least eigenvalue of its pseudo-inertia over the largest >= 0, at t = {time:.6g} s"
+            name = f"{label} is the inertia of a rigid body"
+            checked.append(Checked(name, found, least, False, "property P2", "sampled", strict=False))
+    return checked, assumed
 
 
 def _least_of_load(claim: Claim, label: str) -> tuple[float, float]:
@@ -271,7 +279,8 @@ def _mass_matrix(claim: Claim, weight: SX) -> Checked:
         return Checked("M(q) > 0", text, as_float(least), True, "property P2", margin=body_pivots(claim.diagram))
     sampled = least_sampled(claim, weight)
     text = "least eigenvalue of M(q) at 200 sampled poses > 0; not every link is a physical body"
-    return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled")
+    reads = Numbers(claim, {}).reads(weight)
+    return Checked("M(q) > 0", text, sampled, sampled > 0, "property P2", "sampled", reads=reads)
 
 
 def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
@@ -280,7 +289,8 @@ def _stable(name: str, condition: CommonLyapunov, numbers: Numbers) -> Checked:
         return min(common_margin(corners, rates) for corners, rates in zip(a, b, strict=True))
 
     text = "A'P + P A < 0 at the four corners of the box, one P > 0"
-    return decided(f"{name}: {condition.name}", text, condition.source, least)
+    found = decided(f"{name}: {condition.name}", text, condition.source, least)
+    return replace(found, reads=numbers.reads(ca.vertcat(ca.vec(condition.a), ca.vec(condition.b))))
 
 
 def _rows(values: Sequence[Number], rows: int) -> list[tuple[Fraction, Fraction]]:

@@ -56,7 +56,7 @@ def negative_controls(claim: Claim, symbols: Symbols, *, seed: int) -> tuple[Con
     faults, residual = _faulty(claim, field)
     factors = [fault.factor for fault in faults]
     # evaluated once a fault, so that it is worth finding what it holds twice
-    residual, moves = ca.cse([residual, field.derivative(stack(ca.symvar(claim.V)))])
+    residual, moves = ca.cse([residual, field.derivative(stack(ca.symvar(claim.V)), "all that V holds")])
     tape = Tape.from_function(symbols.function("controls", [residual, moves], [*copies, *factors]))
     terms = Tape.from_function(symbols.function("terms", [fault.matters for fault in faults]))
     point = _Point(tape, symbols, gains, len(faults), random.Random(seed + 1))
@@ -93,9 +93,9 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
     for part in claim.parts:
         rate = dissipation = excess = ca.SX(0)
         for square in part.certificate.storage:
-            term = field.derivative(square.value / 2)
+            term = field.derivative(square.value / 2, square.of)
             if not term.is_zero():
-                matters = honest.derivative(square.value / 2)
+                matters = honest.derivative(square.value / 2, square.of)
                 faults.append(_dropped(f"{part.block}: storage of {square.of} dropped", matters))
                 rate += faults[-1].factor * term
         for spent in part.certificate.dissipation:
@@ -110,7 +110,7 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
 
 def _flips(claim: Claim) -> Iterator[tuple[str, _Fault]]:
     V, loop = claim.V, claim.loop
-    rates = loop.joined([variable.rate for variable in loop.controller])
+    rates = loop.joined(loop.rates_of(loop.controller))
     for variable, rate in zip(loop.controller, rates, strict=True):
         gained = ca.dot(ca.gradient(V, variable.symbol), ca.densify(rate))
         if not gained.is_zero():

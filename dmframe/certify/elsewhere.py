@@ -1,13 +1,13 @@
 """A claim at other numbers than the graph's: each thing that `verify` decided by numbers, as margins of the same loop.
 
-Beside its conditions `verify` looks at what says nothing while it holds: that nothing divides by zero, that a clipped
-term has a width, that an equation is stable of which its block would otherwise ask more, that a path does not jump.
-Where numbers of a graph are known up to intervals, a margin is the least over these.
+Beside its conditions these are what says nothing while it holds, see `dmframe.certify.tacit`. Each has a margin, or the
+complete list of parameters and starts on which it depends, beyond which nothing is known of it. Where numbers of a
+graph are known up to intervals, a margin is the least over these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, final
@@ -16,19 +16,17 @@ import casadi as ca
 
 from dmframe.block import AbstractBlock
 from dmframe.block.model import same_expressions, symbols_in
-from dmframe.certificate import SX, Assumption, Clipped, Driven
-from dmframe.certify.checked import Checked
+from dmframe.certificate import SX
+from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
-from dmframe.certify.divisors import written
 from dmframe.certify.payment import kappa_needs
-from dmframe.certify.smoothness import followed_by_numbers
+from dmframe.certify.tacit import Tacit, tacit
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.view import View, view
 from dmframe.errors import DmframeError, ValueFault
 from dmframe.exact.ends import Ends, enclosing
 from dmframe.exact.rational import Interval, as_float
-from dmframe.program import DIVISIONS, OPERATIONS
 
 Intervals = Mapping[str, Sequence[Interval]]
 
@@ -36,18 +34,24 @@ Intervals = Mapping[str, Sequence[Interval]]
 @final
 @dataclass(frozen=True)
 class Elsewhere:
-    """One thing that numbers decide, at any numbers.
+    """One thing that numbers decide, at any numbers and any starts.
+
+    Judge it like this. With a `margin`: evaluate that; it holds where the least element is above zero, or, where
+    ``checked.strict`` is false, not below it. Where it does not hold it fails, or, with `opens`, it is not known.
+    Without one: it stays what it was decided to be (``checked.holds``) while all in `reads` keep the graph's values,
+    and is not known as soon as one of them moves. `reads` None means that everything may decide it.
 
     Parameters
     ----------
     margin
-        Its least element decides; None where the graph's own numbers are all that it was decided for.
+        In the loop's parameters, and in the symbols `Claim.starts` of the states whose starts move; None where the
+        graph's own numbers are all that it was decided for.
     reads
-        The parameters on which it depends, where there is no margin: while these stay, so does what was decided.
+        The parameters, and the symbols of moved starts, on which it depends, where there is no margin.
     tacit
         It is not among the verdict's conditions, which name it only where it fails.
     opens
-        Where it fails, `verify` would ask something else, so that nothing is decided.
+        Where it fails, `verify` would ask something else, or look in another way, so that nothing is decided.
     """
 
     checked: Checked
@@ -57,13 +61,24 @@ class Elsewhere:
     opens: bool = False
 
 
-def elsewhere(conditions: Sequence[Checked], claim: Claim | None, uncertain: Intervals) -> list[Elsewhere]:
-    """The conditions of a verdict, in their order, and then what is tacit."""
+def elsewhere(
+    conditions: Sequence[Checked], claim: Claim | None, uncertain: Intervals, starts: Container[str] = ()
+) -> list[Elsewhere]:
+    """The conditions of a verdict, in their order, and then what is tacit.
+
+    Parameters
+    ----------
+    uncertain
+        The intervals that `verify` had.
+    starts
+        Labels, ``block.state``, of the states whose starts move: as in a graph whose key `start` gives these. Margins
+        are in their symbols, ``claim.starts[label]``. All other starts stay those of the graph.
+    """
     if claim is None:
         return []
     inside = _inside(claim, uncertain)
-    found = [Elsewhere(item, *_margin(claim, item.margin, inside)) for item in conditions]
-    return [*found, *_tacit(claim, uncertain, inside)]
+    found = [Elsewhere(item, *_margin(claim, item, inside, starts), opens=item.sufficient) for item in conditions]
+    return [*found, *_tacit(claim, uncertain, inside, starts)]
 
 
 def least_kappa(claim: Claim, uncertain: Intervals) -> SX:
@@ -129,84 +144,45 @@ def _ends(expression: SX, inside: Mapping[int, tuple[float, float]]) -> Ends:
     return enclosing(expression, inside)
 
 
-def _margin(claim: Claim, margin: SX | None, inside: Mapping[int, tuple[float, float]]) -> tuple[SX | None, SX | None]:
-    """A margin of parameters alone; where there is none, but only such are read, those that are no interval."""
-    if margin is None:
-        return None, None
-    (joined,) = claim.loop.joined([ca.vec(ca.densify(margin))])
+def _margin(
+    claim: Claim, item: Checked | Tacit, inside: Mapping[int, tuple[float, float]], starts: Container[str]
+) -> tuple[SX | None, SX | None]:
+    """A margin of parameters and moved starts; where there is none, the parameters and starts that decide."""
+    given = symbols_in(claim.starts[label] for label in claim.starts if label in starts)
     known = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
-    if symbols_in([joined]) <= known:
+    margin = item.margin
+    if item.begun is not None and any(label in starts for label in item.begun.symbols):
+        begun = item.begun.at(starts)
+        margin = margin if begun is None else begun
+    read = item.reads if margin is None else margin
+    if read is None:
+        return None, None
+    (joined,) = claim.loop.joined([ca.vec(ca.densify(read))])
+    if margin is not None and symbols_in([joined]) <= known | given:
         with suppress(ValueFault):
             return _ends(joined, inside).lower, None
-    read = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() in known - inside.keys()]
-    return None, ca.vertcat(ca.SX(0, 1), *read)
+    used = symbols_in([joined])
+    boxes = [item.set for item in claim.loop.projections if used & symbols_in([item.state])]
+    joined = ca.vertcat(joined, *(ca.vec(ca.densify(end)) for box in boxes for end in box.ends))
+    left = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() in (known - inside.keys()) | given]
+    return None, ca.vertcat(ca.SX(0, 1), *left)
 
 
-def _tacit(claim: Claim, uncertain: Intervals, inside: Mapping[int, tuple[float, float]]) -> Iterator[Elsewhere]:
-    for text, margin, strict, opens in (*_domains(claim), *_widths(claim), *_stable(claim)):
-        known, read = _margin(claim, margin, inside)
-        yield Elsewhere(_held(text, strict), known, read, tacit=True, opens=opens)
+def _tacit(
+    claim: Claim, uncertain: Intervals, inside: Mapping[int, tuple[float, float]], starts: Container[str]
+) -> Iterator[Elsewhere]:
+    for item in tacit(claim, Numbers(claim, uncertain)):
+        margin, reads = _margin(claim, item, inside, starts)
+        checked = Checked(item.name, "", None, True, "", strict=item.strict, margin=margin, reads=reads)
+        yield Elsewhere(checked, margin, reads, tacit=True, opens=item.opens)
     for parameter in claim.loop.parameters:
         if parameter.label in uncertain:
-            text = f"{parameter.label} lies in the interval that the graph gives"
-            yield Elsewhere(_held(text, strict=False), _room(stack([parameter.symbol]), inside), tacit=True)
-    for name, read in followed_by_numbers(claim.diagram, claim):
-        yield Elsewhere(_held(f"{name} is continuous"), None, read, tacit=True)
-
-
-def _held(name: str, strict: bool = True) -> Checked:
-    return Checked(name, "", None, True, "", strict=strict)
+            text, room = f"{parameter.label} lies in the interval that the graph gives", stack([parameter.symbol])
+            margin = _room(room, inside)
+            checked = Checked(text, "", None, True, "", strict=False, margin=margin)
+            yield Elsewhere(checked, margin, tacit=True)
 
 
 def _room(symbols: SX, inside: Mapping[int, tuple[float, float]]) -> SX:
     ends = [(symbol, *inside[symbol.element_hash()]) for symbol in ca.vertsplit(symbols)]
     return ca.vertcat(*(side for symbol, low, high in ends for side in (symbol - low, high - symbol)))
-
-
-Told = Iterator[tuple[str, SX, bool, bool]]
-"""Name, margin, whether it is strict, and whether it opens."""
-
-
-def _domains(claim: Claim) -> Told:
-    """As `undefined` looks at divisors and arguments made of parameters alone."""
-    for name, model in claim.diagram.models.items():
-        for code, part in claim.risks[name]:
-            if symbols_in([part]) & model.moving or not symbols_in([part]) or code == ca.OP_TAN:
-                continue
-            if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
-                # of an interval it has to be of one sign, which its square does not forget
-                yield f"{name}: {written(part)} is not zero", part * part, True, False
-                continue
-            text = f"{name}: {OPERATIONS[code].name} of {written(part)} is defined"
-            if code == ca.OP_SQRT:
-                yield text, part, False, False
-            elif code == ca.OP_ACOSH:
-                yield text, part - 1, False, False
-            elif code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
-                yield text, ca.vertcat(1 - part, 1 + part), True, False
-            else:
-                yield text, part + 1 if code == ca.OP_LOG1P else part, True, False
-
-
-def _widths(claim: Claim) -> Told:
-    """As `bounds_of` looks at clipped terms."""
-    for part in claim.parts:
-        for term in part.certificate.excess:
-            if isinstance(term, Clipped):
-                yield f"{part.block}: width of the clipped {term.of} > 0", ca.SX(term.width), True, False
-
-
-def _stable(claim: Claim) -> Told:
-    """As the closure looks at equations of which a block says what stands in where they are not stable."""
-    for part in claim.parts:
-        for item in part.certificate.driven:
-            if all(isinstance(condition, Assumption) for condition in item.otherwise):
-                continue
-            yield f"{part.block}: the linear equation of {', '.join(item.of)} is stable", _stability(item), True, True
-
-
-def _stability(item: Driven) -> SX:
-    if len(item.rates) == 1:
-        return -ca.SX(item.rates[0][0])
-    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in item.rates]
-    return ca.vertcat(ca.vec(-(a + d)), ca.vec(a * d - b * c))

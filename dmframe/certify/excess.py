@@ -8,7 +8,7 @@ from typing import final
 
 from dmframe.certificate import SX, Bounded, Clipped, NormSquare, Square
 from dmframe.certify.checked import Numbers, upper
-from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Symbols
 from dmframe.errors import ValueFault
 from dmframe.exact import zero_test
@@ -63,7 +63,7 @@ def _bounds(claim: Claim, numbers: Numbers, symbols: Symbols) -> Iterator[Bound]
     for part in claim.parts:
         for term in part.certificate.excess:
             value, constant = (
-                _width(term, numbers) if isinstance(term, Clipped) else _size(claim, term, numbers, symbols)
+                _width(term, numbers) if isinstance(term, Clipped) else _size(part.block, term, numbers, symbols)
             )
             yield Bound(part.block, term.of, _shown(term), value, _times(term), _weight(claim, part), constant)
 
@@ -76,22 +76,22 @@ def _width(term: Clipped, numbers: Numbers) -> tuple[float | None, bool]:
         return None, False
 
 
-def _size(claim: Claim, term: Square | NormSquare, numbers: Numbers, symbols: Symbols) -> tuple[float | None, bool]:
+def _size(block: str, term: Square | NormSquare, numbers: Numbers, symbols: Symbols) -> tuple[float | None, bool]:
     """The value of the square in parameters alone; without one, whether it at least keeps its value."""
     expression = term.square.value if isinstance(term, NormSquare) else term.value
     try:
         return _most(expression, numbers), False
     except (ValueFault, ZeroDivisionError):
-        return None, _stands_still(claim, expression, symbols)
+        return None, _stands_still(numbers.claim, expression, symbols, f"{block}: the bounded residual of {term.of}")
 
 
 def _most(expression: SX, numbers: Numbers) -> float:
     return as_float(max(upper(number) for number in numbers.of(expression)))
 
 
-def _stands_still(claim: Claim, expression: SX, symbols: Symbols) -> bool:
+def _stands_still(claim: Claim, expression: SX, symbols: Symbols, of: str) -> bool:
     """True for what keeps its value along every motion, identically."""
-    rate = symbols.function("rate", [Field(claim.diagram).derivative(expression)])
+    rate = symbols.function("rate", [claim.field.derivative(expression, of)])
     return bool(zero_test(rate, values=symbols.fixed).zero)
 
 

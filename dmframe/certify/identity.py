@@ -11,7 +11,7 @@ from typing import final
 import casadi as ca
 
 from dmframe.certificate import SX, Gathered, LogDet, NormSquare, Potential, Square
-from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.claim import Claim, Part
 from dmframe.certify.symbols import Group, Symbols
 from dmframe.exact import Tape, Trial, ZeroDivision, ZeroTest, random_prime, zero_test
 
@@ -65,7 +65,10 @@ def _memories(claim: Claim) -> Iterator[Equality]:
             if any(_same_memory(term, other) for other in seen):
                 continue
             seen.append(term)
-            moves, said = Field(claim.diagram).derivative(ca.vec(term.memory)), ca.vec(term.rate)
+            moves, said = (
+                claim.field.derivative(ca.vec(term.memory), f"{part.block}: G of |{term.of}|_G^2"),
+                ca.vec(term.rate),
+            )
             yield Equality(part.block, f"dG/dt of {term.of}", moves - said, ca.fabs(moves) + ca.fabs(said))
 
 

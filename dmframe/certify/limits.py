@@ -34,11 +34,12 @@ from dmframe.linalg import solve_spd
 @final
 @dataclass(frozen=True)
 class Own:
-    """The graph's own numbers, and the field in which constants are solved for."""
+    """The graph's own numbers, and the field in which constants are solved for; `free` are those in intervals."""
 
     values: Mapping[str, Sequence[Fraction]]
     prime: int
     seed: int
+    free: frozenset[str] = frozenset()
 
 
 MORE = 3
@@ -100,12 +101,12 @@ def combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Van
 
 def _combined(claim: Claim, closure: Closure, goal: Goal, vanishing: Sequence[Vanishing]) -> Made | None:
     symbols = symbols_of(claim, closure.uncertain)
-    own = Own(exact_values(claim.diagram), closure.prime, closure.seed)
-    for item in closure.driven:
+    own = Own(exact_values(claim.diagram), closure.prime, closure.seed, closure.uncertain)
+    for block, item in closure.driving:
         if goal.of in item.of and any(
             ca.is_equal(goal.vector, z) for z in item.vectors if z.shape == goal.vector.shape
         ):
-            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(item)]
+            inputs = [_made_of(own, symbols, rest, vanishing) for rest in closure.remainders(block, item)]
             if None not in inputs:
                 names = dict.fromkeys(name for names in inputs for name in names or ())
                 return Made(
@@ -200,7 +201,9 @@ def _sampled(own: Own, symbols: Symbols, expressions: Sequence[SX], count: int) 
     rng = random.Random(own.seed)
     shift = Shift(own.prime, rng)
     fixed = {
-        group.label: [shift.residue(value) for value in own.values[group.label]]
+        group.label: [
+            shift.random() if group.label in own.free else shift.residue(value) for value in own.values[group.label]
+        ]
         for group in symbols.groups
         if group.kind == "parameter"
     }

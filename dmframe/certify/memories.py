@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -10,10 +10,12 @@ import casadi as ca
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Gathered, LeastSquaresSteps
+from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number, is_semidefinite
-from dmframe.certify.starts import start_expression, start_of
+from dmframe.certify.starts import ZERO, begun_at, start_of
+from dmframe.diagram.closed_loop import stack
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.linalg import ldl
 
@@ -28,16 +30,28 @@ def memory_starts(claim: Claim, numbers: Numbers, given: Mapping[str, Any]) -> l
     for part in claim.parts:
         for term in (*part.certificate.storage, *part.certificate.dissipation):
             if isinstance(term, Gathered):
-                matrix = matrix_start(claim, numbers, given, term.memory)
-                start = None if matrix is None else [[Interval.of(value).lower for value in row] for row in matrix]
-                if start is not None and any(map(any, start)):
+                start = matrix_start(claim, numbers, given, term.memory)
+                if start is not None and any(value != ZERO for row in start for value in row):
                     name = f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0"
-                    mirrored = [list(column) for column in zip(*start, strict=True)]
-                    holds = is_semidefinite(start) and start == mirrored
-                    found[name] = Checked(
-                        name, "G(0) is symmetric and positive semidefinite", None, holds, "V is positive"
-                    )
+                    text, holds = "G(0) is symmetric and positive semidefinite", _gathers(start)
+                    how, reads = "exact" if holds is not None else "undecided", reads_of(numbers, given, term.memory)
+                    found[name] = Checked(name, text, None, holds is True, "V is positive", how, reads=reads)
     return list(found.values())
+
+
+def _gathers(start: Sequence[Sequence[Number]]) -> bool | None:
+    """Symmetric and positive semidefinite; None where intervals leave that open."""
+    if any(isinstance(value, Interval) for row in start for value in row):
+        return None  # an interval of each element holds matrices that are not symmetric
+    rows = [[Interval.of(value).lower for value in row] for row in start]
+    return is_semidefinite(rows) and rows == [list(column) for column in zip(*rows, strict=True)]
+
+
+def reads_of(numbers: Numbers, given: Mapping[str, Any], states: SX) -> SX:
+    """All starts and parameters on which the start of these states depends."""
+    begun = begun_at(ca.vec(ca.densify(states)), numbers, given, zero=True)
+    found = [*begun.symbols.values(), *(said for said in begun.said.values() if said is not None)]
+    return ca.vertcat(ca.SX(0, 1), *ca.symvar(stack(found)))
 
 
 def triangle_starts(
@@ -49,8 +63,12 @@ def triangle_starts(
     if len(known) == len(start) and not any(known):
         return
     name, text = f"{block}: start of {steps.memory}", "each G(0) is positive semidefinite"
+    label = f"{block}.{steps.memory}"
+    states = next((v.symbol for v in numbers.claim.loop.variables if v.label == label), ca.SX(0, 1))
+    reads = reads_of(numbers, given, states)
     if len(known) < len(start):
-        yield Checked(name, f"{text}; undecided: expected numbers", None, False, "V is positive", "undecided")
+        text = f"{text}; undecided: expected numbers"
+        yield Checked(name, text, None, False, "V is positive", "undecided", reads=reads)
         return
     left, holds = iter(known), True
     for size in steps.parts:
@@ -59,7 +77,7 @@ def triangle_starts(
             for row in range(column, size):
                 matrix[row][column] = matrix[column][row] = next(left)
         holds &= is_semidefinite(matrix)
-    yield Checked(name, text, None, holds, "V is positive")
+    yield Checked(name, text, None, holds, "V is positive", reads=reads)
 
 
 def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> list[list[Number]] | None:
@@ -83,13 +101,7 @@ def matrix_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matri
     return [[found[column * rows + row] for column in range(rows)] for row in range(rows)]
 
 
-def pivots_at_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> SX | None:
-    """The pivots of a matrix of states where it starts, as expressions; None of a start that is a fault."""
-    used = symbols_in([matrix])
-    for variable in claim.loop.variables:
-        if used & symbols_in([variable.symbol]):
-            begin = start_expression(variable.label, numbers, given)
-            if begin is None:
-                return None
-            (matrix,) = ca.substitute([matrix], [ca.vec(variable.symbol)], [begin])
-    return ca.vertcat(*ldl(matrix)[1])
+def pivots_at_start(claim: Claim, numbers: Numbers, given: Mapping[str, Any], matrix: SX) -> Begun:
+    """The pivots of a matrix of states where it starts."""
+    (matrix,) = claim.loop.joined([matrix])
+    return begun_at(ca.vertcat(*ldl(matrix)[1]), numbers, given, zero=True)

@@ -14,6 +14,7 @@ The first three are decided in rational numbers, the fourth in `dmframe.certify.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from typing import Any
@@ -23,12 +24,13 @@ import numpy as np
 
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, TrueValue
+from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Checked, Numbers, decided, lower
-from dmframe.certify.claim import Claim, Field
+from dmframe.certify.claim import Claim
 from dmframe.certify.definite import Number
 from dmframe.certify.projection_laws import check_law
 from dmframe.certify.smoothness import HORIZON, SAMPLES
-from dmframe.certify.starts import ZERO, start_expression, start_of
+from dmframe.certify.starts import ZERO, begun_at, start_expression, start_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.diagram.projection import Projection
@@ -37,6 +39,8 @@ from dmframe.exact import ZeroDivision, zero_test
 from dmframe.exact.rational import Interval, evaluate
 from dmframe.simulate.start import ROUNDING
 
+ROUNDED = ROUNDING
+"""What rounding may take of the room that a source leaves."""
 LEMMA = "projection lemma"
 SOURCE = "Remark 2"
 INSIDE = {
@@ -84,20 +88,36 @@ def _estimated(claim: Claim, projection: Projection) -> TrueValue | None:
 def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Checked | Assumption]:
     """That the true value lies in the set, decided or assumed."""
     text = f"{projection.name}: true value inside the {projection.kind}"
-    room, loop = projection.set.room(truth), numbers.claim.loop
+    room = projection.set.room(truth)
     known, rest = _decidable(room, numbers)
     if known.numel():
         shown = INSIDE[projection.kind].format("true value")
         yield decided(text, shown, SOURCE, partial(numbers.least, known), strict=False, margin=known)
-    handed = {
-        row: path for row in rest if symbols_in([path := loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])
-    }
+    loop, handed = numbers.claim.loop, _handed(room, rest, numbers)
     for rows, says in (([row for row in rest if row not in handed], "where the plant starts"), (handed, "a source")):
         if rows:
             at = sorted({row % truth.shape[0] for row in rows})
             yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
     if handed:
         yield from _outside(text, ca.vertcat(*handed.values()), loop)
+
+
+def _handed(room: SX, rows: Sequence[int], numbers: Numbers) -> dict[int, SX]:
+    """The rows that a source decides, as functions of time and parameters."""
+    loop = numbers.claim.loop
+    known = symbols_in([loop.time, loop.p])
+    return {row: path for row in rows if symbols_in([path := loop.on_path(room[row])]) <= known}
+
+
+def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
+    """Of each projection whose true value a source gives: its name, and the room as a function of time."""
+    for projection in claim.loop.projections:
+        estimate = _estimated(claim, projection)
+        if estimate is not None:
+            room = projection.set.room(estimate.value + ca.SX.zeros(projection.state.shape[0]))
+            handed = _handed(room, _decidable(room, numbers)[1], numbers)
+            if handed:
+                yield f"{projection.name}: true value inside the {projection.kind}", ca.vertcat(*handed.values())
 
 
 def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
@@ -129,7 +149,7 @@ def _still(name: str, truth: SX, numbers: Numbers) -> Iterator[Checked]:
     (truth,) = claim.loop.joined([truth])
     if symbols_in([truth]) <= numbers.known:
         return
-    rate = Field(claim.diagram).derivative(truth)
+    rate = claim.field.derivative(truth, f"{name}: the true value")
     text = "d(true value)/dt is identically zero along the closed loop"
     uncertain = [label for label, values in numbers.values.items() if any(isinstance(v, Interval) for v in values)]
     symbols = symbols_of(claim, uncertain)
@@ -163,9 +183,15 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
         begin = start_expression(projection.name, numbers, given)
         margin = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
         least = partial(_least_room, projection, numbers, start)
-        yield decided(text, shown, SOURCE, least, strict=False, margin=margin)
+        found = decided(text, shown, SOURCE, least, strict=False, margin=margin)
+        yield replace(found, begun=begun_in(projection, numbers, given))
     if unknown:
         yield Assumption(f"{text}{_at(projection, unknown)}: where the plant starts decides it", SOURCE)
+
+
+def begun_in(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) -> Begun:
+    """The room that the start of a projected state leaves."""
+    return begun_at(_room_at(projection, projection.state), numbers, given, (projection.name,), zero=True)
 
 
 def _room_at(projection: Projection, start: SX) -> SX:

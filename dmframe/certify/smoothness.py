@@ -1,8 +1,8 @@
-"""What may enter V and a desired trajectory: moving symbols whose rates are known, and nothing that jumps.
+"""What may be differentiated along the closed loop: moving symbols whose rates are known, and nothing that jumps.
 
-dV/dt is differentiated by the chain rule, along rates that every symbol of V must have. The rule knows no jump: the
-derivative of sign, floor and comparisons is zero to it. So no storage may hold one, and of a trajectory each function
-of time that is differentiated is followed through its switching instants.
+The chain rule goes along rates that every symbol must have, and it knows no jump: the derivative of sign, floor and
+comparisons is zero to it. So nothing that is differentiated may hold one, be it a storage or the position of a barrier;
+and each function of time that is differentiated is followed through its switching instants.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import casadi as ca
 import numpy as np
 
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Assumption, LogDet, Potential, Square
-from dmframe.certify.claim import Claim, Part
+from dmframe.certificate import SX, Assumption
+from dmframe.certify.claim import Claim
+from dmframe.certify.differentiated import Differentiated
 from dmframe.certify.sign import Sign, sign_after
 from dmframe.certify.symbols import exact_values
 from dmframe.diagram import Diagram
@@ -44,6 +45,9 @@ SUSPECTS: Final = 200
 
 HALVINGS: Final = 60
 
+SCALES: Final = (Fraction(1, 1000), Fraction(1, 1000), Fraction(1), Fraction(-9, 10), Fraction(5))
+"""How far from the graph's numbers a path is followed, to see whether it is continuous by how it is written."""
+
 SOURCE = "dV/dt by the chain rule"
 NEEDED = "V or a derivative that the loop takes needs it continuous"
 
@@ -64,38 +68,68 @@ def smoothness_faults(diagram: Diagram, claim: Claim) -> list[str]:
 
 
 def smoothness(diagram: Diagram, claim: Claim) -> Smoothness:
-    """Type-check V and follow the trajectories that are differentiated."""
-    found: dict[str, dict[str, None]] = {"fault": {}, "assumed": {}, "note": {}}
-    for part in claim.parts:
-        for kind, text in (*_symbols(diagram, claim, part), *_operations(claim, part)):
-            found[kind][text] = None
-    for kind, text in _field(claim):
-        found[kind][text] = None
-    for leaf in _differentiated(diagram, claim):
-        for kind, text in _followed(diagram, leaf):
-            found[kind][text] = None
-    assumptions = tuple(Assumption(text, SOURCE) for text in found["assumed"])
-    return Smoothness(tuple(found["fault"]), assumptions, tuple(found["note"]))
+    """Examine all that has been differentiated for a claim until now, and follow its trajectories."""
+    return Examiner(diagram, claim).found()
+
+
+@final
+class Examiner:
+    """Examines what a claim differentiates; asked again, only what has been differentiated since."""
+
+    def __init__(self, diagram: Diagram, claim: Claim) -> None:
+        self._diagram, self._claim = diagram, claim
+        self._texts: dict[str, dict[str, None]] = {"fault": {}, "assumed": {}, "note": {}}
+        self._count, self._used, self._seen = 0, set[int](), set[str]()
+        self._enter(_field(claim))
+
+    def found(self) -> Smoothness:
+        """What was found of all that is differentiated by now."""
+        entries = self._claim.differentiated.since(self._count)
+        self._count += len(entries)
+        for entry in entries:
+            self._enter(_symbols(self._claim, entry))
+            self._enter(_operations(self._claim, entry))
+            self._used |= symbols_in([entry.expression])
+        for leaf in _differentiated(self._diagram, self._used):
+            if leaf.name not in self._seen:
+                self._seen.add(leaf.name)
+                self._enter(_followed(self._diagram, leaf))
+        assumptions = tuple(Assumption(text, SOURCE) for text in self._texts["assumed"])
+        return Smoothness(tuple(self._texts["fault"]), assumptions, tuple(self._texts["note"]))
+
+    def _enter(self, told: Told) -> None:
+        for kind, text in told:
+            self._texts[kind][text] = None
+
+
+def slope(claim: Claim, expression: SX) -> SX | None:
+    """The rate of a signal; None where it jumps or holds what has no rate, so that the chain rule does not give it.
+
+    A kink may stay: the rate is bounded next to it, which is all that Barbalat's lemma asks.
+    """
+    still = symbols_in(parameter.symbol for parameter in claim.loop.parameters)
+    if jumps(expression, still) or any(_strangers(claim, expression)):
+        return None
+    return claim.field.unrecorded(expression)
 
 
 Told = Iterator[tuple[str, str]]
 """Pairs of ``fault``, ``assumed`` or ``note`` with a text."""
 
 
-def _symbols(diagram: Diagram, claim: Claim, part: Part) -> Told:
-    """Every symbol of a storage is a state of the loop, a trajectory, the time or a parameter."""
+def _strangers(claim: Claim, expression: SX) -> Iterator[SX]:
+    """The symbols of an expression that have no rate: all but states, trajectories, the time and parameters."""
     loop = claim.loop
-    states = symbols_in(variable.symbol for variable in loop.variables)
-    leaves = symbols_in(leaf.symbol for leaf in diagram.resolver.trajectories.values())
-    constant = symbols_in([*(parameter.symbol for parameter in loop.parameters), loop.time])
-    for term in part.certificate.storage:
-        for symbol in ca.symvar(ca.SX(term.value)):
-            if symbol.element_hash() not in states | leaves | constant:
-                what = _stranger(diagram, claim, symbol)
-                yield (
-                    "fault",
-                    f"{part.block}: the storage of {term.of} holds {what}; it has no rate to differentiate along",
-                )
+    known = symbols_in([*(variable.symbol for variable in loop.variables), loop.time])
+    known |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
+    known |= symbols_in(parameter.symbol for parameter in loop.parameters)
+    return (symbol for symbol in ca.symvar(expression) if symbol.element_hash() not in known)
+
+
+def _symbols(claim: Claim, entry: Differentiated) -> Told:
+    for symbol in _strangers(claim, entry.expression):
+        what = _stranger(claim.diagram, claim, symbol)
+        yield "fault", f"{entry.of} holds {what}; it has no rate to differentiate along"
 
 
 def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
@@ -110,23 +144,21 @@ def _stranger(diagram: Diagram, claim: Claim, symbol: SX) -> str:
     return f"{symbol}, which is no state, trajectory or parameter of this diagram"
 
 
-def _operations(claim: Claim, part: Part) -> Told:
-    """No operation of a storage jumps while the loop moves, and none has a kink that shows."""
+def _operations(claim: Claim, entry: Differentiated) -> Told:
+    """No operation jumps while the loop moves, and none has a kink that shows."""
     moving = symbols_in([claim.loop.time, claim.loop.state, *(leaf.symbol for leaf in claim.loop.trajectories)])
     moving |= symbols_in(leaf.symbol for leaf in claim.diagram.resolver.trajectories.values())
-    for what, expression in _differentiated_of(part):
-        symbols = ca.symvar(expression)
-        (value,) = ca.cse([expression])
-        tape = Tape.from_function(ca.Function("storage", [stack(symbols)], [value]))
-        where = f"{part.block}: {what}"
-        for k, code in moving_operations(tape, [[symbol.element_hash() in moving for symbol in symbols]]):
-            if code in JUMPS:
-                yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
-            elif code in KINKS and not is_smooth_over(tape, k):
-                yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
-            elif code in EDGES and not (code in SMOOTH_ABOVE and is_above(tape, k)):
-                text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
-                yield "assumed", text
+    symbols, where = ca.symvar(entry.expression), entry.of
+    (value,) = ca.cse([entry.expression])
+    tape = Tape.from_function(ca.Function("differentiated", [stack(symbols)], [value]))
+    for k, code in moving_operations(tape, [[symbol.element_hash() in moving for symbol in symbols]]):
+        if code in JUMPS:
+            yield "fault", f"{where} holds {sign_of(code)}, which jumps; the derivative of a jump is not zero"
+        elif code in KINKS and not is_smooth_over(tape, k):
+            yield "fault", f"{where} holds {sign_of(code)}, which has no derivative where it switches"
+        elif code in EDGES and not (code in SMOOTH_ABOVE and is_above(tape, k)):
+            text = f"{where}: the argument of {sign_of(code)} stays inside the region where it has a derivative"
+            yield "assumed", text
 
 
 def is_above(tape: Tape, place: int) -> bool:
@@ -136,19 +168,6 @@ def is_above(tape: Tape, place: int) -> bool:
         positive = node.code == CONST and tape.numbers[node.constant] > 0
         signs[k] = sign_after(node.code, [signs[operand] for operand in node.operands], positive=positive)
     return all(signs[operand] is Sign.ABOVE for operand in tape.nodes[place].operands)
-
-
-def _differentiated_of(part: Part) -> Iterator[tuple[str, SX]]:
-    """What a certificate says that is differentiated, with its name."""
-    for term in part.certificate.storage:
-        # a potential is smooth in what it is made of, and so is a divergence where V, which holds it, is finite
-        smooth = isinstance(term, Potential | LogDet)
-        yield f"the storage of {term.of}", stack(map(ca.SX, term.pieces)) if smooth else ca.SX(term.value)
-    for left in part.certificate.excess:
-        yield f"the bounded residual of {left.of}", ca.SX(left.value) if isinstance(left, Square) else ca.SX(0)
-    for item in part.certificate.driven:
-        for vector in (*item.vectors, *item.bounded):
-            yield f"what drives {', '.join(item.of)}", ca.vec(ca.densify(vector))
 
 
 def jumps(expression: SX, still: set[int]) -> bool:
@@ -165,7 +184,7 @@ def _field(claim: Claim) -> Told:
     """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
     loop = claim.loop
     for variable in loop.variables:
-        (rate,) = loop.joined([variable.rate])
+        (rate,) = loop.joined(loop.rates_of([variable]))
         symbols = ca.symvar(rate)
         function = ca.Function("rate", [stack(symbols)], [rate])
         if not JUMPS & codes(function):
@@ -219,10 +238,9 @@ def _meeting(tape: Tape, kink: int) -> set[int]:
     return set(places) if zeros else set()
 
 
-def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
-    """The trajectories and derivatives of them that V holds, or whose next derivative is taken anywhere."""
-    resolver = diagram.resolver
-    used = symbols_in([claim.V])
+def _differentiated(diagram: Diagram, used: set[int]) -> Iterator[Leaf]:
+    """The trajectories and derivatives of them that are `used`, or whose next derivative is taken anywhere."""
+    resolver, used = diagram.resolver, set(used)
     for (block, _), source in diagram.sources.items():
         if isinstance(source, Derived):
             used |= symbols_in([resolver.input(block, source.of)])
@@ -236,28 +254,38 @@ def _differentiated(diagram: Diagram, claim: Claim) -> Iterator[Leaf]:
 def followed_by_numbers(diagram: Diagram, claim: Claim) -> Iterator[tuple[str, SX]]:
     """Trajectories that are held to be continuous at the graph's numbers alone, with the parameters that they read.
 
-    One that is continuous, exactly, at random numbers beside these is so by how it is written, and left out.
+    One that is continuous, exactly, at random numbers near and far from these, and in which parameters alone switch
+    nothing, is so by how it is written, and left out.
     """
-    for leaf in _differentiated(diagram, claim):
+    for leaf in _differentiated(diagram, symbols_in([entry.expression for entry in claim.differentiated.since(0)])):
         joined, function = _path(diagram, leaf)
-        if not function.has_free() and _switches(function) and not _continuous_beside(diagram, function):
+        if not function.has_free() and _switches(function) and not _continuous_anywhere(diagram, function):
             moves = symbols_in([diagram.loop.time])
             read = [symbol for symbol in ca.symvar(joined) if symbol.element_hash() not in moves]
             yield leaf.name, ca.vertcat(ca.SX(0, 1), *read)
 
 
-def _continuous_beside(diagram: Diagram, function: ca.Function) -> bool:
+def _continuous_anywhere(diagram: Diagram, function: ca.Function) -> bool:
     exact, rng, tape = exact_values(diagram), random.Random(0), Tape.from_function(function)
+    timed = {k for k, _ in moving_operations(tape, [[True], [False] * tape.inputs[1][1]])}
+    of_all = moving_operations(tape, [[True], [True] * tape.inputs[1][1]])
+    if any(k not in timed and code in JUMPS | KINKS | {ca.OP_ATAN2} for k, code in of_all):
+        return False  # another branch may be taken at other numbers
     own = [value for parameter in diagram.loop.parameters for value in exact[parameter.label]]
-    for _ in range(2):
-        beside = [value * (1 + Fraction(rng.randrange(-(10**6), 10**6), 10**9)) for value in own]
+    for scale in SCALES:
         try:
-            course = follow(tape, beside)
+            course = follow(tape, [_beside(value, scale, rng) for value in own])
         except (NotFollowed, UndefinedHere, ZeroDivisionError):
             return False
         if course.jump is not None or course.edged:
             return False
     return True
+
+
+def _beside(value: Fraction, scale: Fraction, rng: random.Random) -> Fraction:
+    """Another number of the same sign; of zero, one that is not, since a factor would leave it what it is."""
+    part = Fraction(rng.randrange(1, 10**6), 10**6)
+    return value * (1 + scale * part) if value else scale * part * rng.choice((1, -1))
 
 
 def _path(diagram: Diagram, leaf: Leaf) -> tuple[SX, ca.Function]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from fractions import Fraction
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ import numpy as np
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX
+from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers
 from dmframe.certify.definite import Number
 from dmframe.diagram.view import view
@@ -31,6 +32,8 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
     given
         The graph's key `start`, which goes before what the block says.
     """
+    if label in numbers.starts:
+        return list(numbers.starts[label])
     claim, (block, _, state) = numbers.claim, label.partition(".")
     model = claim.diagram.models[block]
     size = model.states[state].numel()
@@ -83,6 +86,31 @@ def start_expression(label: str, numbers: Numbers, given: Mapping[str, Any]) -> 
     except BlockError:
         return None
     return claim.loop.joined([ca.SX.zeros(size) if said is None else ca.vec(ca.densify(ca.SX(said)))])[0]
+
+
+def begun_at(
+    margin: SX, numbers: Numbers, given: Mapping[str, Any], labels: Container[str] | None = None, *, zero: bool = False
+) -> Begun:
+    """A margin in states, at the start.
+
+    Parameters
+    ----------
+    labels
+        The states whose starts count; others are left. Without it, all that the margin holds.
+    zero
+        A state whose start neither graph nor block says starts at zero.
+    """
+    claim = numbers.claim
+    used, symbols, said = symbols_in([margin]), dict[str, SX](), dict[str, SX | None]()
+    for variable in claim.loop.variables:
+        label = variable.label
+        if used & symbols_in([variable.symbol]) and (labels is None or label in labels):
+            symbols[label] = claim.starts[label]
+            told = zero or start_is_said(label, numbers, given)
+            value = start_expression(label, numbers, given) if told else None
+            said[label] = None if value is None else ca.densify(value)
+            (margin,) = ca.substitute([margin], [ca.vec(variable.symbol)], [symbols[label]])
+    return Begun(margin, symbols, said, frozenset(numbers.known))
 
 
 def _spread(values: Any, size: int) -> np.ndarray:

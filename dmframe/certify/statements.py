@@ -11,16 +11,16 @@ import casadi as ca
 from dmframe.block import names_of
 from dmframe.block.model import symbols_in
 from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, Lemma, LogDet, NormSquare, Square
-from dmframe.certify.claim import Claim, Field, Part
+from dmframe.certify.claim import Claim, Part
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.limits import Vanishing, combined, goals
 from dmframe.certify.positive import Positive, Signs
-from dmframe.certify.smoothness import jumps
+from dmframe.certify.smoothness import slope
 from dmframe.certify.symbols import Symbols
 from dmframe.diagram.closed_loop import Variable
 from dmframe.diagram.projection import Bodies
 from dmframe.exact import zero_test
-from dmframe.formula.names import symbol
+from dmframe.names import symbol
 
 T = TypeVar("T", bound=Positive)
 
@@ -201,11 +201,11 @@ def _equal(one: SX, other: SX) -> bool:
 
 def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[Vanishing]:
     """What dV/dt spends, with whether its derivative is bounded."""
-    field, still = Field(claim.diagram), _still(claim)
-    rates = [field.derivative(square.vector) for square in spent]
+    rates = [slope(claim, square.vector) for square in spent]
+    shown = iter(closure.bounds([rate for rate in rates if rate is not None]))
     return [
-        Vanishing(square.of, square.vector, proved and not jumps(square.vector, still))
-        for square, proved in zip(spent, closure.bounds(rates), strict=True)
+        Vanishing(square.of, square.vector, rate is not None and next(shown))
+        for square, rate in zip(spent, rates, strict=True)
     ]
 
 
@@ -238,13 +238,12 @@ def _wanted(claim: Claim, closure: Closure) -> set[str]:
 
 def _at_rest(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> list[Vanishing]:
     """Rates of states that vanish: with a bounded second derivative they vanish too."""
-    field, found = Field(claim.diagram), list[Vanishing]()
+    found = list[Vanishing]()
     for item in vanishing:
         if not (item.proved and _is_state(claim, item.vector)):
             continue
-        second = _second(claim, item.vector)
-        if second is not None and all(closure.bounds([second])):
-            rate = field.derivative(item.vector)
+        rate, second = slope(claim, item.vector), _second(claim, item.vector)
+        if rate is not None and second is not None and all(closure.bounds([second])):
             found.append(Vanishing(_rate_name(claim, item.of, rate), rate, True))
     return found
 
@@ -261,14 +260,10 @@ def _rate_name(claim: Claim, of: str, rate: SX) -> str:
     return short if short in known or symbol(short) not in {*map(symbol, taken)} else f"d({of})/dt"
 
 
-def _still(claim: Claim) -> set[int]:
-    return symbols_in(parameter.symbol for parameter in claim.loop.parameters)
-
-
 def _second(claim: Claim, vector: SX) -> SX | None:
-    """The second derivative; None where the first jumps, so that it has none."""
-    field = Field(claim.diagram)
-    return None if jumps(field.derivative(vector), _still(claim)) else field.second(vector)
+    """The second derivative; None where the vector or the first one jumps, so that it has none."""
+    first = slope(claim, vector)
+    return None if first is None else slope(claim, first)
 
 
 def _is_state(claim: Claim, vector: SX) -> bool:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 from dmframe.certificate import Assumption
 from dmframe.certify.barriers import barrier_statements, tubes
@@ -18,21 +18,26 @@ from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses, undefined
 from dmframe.certify.identity import check_identity, empty_terms, equalities
+from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
+from dmframe.certify.sample_states import held_in_v
 from dmframe.certify.samples import SampledClaim
-from dmframe.certify.smoothness import smoothness
+from dmframe.certify.smoothness import Examiner
 from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
 from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.certify.verify_samples import prove_over_samples
 from dmframe.diagram import Diagram
-from dmframe.errors import ValueFault
+from dmframe.errors import ValueFault, listed
 from dmframe.exact import ZeroTest
 from dmframe.exact.rational import Interval, as_float
 
 Outcome = Literal["proved", "refuted", "not_applicable"]
+
+NAMED: Final = 3
+"""States up to which a headline names them; of more it gives the number, and the text below the names."""
 
 
 @final
@@ -50,7 +55,7 @@ class Verdict:
     test
         The exact test, with its error bound.
     states
-        Which states are bounded, and which are not known to be.
+        Which states are bounded, and which are not known to be; over samples too.
     fixed
         Parameters that are zero in the graph, and that the proof takes for zero, by label.
     uncertain
@@ -89,11 +94,11 @@ class Verdict:
         """The outcome in words, with what a proof does not reach."""
         words = self.outcome.replace("_", " ")
         if self.outcome == "proved" and self.samples is not None:
-            words += f" over samples, up to {self.samples.left}; tracking is not part of it"
+            words += f" over samples of {_over(self.samples, self.states)}"
         if self.outcome == "proved" and self.bounds:
             grows = any(bound.times for bound in self.bounds)
             words += ", up to a residual that grows with a signal" if grows else ", up to a bounded residual"
-        if self.outcome == "proved" and self.states is not None and self.states.open:
+        if self.states is not None and self.states.open and self.outcome == "proved" and self.samples is None:
             words += ", but not the stability of the whole loop"
         return words
 
@@ -123,7 +128,8 @@ def verify(
     seed
         Of the points and primes.
     uncertain
-        True parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint.
+        Parameters known only up to intervals, for the conditions: ``{"servo.K_D": [...]}``, one a joint; and starts,
+        ``{"start.arm.q": [...]}``. A condition that is not decided over all of them does not hold.
     start
         A graph's own start values, by a state's name or ``block.state``.
     """
@@ -172,10 +178,11 @@ def _verified(
         return _over_samples(diagram, trials, seed, uncertain, start, clock)
     claim = claim_of(diagram)
     symbols = symbols_of(claim, uncertain)
-    smooth, known = smoothness(diagram, claim), len(diagram.resolver.trajectories)
-    clock.built()
     own = seed
-    seed = drawn(claim, symbols, own)
+    seed = drawn(claim, symbols, own)  # which has differentiated all that has to vanish
+    examiner = Examiner(diagram, claim)
+    smooth = examiner.found()
+    clock.built()
     if smooth.faults:
         return Verdict("not_applicable", "; ".join(smooth.faults), claim, build=clock.build, check=clock.check)
     try:
@@ -206,12 +213,14 @@ def _verified(
     closure = Closure(claim, numbers, bases, seed=seed)
     needed, given = decide(closure.conditions(), numbers)
     conditions += needed
-    statements = statements_of(claim, symbols, signs, closure)
-    if len(diagram.resolver.trajectories) > known:  # what follows has differentiated a trajectory once more
-        smooth = smoothness(diagram, claim)
-    statements += barrier_statements(kept)
+    smooth = examiner.found()  # with residuals, true values, barriers and what is driven, all differentiated by now
     if smooth.faults:
-        statements = [item for item in statements if item.says != "goes to zero"]
+        return Verdict("not_applicable", "; ".join(smooth.faults), claim, test, build=clock.build, check=clock.check)
+    statements = [*statements_of(claim, symbols, signs, closure), *barrier_statements(kept)]
+    smooth = examiner.found()
+    if smooth.faults:  # of a trajectory that the statements have differentiated once more
+        statements = [item for item in statements if not item.concludes and item.says != "goes to zero"]
+    conditions = over_intervals(conditions, claim, numbers)
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(
         outcome=outcome,
@@ -254,11 +263,27 @@ def _over_samples(
         assumptions=found.assumptions,
         controls=found.controls,
         statements=found.statements,
+        states=found.states,
         fixed=found.fixed,
         uncertain=tuple(uncertain),
         samples=found.claim,
         build=clock.build,
     )
+
+
+def _over(claim: SampledClaim, states: States | None) -> str:
+    """Of which states something is proved over samples, up to what, and of which nothing is."""
+    held, left = held_in_v(claim), [] if states is None else list(states.open)
+    words = _counted(held, "states") + f", up to {claim.left}" * bool(claim.left)
+    if left:
+        many = "states" if set(held) & set(left) else "other states"
+        words += f"; {_counted(left, many)} {'is' if len(left) == 1 else 'are'} not known to be bounded, and"
+    return f"{words} tracking is not part of it" if left else f"{words}; tracking is not part of it"
+
+
+def _counted(labels: Sequence[str], many: str) -> str:
+    """Their names, or how many they are."""
+    return listed(list(labels)) if len(labels) <= NAMED else f"{len(labels)} {many}"
 
 
 def drawn(claim: Claim, symbols: Symbols, seed: int) -> int:
@@ -292,9 +317,8 @@ def _judge(
     missed = [control.fault for control in controls if not control.refuted]
     if not controls or missed:
         return "not_applicable", f"the negative controls were not refuted: {', '.join(missed) or 'there are none'}"
-    failing = [condition.name for condition in conditions if not condition.holds]
-    if failing:
-        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    if failing := failing_of(conditions):
+        return "not_applicable", failing
     unbounded = [f"{bound.block}: {bound.of}" for bound in bounds if not bound.known]
     if unbounded:
         return "not_applicable", f"the identity holds, but nothing bounds the residual: {'; '.join(unbounded)}"

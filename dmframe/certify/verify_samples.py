@@ -17,12 +17,14 @@ from dmframe.certify.controls import Control
 from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.memories import triangle_starts
+from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
 from dmframe.certify.sample_domains import domains
+from dmframe.certify.sample_states import sampled_states
 from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
-from dmframe.certify.statements import Statement
+from dmframe.certify.statements import Statement, States
 from dmframe.certify.symbols import Group, Symbols, symbols_of
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
@@ -65,6 +67,7 @@ class SampledProof:
     controls: tuple[Control, ...] = ()
     statements: tuple[Statement, ...] = ()
     fixed: tuple[str, ...] = ()
+    states: States | None = None
 
 
 def prove_over_samples(
@@ -96,7 +99,8 @@ def prove_over_samples(
     controls = sampled_controls(claim, symbols, seed=own)
     numbers = Numbers(claim.base, uncertain)
     conditions, assumptions = _conditions(claim, numbers, start)
-    outcome, reason = _judged(conditions, controls, _empty(claim, symbols, own))
+    conditions = over_intervals(conditions, claim.base, numbers)
+    outcome, reason = _judged(claim, conditions, controls, _empty(claim, symbols, own))
     return SampledProof(
         claim,
         test,
@@ -106,6 +110,7 @@ def prove_over_samples(
         assumptions=tuple(dict.fromkeys([*assumptions, *domains(claim, symbols, own), *_hypotheses(claim, symbols)])),
         controls=controls,
         statements=tuple(_statements(claim)),
+        states=sampled_states(claim, numbers, own),
         fixed=tuple(g.label for g in symbols.groups if g.values is not None and not any(g.values)),
     )
 
@@ -137,7 +142,7 @@ def _empty(claim: SampledClaim, symbols: Symbols, seed: int) -> list[str]:
 
 
 def _judged(
-    conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]
+    claim: SampledClaim, conditions: Sequence[Checked], controls: Sequence[Control], empty: Sequence[str]
 ) -> tuple[Literal["proved", "not_applicable"], str]:
     if empty:
         return "not_applicable", f"identically zero, so that nothing would be proved: {'; '.join(empty)}"
@@ -145,12 +150,12 @@ def _judged(
     if not controls or missed:
         told = ", ".join(missed) or "there are none"
         return "not_applicable", f"the negative controls were not refuted: {told}"
-    failing = [condition.name for condition in conditions if not condition.holds]
-    if failing:
-        return "not_applicable", f"the identity holds, but a condition fails: {'; '.join(failing)}"
+    if failing := failing_of(conditions):
+        return "not_applicable", failing
+    plus = " plus the residual" if claim.left else ""
     return (
         "proved",
-        "V(next) - V equals minus what is lost plus the residual, for all measurements, commands, gains and sampling "
+        f"V(next) - V equals minus what is lost{plus}, for all measurements, commands, gains and sampling "
         "periods; every condition holds",
     )
 
@@ -275,7 +280,8 @@ def _statements(claim: SampledClaim) -> Iterator[Statement]:
                 f"summed over the samples, with V >= 0: {EACH[type(item)]}",
             )
         if part.storage:
-            yield Statement(f"V of {part.block}", "does not rise but by its residual", "the identity above")
+            says = "does not rise but by its residual" if part.residual else "does not rise"
+            yield Statement(f"V of {part.block}", says, "the identity above")
 
 
 __all__ = ["SampledProof", "prove_over_samples", "sampled_symbols"]

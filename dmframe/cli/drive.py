@@ -17,6 +17,7 @@ from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.arguments import seconds as time_of
 from dmframe.results.folder import drawing, write_data
+from dmframe.results.place import complete
 from dmframe.results.run import table_of
 from dmframe.units import shorten, to_unit
 
@@ -32,6 +33,7 @@ def drive_graph(
     limits: Path | None,
     ramp: str | None,
     patience: str | None,
+    payload: str | None,
     shadow: bool,
     rehearsed: bool,
     out: Path | None,
@@ -47,6 +49,7 @@ def drive_graph(
     _ = graph.diagram
     gathers = None if ramp is None else _not_negative("--ramp", ramp, "s")
     waits = None if patience is None else time_of("--patience", patience)
+    carries = None if payload is None else _not_negative("--payload", payload, "kg")
     if kind_of(robot)[0].real:
         tell(f"{robot}: notice: its driver is untested on hardware, and the gate is not a safety function", aside=True)
     with ExitStack() as stack:
@@ -58,6 +61,7 @@ def drive_graph(
                     limits=limits,
                     ramp=gathers,
                     patience=waits,
+                    payload=carries,
                     shadow=shadow,
                     rehearsed=rehearsed,
                     asked=lambda: _named(came[0]) if came else "",
@@ -72,6 +76,7 @@ def drive_graph(
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
         if formats and not came:
             draw(place)
+        complete(place)
     if came:
         return STOPPED
     return FAILED if run.recording.interrupted else 0
@@ -102,10 +107,9 @@ def rehearse_graph(
     found = graph.rehearse(
         until, payload=None if payload is None else _not_negative("--payload", payload, "kg"), limits=limits
     )
-    if found.whole or not found.passed:
-        keep(graph.experiment, found.summary)
+    kept = keep(found)
     if as_json:
-        tell(json.dumps({**found.summary, "kept": found.whole and found.passed}, indent=2))
+        tell(json.dumps({**found.summary, "kept": kept}, indent=2))
     else:
         tell(str(found))
         if found.passed and not found.whole:

@@ -55,6 +55,9 @@ def drive(
         str | None,
         typer.Option(metavar="S", help="How long to wait for a sample of a real robot; five periods without it."),
     ] = None,
+    payload: Annotated[
+        str | None, typer.Option(metavar="M", help="What the rehearsal tried at the tool, where that was given to it.")
+    ] = None,
     shadow: Annotated[bool, typer.Option("--shadow", help="Compute, and send nothing.")] = False,
     unrehearsed: Annotated[
         bool, typer.Option("--without-a-passed-rehearsal", help="Drive a real robot all the same.")
@@ -84,6 +87,7 @@ def drive(
         limits=limits,
         ramp=ramp,
         patience=patience,
+        payload=payload,
         shadow=shadow,
         rehearsed=not unrehearsed,
         out=out,

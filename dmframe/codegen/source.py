@@ -6,10 +6,11 @@ could be taken for the C library's, which returns at once and says nothing.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from importlib.resources import files
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 
@@ -83,6 +84,21 @@ def _assembled(
             *map(shipped, frames),
         ]
     )
+
+
+def helpers(*texts: str) -> str:
+    """`arithmetic.h` with those functions alone that some texts call.
+
+    A compiler such as clang warns of a static function that nothing calls, and a reader need not read it.
+    """
+    words = set(re.findall(r"\bdm_\w+", "\n".join(texts)))
+    return _HELPER.sub(lambda match: match.group() if match["name"] in words else "", shipped("arithmetic.h"))
+
+
+_HELPER: Final = re.compile(
+    r"^static inline \w+ (?P<name>dm_\w+)\([^)]*\) \{(?:[^\n]*\}\n|\n.*?^\}\n)\n?", re.MULTILINE | re.DOTALL
+)
+"""A function of that file; none of them calls another."""
 
 
 def shipped(name: str) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from dmframe.drawing.netlist import Box, Wired, netlist
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 
 

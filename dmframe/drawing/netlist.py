@@ -8,7 +8,7 @@ from typing import Protocol, final
 
 from dmframe.block import AbstractBlock
 from dmframe.diagram.wiring import Derived, End, Source, Wire
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 
 SWEEPS = 8

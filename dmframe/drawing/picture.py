@@ -9,7 +9,7 @@ from xml.sax.saxutils import escape, quoteattr
 from dmframe.diagram.wiring import End
 from dmframe.drawing.layout import MARGIN, Layout, Placed, lay_out, segments
 from dmframe.drawing.netlist import Wired, netlist
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 
 _STYLE = """

@@ -10,10 +10,11 @@ import numpy as np
 from dmframe.block.model import SYMBOLIC
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
-from dmframe.drive.kept import passed
+from dmframe.drive.identity import identity
+from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
-from dmframe.drive.robots import Options, clock_of, kind_of
+from dmframe.drive.robots import Options, clock_of, kind_of, usual_payload
 from dmframe.errors import DriveError
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.driving import Plan, drive
@@ -41,6 +42,7 @@ def driven(
     limits: Limits | None = None,
     ramp: float | None = None,
     patience: float | None = None,
+    payload: float | None = None,
     shadow: bool = False,
     rehearsed: bool = True,
     engine: Choice = "auto",
@@ -60,8 +62,10 @@ def driven(
         For how long the first motion gathers speed [s]; none for a simulated robot, else a second.
     patience
         How long to wait for a sample of a real robot [s]; its driver's own without it.
+    payload
+        What the rehearsal must have tried at the tool [kg]; what a rehearsal tries by itself without it.
     rehearsed
-        Ask for a passed rehearsal of the same graph before a real robot is driven.
+        Require a passed rehearsal of exactly what is driven before a real robot moves.
     asked
         Called at each sample: what asks for a stop; empty for nothing.
 
@@ -76,33 +80,31 @@ def driven(
     duration = experiment.file.duration if until is None else until
     held = limits or own_limits(diagram.robot)
     if kind.real and not shadow:
-        _check_real(experiment, held, rehearsed)
+        _check_acceleration(held)
     steered = steered_controller(experiment, diagram, engine)  # all is compiled before the loop
+    if kind.real and not shadow and rehearsed:  # of the controller that drives, not of files that may be others by now
+        parts = identity(experiment, steered, held, usual_payload(diagram) if payload is None else payload)
+        if why := refusal(experiment.name, parts, duration):
+            raise DriveError(f"{experiment.name}: {why}")
     with SYMBOLIC:
         start = _start(experiment, diagram)
     driver = kind.make(
         rest, experiment, diagram, Options(duration, engine, max(held.deceleration, held.halt), patience)
     )
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
-    found = drive(steered, driver, Gate(held, driver.period), plan, asked)
-    recording = recording_of(
-        diagram, steered, found, robot=robot, until=duration, solver=experiment.solver, shadow=shadow
-    )
+    gate = Gate(held, driver.period)
+    found = drive(steered, driver, gate, plan, asked)
+    recording = recording_of(diagram, steered, found, robot=robot, plan=plan, gate=gate, solver=experiment.solver)
     if recording is None:
         raise DriveError(f"{robot}: the robot was stopped before its first command: {found.stop}")
     return recording
 
 
-def _check_real(experiment: Experiment, limits: Limits, rehearsed: bool) -> None:
+def _check_acceleration(limits: Limits) -> None:
     if limits.acceleration is None or not np.isfinite(limits.acceleration).all():
         raise DriveError(
             "expected limits with an acceleration for a real robot, which its model does not state: --limits FILE with "
             "acceleration: 4 rad/s^2"
-        )
-    if rehearsed and not passed(experiment):
-        raise DriveError(
-            f"{experiment.name}: expected a graph whose rehearsal was passed, found none of exactly this graph; run "
-            "dmframe rehearse with the same graph and --set"
         )
 
 

@@ -13,14 +13,14 @@ from dmframe.columns import columns
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.drive.drive import steered_controller
+from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
-from dmframe.drive.robots import clock_of, simulated_robot
+from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
 from dmframe.errors import DriveError
 from dmframe.results.metrics import tracking_error
 from dmframe.runtime.driving import Plan, drive
 from dmframe.runtime.gate import Gate, Limits
-from dmframe.runtime.simulated import loaded
 from dmframe.simulate.engine import Choice
 from dmframe.units import plain
 
@@ -84,6 +84,12 @@ class Rehearsal:
         How long each run was [s].
     asked
         How long it must be to decide anything [s].
+    until
+        How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
+    identity
+        What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     """
 
     name: str
@@ -92,6 +98,9 @@ class Rehearsal:
     seconds: float
     asked: float
     outcomes: Sequence[Outcome]
+    until: float = 0.0
+    identity: Identity | None = None
+    field_hash: str = ""
 
     @property
     def whole(self) -> bool:
@@ -122,6 +131,7 @@ class Rehearsal:
         """Plain data."""
         return {
             "graph": self.name,
+            "field_hash": self.field_hash,
             "passed": self.passed,
             "sentence": self.sentence,
             "seconds": self.seconds,
@@ -209,7 +219,10 @@ def rehearsed(
     asked = min(experiment.file.duration, LONGEST)
     duration = asked if seconds is None else seconds
     clock, held = clock_of(experiment), limits or own_limits(diagram.robot)
-    given = tried if tried is not None else conditions(clock, duration, _usual(diagram) if payload is None else payload)
+    load = usual_payload(diagram) if payload is None else payload
+    given = tried if tried is not None else conditions(clock, duration, load)
+    # before the runs: a file that changes meanwhile is not what they rehearse
+    parts = identity(experiment, steered_controller(experiment, diagram, engine), held, load) if tried is None else None
     run = functools.partial(_quarters, experiment, diagram, duration, held, engine)
     outcomes, ideal = list[Outcome](), None
     signal = unit = ""
@@ -219,7 +232,8 @@ def rehearsed(
         signal, unit = found.signal, found.unit
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes)
+    until = experiment.file.duration
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, diagram.fingerprint)
 
 
 @final
@@ -252,10 +266,9 @@ def _quarters(
     """The error of a drive in its second and in its last quarter."""
     steered = steered_controller(experiment, diagram, engine)
     robot = simulated_robot(experiment, diagram, duration, engine, **options)
-    found = drive(steered, robot, Gate(limits, robot.period), Plan(duration), lambda: "")
-    recording = recording_of(
-        diagram, steered, found, robot=robot.name, until=duration, solver=robot.solver, shadow=False
-    )
+    plan, gate = Plan(duration), Gate(limits, robot.period)
+    found = drive(steered, robot, gate, plan, lambda: "")
+    recording = recording_of(diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver)
     error = tracking_error(recording) if recording is not None else None
     if recording is None or error is None:
         raise DriveError(f"{experiment.name}: expected a graph that follows a path, so that its error can be told")
@@ -266,13 +279,3 @@ def _quarters(
     )
     stopped = f"stopped after {plain(float(recording.time[-1]), 's')}, {found.stop}" if found.stop else ""
     return _Run(error.signal, error.unit, second, last, stopped)
-
-
-def _usual(diagram: Diagram) -> float:
-    """A twentieth of the masses that move, in a round number [kg]; 0 for a robot without any."""
-    try:
-        _ = loaded(diagram.loop, 1.0)
-    except DriveError:
-        return 0.0
-    masses = next(item for item in diagram.loop.parameters if item.label == "robot.inertia").value.ravel()[::10]
-    return float(f"{masses.sum() / 20:.1g}")

@@ -16,7 +16,7 @@ from dmframe.errors import DriveError, UnknownNameError, ValueFault
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.runtime import xarm
 from dmframe.runtime.robot import Robot
-from dmframe.runtime.simulated import SimulatedRobot
+from dmframe.runtime.simulated import SimulatedRobot, loaded
 from dmframe.runtime.ur import UniversalRobot
 from dmframe.runtime.ur_arm import JOINTS
 from dmframe.runtime.ur_rtde import UrRtde
@@ -79,6 +79,16 @@ def clock_of(experiment: Experiment) -> float:
             f"{experiment.name}: expected a clock such as 8 ms, found continuous; set one: --set clock='8 ms'"
         )
     return clock
+
+
+def usual_payload(diagram: Diagram) -> float:
+    """A twentieth of the masses that move, in a round number [kg]; 0 for a robot without any."""
+    try:
+        _ = loaded(diagram.loop, 1.0)
+    except DriveError:
+        return 0.0
+    masses = next(item for item in diagram.loop.parameters if item.label == "robot.inertia").value.ravel()[::10]
+    return float(f"{masses.sum() / 20:.1g}")
 
 
 def _simulated(text: str, experiment: Experiment, diagram: Diagram, options: Options) -> Robot:

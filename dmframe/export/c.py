@@ -1,4 +1,4 @@
-"""A controller as C99: one source, one header, and a test that holds any compiler to the numbers of the simulation."""
+"""A controller as C99: a source, a header, and a test that compares any compiler's result with the simulation."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from typing import Any, Final
 import casadi as ca
 
 from dmframe.codegen.function import ONE, written
-from dmframe.codegen.source import shipped
+from dmframe.codegen.source import helpers
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
 from dmframe.export.program import Member, Program, program_of
-from dmframe.export.replay import computed_by_c, first_sample, samples_as_c, samples_of
+from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
 from dmframe.files import encoded, expanded, write_bytes, writing
 from dmframe.results.folder import provenance
+from dmframe.results.place import held
 from dmframe.results.resolved import resolved_text
 from dmframe.units import plain
 from dmframe.version import version
@@ -64,22 +65,23 @@ def source(program: Program) -> str:
         "P": max(1, sum(member.size for member in program.parameters)),
         "W": sum(member.size for member in program.path),
     }
-    name = program.name
+    name, bodies, frame = program.name, [spelled(function) for function in functions], own_file("exported.c")
     lines = [
         f"/* {about(program)} */",
         f'#include "{name}.h"',
         "#ifndef __GNUC__",
         "#define __attribute__(list)",
         "#endif",
-        *map(shipped, ONE.arithmetic),
+        helpers(*bodies, frame),
         *(f"#define DM_{key} {size}" for key, size in sizes.items()),
         f"#define DM_PERIOD {name.upper()}_PERIOD",
         f"#define DM_NAMED(word) {name}_##word",
         f"const {name}_parameters {name}_defaults = {{",
         *(f"    {{{', '.join(map(repr, member.value))}}}, /* {member.label} */" for member in program.parameters),
+        *([] if program.parameters else ["    {0},"]),
         "};",
-        *map(spelled, functions),
-        own_file("exported.c"),
+        *bodies,
+        frame,
     ]
     if program.tool is not None:
         lines.append(f"void {name}_tool(const double *q, double *x) {{ dm_tool(q, 0, 0, x); }}\n")
@@ -190,7 +192,7 @@ def _unused(head: re.Match[str]) -> str:
 def about(program: Program) -> str:
     """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
-    return f"{program.name}{title}. Written by dmframe {version()}.".replace("*/", "* /")
+    return f"{program.name}{title}. Written by dmframe {version()} from model {program.model}.".replace("*/", "* /")
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:
@@ -221,8 +223,9 @@ def own_file(name: str) -> str:
 def export_c(experiment: Experiment, diagram: Diagram, folder: str | Path) -> list[Path]:
     """Write a graph's controller as C99 into a new folder, with an example and a test; returns the files.
 
-    ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` holds any compiler to the first samples of a simulation,
-    bit by bit where it keeps to the order of operations; ``example.c`` shows the loop, ``CMakeLists.txt`` builds all.
+    ``NAME.c`` and ``NAME.h`` are the controller; ``replay.c`` compares what any compiler makes of them with the first
+    samples of a simulation, each from equal states, bit by bit where it keeps to the order of operations;
+    ``example.c`` shows the loop, ``CMakeLists.txt`` builds all.
 
     Raises
     ------
@@ -245,50 +248,53 @@ def new_folder(folder: str | Path) -> Path:
 
 
 def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Files by their paths below a new folder, all or none: half a controller would look like one.
+    """Files by their paths below a folder, all or none: half a controller would look like one.
 
-    Raises `OutputError`.
+    The folder is locked meanwhile, as that of a run is. Raises `OutputError`.
     """
-    done = [place / name for name in contents]
-    folders = {folder for file in done for folder in file.parents if not folder.exists()}
-    made = sorted(folders, key=lambda folder: len(folder.parts), reverse=True)
-    try:
-        with writing(place, "folder"):
+    files, done = [place / name for name in contents], list[Path]()
+    with held(place):
+        if there := [file for file in files if file.exists()]:  # another export has come first
+            raise OutputError(f"{there[0]}: is there already; name a new folder")
+        made = sorted({file.parent for file in files if not file.parent.exists()}, reverse=True)
+        try:
+            with writing(place, "folder"):
+                for file in files:
+                    file.parent.mkdir(parents=True, exist_ok=True)
+            for file, content in zip(files, contents.values(), strict=True):
+                done.append(file)
+                write_bytes(file, content if isinstance(content, bytes) else encoded(content))
+        except BaseException:
             for file in done:
-                file.parent.mkdir(parents=True, exist_ok=True)
-        for file, content in zip(done, contents.values(), strict=True):
-            write_bytes(file, content if isinstance(content, bytes) else encoded(content))
-    except BaseException:
-        for file in done:
-            file.unlink(missing_ok=True)
-        with suppress(OSError):
-            for folder in made:
-                folder.rmdir()
-        raise
-    return done
+                file.unlink(missing_ok=True)
+            with suppress(OSError):
+                for folder in made:
+                    folder.rmdir()
+            raise
+    return files
 
 
 def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:
     """All files of an exported controller, by name."""
-    code, told = source(program), header(program)
-    wanted = {f"{program.name}.c": code, f"{program.name}.h": told}
+    wanted = {f"{program.name}.c": source(program), f"{program.name}.h": header(program)}
     samples = samples_of(experiment, diagram, program)
-    wanted |= {"replay.c": _called("replay.c", program), "samples.h": samples_as_c(samples, exact=False)}
-    computed = computed_by_c(program, wanted, samples)
-    exact = computed is not None
+    wanted |= {"replay.c": _called("replay.c", program), "samples.h": sizes_as_c(samples, exact=False)}
+    computed = computed_by_c(diagram, program, wanted, samples)
+    shown = kept(samples if computed is None else computed.samples)
     return wanted | {
-        "samples.h": samples_as_c(computed or samples, exact=exact),
+        "samples.h": samples_as_c(shown, exact=computed is not None),
         "example.c": _called("example.c", program).replace("DM_STILL", first_sample(program, samples)),
         "CMakeLists.txt": _called("CMakeLists.txt", program),
-        "README.md": _readme(program, exact=exact),
-        **origin(experiment),
+        "README.md": _readme(program, len(shown.times), computed),
+        **origin(experiment, program.model),
     }
 
 
-def origin(experiment: Experiment) -> dict[str, str]:
-    """The files that say from what others were made."""
+def origin(experiment: Experiment, model: str) -> dict[str, str]:
+    """The files that say from what others were made; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
-    return {"graph.yaml": text, "provenance.json": json.dumps(provenance(experiment, text), indent=2) + "\n"}
+    made = provenance(experiment, text, field_hash=model)
+    return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 
 def _called(name: str, program: Program) -> str:
@@ -296,13 +302,19 @@ def _called(name: str, program: Program) -> str:
     return own_file(name).replace("DM_FILE", program.name).replace("DM_PERIOD", f"{program.name.upper()}_PERIOD")
 
 
-def _readme(program: Program, *, exact: bool) -> str:
+def _readme(program: Program, samples: int, computed: Computed | None) -> str:
     """What is in the folder, and what it was not tried on."""
     names = ", ".join(program.untold)
     untold = f"\n{names}: nothing measured tells where these start; they begin as in the simulation.\n" if names else ""
-    held = "to the last bit" if exact else "to rounding: no compiler worked where it was written"
+    switched = () if computed is None else computed.switched
     return _README.format(
-        name=program.name, period=plain(program.period, "s"), untold=untold, held=held, version=version()
+        name=program.name,
+        period=plain(program.period, "s"),
+        untold=untold,
+        samples=samples,
+        exactly="to the last bit" if computed else "to rounding: no compiler worked where it was written",
+        switched="".join(f"\nRounding decides a switch at {words}.\n" for words in switched),
+        version=version(),
     )
 
 
@@ -316,9 +328,10 @@ nothing of the C library but arithmetic. `{name}.h` says what goes in and out, w
 cmake -B build && cmake --build build && ctest --test-dir build
 ```
 
-or `cc -std=c99 -O2 -ffp-contract=off -fno-tree-vectorize {name}.c replay.c -lm -o replay && ./replay`. It holds
-your compiler to the samples of a simulation, {held}.
-{untold}
+or `cc -std=c99 -O2 -ffp-contract=off -fno-tree-vectorize {name}.c replay.c -lm -o replay && ./replay`. It
+compares what your compiler makes of the source with {samples} samples of a simulation, {exactly}. Each sample begins
+from the state of the simulation, so that a law that amplifies rounding is judged sample by sample.
+{switched}{untold}
 Time comes from the robot's clock, not from a count of loops: the path is a function of it. What is measured must be of
 one frame, the robot's base; for a robot that does not tell where its tool is there is `{name}_tool`. A call that
 returns 0 has computed nothing: stop the robot then.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import platform
 import sys
 import zipfile
@@ -20,18 +19,15 @@ import casadi as ca
 
 from dmframe.build.cache import CompileFailed
 from dmframe.build.compiler import find_compiler
-from dmframe.codegen.function import ONE
-from dmframe.codegen.source import shipped
+from dmframe.codegen.source import helpers
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
-from dmframe.export.c import functions_of, own_file, spelled, write_all
+from dmframe.export.c import functions_of, origin, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
 from dmframe.files import expanded, write_text
-from dmframe.results.folder import provenance
-from dmframe.results.resolved import resolved_text
 from dmframe.units import base_units
 from dmframe.version import version
 
@@ -88,25 +84,21 @@ def export_fmus(experiment: Experiment, diagram: Diagram, folder: str | Path, fm
         A file cannot be written, or is there already.
     """
     place = expanded(folder)
-    units = [_of_controller(program_of(experiment, diagram)), _of_robot(robot_of(experiment, diagram))]
+    program, robot = program_of(experiment, diagram), robot_of(experiment, diagram)
+    units = [_of_controller(program), _of_robot(robot, program.model)]
     files = [place / f"{unit.name}.fmu" for unit in units]
     for file in files:
         if file.exists():
             raise OutputError(f"{file}: is there already; name a new folder")
-    text = resolved_text(experiment)
-    made = {"graph.yaml": text, "provenance.json": _json(provenance(experiment, text))}
+    made = origin(experiment, program.model)
     return write_all(place, {f"{unit.name}.fmu": packed(unit, fmi, made) for unit in units})
-
-
-def _json(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, indent=2) + "\n"
 
 
 def _of_controller(program: Program) -> Unit:
     functions, constants = functions_of(program, free=False)
     return Unit(
         name=program.name,
-        about=f"{program.title} (the controller)".strip(),
+        about=f"{program.title} (the controller, of model {program.model})".strip(),
         period=program.period,
         inputs=_zero(program.measured),
         outputs=_zero(program.commanded),
@@ -119,12 +111,12 @@ def _of_controller(program: Program) -> Unit:
     )
 
 
-def _of_robot(robot: Robot) -> Unit:
+def _of_robot(robot: Robot, model: str) -> Unit:
     x, u, p = (ca.SX.sym(word, robot.rate.numel_in(k)) for k, word in enumerate(("x", "u", "p")))
     made, constants = split({"rate": ([x, u], [robot.rate(x, u, p)]), "measured": ([x], [robot.shown(x, p)])}, p)
     return Unit(
         name=robot.name,
-        about=f"{robot.title} (the robot and its servo)".strip(),
+        about=f"{robot.title} (the robot and its servo, of model {model})".strip(),
         period=robot.period,
         inputs=_zero(robot.commanded),
         outputs=_zero(robot.measured),
@@ -184,6 +176,7 @@ def code(unit: Unit, fmi: Version, token: str) -> str:
         first += item.size
     table = ["static const struct { size_t first, size; } dm_variables[] = {", *places, "};"] if fmi == 3 else []
     values = [f"    {', '.join(map(repr, item.value))}, /* {item.label} */" for _, item in unit.members]
+    bodies = [spelled(function) for function in unit.functions]
     return "\n".join(
         [
             f"/* {unit.name}: {unit.about}. Written by dmframe {version()}. */".replace("*/ */", "*/"),
@@ -191,7 +184,7 @@ def code(unit: Unit, fmi: Version, token: str) -> str:
             "#define __attribute__(list)",
             "#endif",
             "#include <stddef.h>",
-            *map(shipped, ONE.arithmetic),
+            helpers(*bodies),
             *(f"#define DM_{key} {size}" for key, size in sizes.items()),
             f"#define DM_PERIOD {unit.period!r}",
             f'#define DM_PERIOD_TEXT "{unit.period!r}"',
@@ -200,7 +193,7 @@ def code(unit: Unit, fmi: Version, token: str) -> str:
             *values,
             "};",
             *table,
-            *(spelled(function) for function in unit.functions),
+            *bodies,
             own_file("fmu.c"),
             own_file(unit.frame),
             own_file(f"fmi{fmi}.c"),

@@ -86,6 +86,8 @@ class Program:
         q -> x, where the robot's tool is; None without a robot.
     untold
         States whose start no measurement tells.
+    model
+        The hash of the closed loop, `Diagram.fingerprint`: that of a run and of a verification of the same model.
     """
 
     name: str
@@ -102,6 +104,7 @@ class Program:
     start: Any
     tool: Any
     untold: tuple[str, ...]
+    model: str
 
 
 def program_of(experiment: Experiment, diagram: Diagram) -> Program:
@@ -151,6 +154,7 @@ def program_of(experiment: Experiment, diagram: Diagram) -> Program:
         start=ca.Function("start", [*inputs[1:], p], [begun]),
         tool=_tool(diagram),
         untold=untold,
+        model=diagram.fingerprint,
     )
 
 

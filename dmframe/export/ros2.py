@@ -76,7 +76,7 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "test/samples.h": c["samples.h"],
         "config/controllers.yaml": "\n".join(_configuration(package, rate, joints, rows)),
         "README.md": _readme(program, package, rate, rows),
-        **origin(experiment),
+        **origin(experiment, program.model),
     }
     return write_all(place, wanted)
 

@@ -23,9 +23,9 @@ from dmframe.formula.latex import evaluate, name_in, said
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers, UnreadableLatexError
 from dmframe.formula.meanings import point_of, undotted, values_at
-from dmframe.formula.names import Symbol
 from dmframe.formula.points import ALL_SIZES, FEW, NEAR, differs, differs_near, is_rounding, jittered
 from dmframe.formula.stated import Stated, equations_of, shown, source_of
+from dmframe.names import Symbol
 from dmframe.parameter import specs
 
 

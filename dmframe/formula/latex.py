@@ -2,7 +2,7 @@ r"""LaTeX formulas as numbers: what a docstring says, evaluated like the code th
 
 The grammar: sums, products by juxtaposition or ``\cdot``, quotients, brackets, ``\frac``, ``|a|^2_W`` (bars of any
 kind), ``\top``, ``^{-1}``, powers,
-``bmatrix``, common functions, and names as `dmframe.formula.names` writes them. A product is read from right to left;
+``bmatrix``, common functions, and names as `dmframe.names` writes them. A product is read from right to left;
 a column that is not its last factor stands for a diagonal matrix.
 """
 
@@ -26,7 +26,7 @@ from dmframe.formula.matrices import (
     scaled,
     stacked,
 )
-from dmframe.formula.names import LETTERS, Symbol, unicode_symbol
+from dmframe.names import LETTERS, Symbol, unicode_symbol
 
 _TOKEN: Final = re.compile(r"\\[A-Za-z]+|\\.|\d+(?:\.\d+)?|[A-Za-z]|\S")
 _BLANK: Final = (

@@ -15,9 +15,9 @@ from dmframe.certificate import Certificate
 from dmframe.formula.latex import tokens
 from dmframe.formula.laws import ReadBlock
 from dmframe.formula.matrices import Numbers
-from dmframe.formula.names import Symbol, latex_name, symbol
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.stated import Stated
+from dmframe.names import Symbol, latex_name, symbol
 from dmframe.robot.parameters import DynamicParameters
 
 _PAPER: Final = tuple((method, sign) for sign, method in PAPER.items())

@@ -279,6 +279,7 @@ class Graph:
         limits: str | Path | None = None,
         ramp: float | str | None = None,
         patience: float | str | None = None,
+        payload: float | str | None = None,
         shadow: bool = False,
         rehearsed: bool = True,
         engine: Choice = "auto",
@@ -300,8 +301,10 @@ class Graph:
             How long to wait for a sample of a real robot; five periods without it.
         shadow
             Compute, and send nothing.
+        payload
+            What the rehearsal must have tried at the tool; what `rehearse` tries by itself without it.
         rehearsed
-            Ask for a passed rehearsal of this very graph before a real robot is driven.
+            Require a passed rehearsal of exactly what is driven before a real robot moves.
         asked
             Called at each sample: what asks for a stop; empty for nothing.
 
@@ -320,6 +323,7 @@ class Graph:
             limits=None if limits is None else load_limits(limits, self.robot),
             ramp=None if ramp is None else to_unit(ramp, "s"),
             patience=None if patience is None else seconds("patience", patience),
+            payload=None if payload is None else to_unit(payload, "kg"),
             shadow=shadow,
             rehearsed=rehearsed,
             engine=engine,

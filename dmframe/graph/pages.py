@@ -16,10 +16,10 @@ from dmframe.diagram.wiring import Ahead, Derived, Drawn, Period, Source, Time, 
 from dmframe.formula import Line
 from dmframe.formula.alone import in_yaml, options_of, plainest
 from dmframe.formula.docstring import check_docstring
-from dmframe.formula.names import unicode_name
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.where import sizes_show, where
 from dmframe.formula.wrap import wrapped
+from dmframe.names import unicode_name
 from dmframe.parameter import PAIRS, Spec, specs
 from dmframe.port import Access, Port, Side, State
 from dmframe.simulate.told import unread

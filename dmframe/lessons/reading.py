@@ -10,9 +10,9 @@ from typing import Final
 
 from dmframe.columns import columns
 from dmframe.formula.latex import in_unicode
-from dmframe.formula.names import LETTERS
 from dmframe.lessons.lesson import Lesson, Piece
 from dmframe.lessons.notebook import LINK, unlinked
+from dmframe.names import LETTERS
 
 _DISPLAYED: Final = re.compile(r"\$\$(.*?)\$\$", re.DOTALL)
 _MARKED: Final = re.compile(r"(\$[^$]+\$|`[^`]+`)")

@@ -16,7 +16,7 @@ from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
@@ -53,6 +53,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "field_hash": diagram.fingerprint,
         "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),

@@ -17,7 +17,7 @@ from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.knowledge import known_truths
 from dmframe.diagram.values import with_values
 from dmframe.errors import DmframeError
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.parameter import specs
 from dmframe.port import Side
 

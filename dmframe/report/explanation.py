@@ -18,9 +18,9 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.knowledge import WORDS
 from dmframe.errors import listed
 from dmframe.exact.rational import as_float
-from dmframe.formula.names import unicode_name
 from dmframe.formula.unmarked import unmarked
 from dmframe.formula.wrap import wrapped
+from dmframe.names import unicode_name
 from dmframe.parameter import specs
 from dmframe.port import Access, Side
 from dmframe.report.command import command

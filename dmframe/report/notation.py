@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from dmframe.formula import PrintedLaw
-from dmframe.formula.names import LETTERS, latex_name, unicode_name
+from dmframe.names import LETTERS, latex_name, unicode_name
 
 _DOTS: Final = {1: r"\dot", 2: r"\ddot"}
 _SIGNS: Final = {">=": r"\ge ", "<=": r"\le ", "*": r"\,", "~": r"\sim "}

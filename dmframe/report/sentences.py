@@ -7,7 +7,7 @@ from typing import Final, NamedTuple, final
 
 from dmframe.errors import listed
 from dmframe.formula import Line, PrintedLaw
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 from dmframe.report.explained import BlockFacts, Estimated
 from dmframe.report.flow import Taken

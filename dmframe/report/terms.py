@@ -15,9 +15,9 @@ from dmframe.diagram.closed_loop import Parameter
 from dmframe.diagram.truths import value_of
 from dmframe.diagram.view import owners_of
 from dmframe.formula import Line, PrintedLaw, PrintedTerm
-from dmframe.formula.names import latex_name
 from dmframe.formula.robot import CONSTANTS
 from dmframe.formula.tree import Name, Node
+from dmframe.names import latex_name
 from dmframe.parameter import Spec
 from dmframe.port import Port, State
 from dmframe.report.rows import Row

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import final
 
 from dmframe.certify import Verdict
+from dmframe.certify.sample_states import held_in_v
 from dmframe.certify.samples import SampledClaim
 from dmframe.errors import listed
 from dmframe.report.notation import marked, signal_latex
@@ -44,23 +45,27 @@ def _proved(verdict: Verdict, clock: float | None) -> Meaning:
 
 
 def _proved_over_samples(verdict: Verdict, claim: SampledClaim) -> Meaning:
+    held = listed([f"`{label}`" for label in held_in_v(claim)])
+    rises = f"rises by no more than {claim.left}" if claim.left else "never rises"
     sentence = (
-        "from sample to sample, as a mathematical theorem, an energy-like function $V$ of what is stored rises by "
-        f"no more than {claim.left}, whatever is commanded; that the robot follows its path is not a part of this "
-        "theorem."
+        f"from sample to sample, as a mathematical theorem, an energy-like function $V$ of {held} {rises}, whatever is "
+        f"commanded; that the robot follows its path is not a part of this theorem.{_open(verdict)}"
     )
+    plus = f", plus squares that are not bounded: {claim.left}" if claim.left else ""
     means = (
         "The proof is an identity: $V^+ - V$, on the very map that the simulator computes at each sample, equals "
-        "exactly minus a sum of terms none of which can be negative, plus squares that are not bounded: "
-        f"{claim.left}.",
+        f"exactly minus a sum of terms none of which can be negative{plus}.",
         _decided(verdict),
         "The identity holds for all values of the free symbols: every measurement, command and sampling period, "
         f"not only for those of this graph; {_where(verdict)}",
         f"The test can say no: {_controls(verdict)}",
     )
-    means_not = (
+    unexplained = (
         "How large that is which the data leave unexplained: it is there because means over a sample are taken at one "
         "point of it, and grows with the period, with noise, and with what the plant has and the model has not.",
+    )
+    means_not = (
+        *(unexplained if any(part.steps for part in claim.parts) else ()),
         "That the robot follows its path, or stays near it: its velocities are assumed to stay bounded.",
         "Anything beyond the model: whatever the assumptions exclude, such as flexible joints or a saturated motor.",
     )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.plotting import PAGE, POINTS, draw_curve, frame, look, names_above, page, tame, unit_text
 from dmframe.port import Access, Side
 from dmframe.results.dataset import joint_labels

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.plotting import look, verbatim
 from dmframe.results.dataset import axis_labels, joint_labels
 from dmframe.results.metrics import TrackingError, tracking_error

@@ -8,7 +8,7 @@ import numpy as np
 
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram.closed_loop import Variable
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.plotting import (
     GREY,
     POINTS,

@@ -76,7 +76,7 @@ class Controller:
         self.commanded: Mapping[str, np.ndarray] = MappingProxyType(_parts(outs, outside))
         self.states: Mapping[str, np.ndarray] = MappingProxyType(_parts(loop.controller, self._z))
         self._held = (inside, outside)  # what the call reads and writes by address
-        self._diagram, self._given, self.clock = diagram, start or {}, clock
+        self.diagram, self.given, self.clock = diagram, start or {}, clock
         call = None if engine == "interpreted" else self._machine_code(function)
         if call is None and engine == "compiled":
             raise EngineError("engine: expected a C compiler for the compiled engine, found none that works")
@@ -119,7 +119,7 @@ class Controller:
 
     @cached_property
     def _start_function(self) -> Any:
-        return start_function(self._diagram, self._given)[0]
+        return start_function(self.diagram, self.given)[0]
 
     def _machine_code(self, function: Any) -> Callable[[], bool] | None:
         try:
@@ -206,9 +206,9 @@ def path_leaves(diagram: Diagram) -> tuple[Leaf, ...]:
 
 def _expressions(diagram: Diagram) -> list[Any]:
     """The controller's states one period later, and its commands, on the symbols of the path."""
-    loop, resolver = diagram.loop, diagram.resolver
+    loop = diagram.loop
     size = stack(variable.symbol for variable in loop.controller).numel()
-    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
+    commands = stack(leaf.expression for leaf in loop.commanded)
     advanced, commands = loop.projected([loop.advanced, commands], joined=False)
     return [loop.put_back(advanced)[:size], commands]
 

@@ -1,7 +1,7 @@
 """The paper's equations that no block states, since they follow: by hand, for a planar arm, at random states.
 
 Everything here is NumPy: nothing of the framework is used, so the paper's own chain of equations is checked, and its
-errata found. All products of columns are taken element by element. Derivatives of V are complex steps, exact to
+readings that differ. All products of columns are taken element by element. Derivatives of V are complex steps, exact to
 rounding: Im V(x + i h dx/dt) / h.
 """
 

@@ -81,6 +81,41 @@ def test_the_servo_averaged_over_a_sample_is_linear_in_its_true_constants(
     assert least <= np.max(np.abs(law.wrong[20:])) < most  # [rad/s], the start's quick transient apart
 
 
+def residuals(T: float) -> tuple[float, float]:
+    """The largest residuals [rad/s] with true parameters: as the law is, and with a centred momentum change.
+
+    The circle at 2 rad/s, without Coulomb friction, whose own mean over a sample is another question.
+    """
+    arm = ur10()
+    arm.D = 0 * arm.D
+    law, steps = Knowing(arm, T, tau=None), list[tuple[Known, Known]]()
+    begin = law.after
+
+    def after(at: Known, u: Array, q: Array) -> Known:
+        steps.append((at, begin(at, u, q)))
+        return steps[-1][1]
+
+    law.after = after  # type: ignore[method-assign]
+    closed_loop(law, Plant(arm, START, K_D, K_P, K_I, step=2.25e-3), Circle(PATH.center, PATH.radius, 2.0), int(4 / T))
+    coded, centred = list[Array](), list[Array]()
+    for (_, before), (at, now), (_, later) in zip(steps, steps[1:], steps[2:], strict=False):
+        coded.append(now.y - np.sum(now.psi * law.theta, axis=1))
+        change = arm.momentum(now.q, (now.v + later.v) / 2) - arm.momentum(at.q, (before.v + now.v) / 2)
+        psi = now.psi.copy()
+        psi[:, 3:-2] += (change - arm.momentum(now.m, now.v) + arm.momentum(before.m, before.v)) / T
+        centred.append(now.y - np.sum(psi * law.theta, axis=1))
+    start = len(coded) // 3
+    return float(np.max(np.abs(coded[start:]))), float(np.max(np.abs(centred[start:])))
+
+
+def test_the_residual_is_of_first_order_and_a_centred_momentum_change_is_not_better_on_a_slow_clock() -> None:
+    found = {T: residuals(T) for T in (0.09, 0.045, 0.0225)}
+    rounded = {T: tuple(round(1e6 * value) for value in values) for T, values in found.items()}
+    assert rounded == {0.09: (331, 406), 0.045: (167, 189), 0.0225: (82, 74)}  # docs/explanation/sampled_law.md
+    orders = [np.log2(found[T][0] / found[T / 2][0]) for T in (0.09, 0.045)]
+    assert orders == pytest.approx([1, 1], abs=0.06)
+
+
 @pytest.mark.parametrize(
     ("law", "keys", "quoted"),
     [(SampledLaw, {"tau": None}, 0.72), (Observer, {}, 0.29), (Kinematic, {}, 5.02)],

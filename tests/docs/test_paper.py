@@ -68,10 +68,17 @@ def test_a_row_says_where_it_is_or_why_it_is_nowhere(paper: ModuleType) -> None:
 def test_errata_name_what_was_found_and_a_test_of_it(paper: ModuleType) -> None:
     errata = paper.PAGE.read_text(encoding="utf-8").partition("## Errata")[2].partition("\n## ")[0]
     rows = [line for line in errata.splitlines() if line.startswith("| ")][1:]
-    assert [line.split(" | ")[0].strip("| ") for line in rows] == ["(41)", "Section IV-A, last remark"]
+    assert [line.split(" | ")[0].strip("| ") for line in rows] == ["Section IV-A, last remark"]
     assert all("](../tests/blocks/test_" in line for line in rows)
     found = [row.number for row in paper.rows() if "*Erratum*" in row.says]
-    assert found == ["(41)", "Section IV-A, last remark"]
+    assert found == ["Section IV-A, last remark"]
+
+
+def test_a_deviation_of_a_damaged_copy_is_not_called_an_erratum(paper: ModuleType) -> None:
+    text = paper.PAGE.read_text(encoding="utf-8")
+    readings = text.partition("## Readings of our copy")[2].partition("\n## ")[0]
+    assert "| (41) |" in readings
+    assert "| (41) |" not in text.partition("## Errata")[2].partition("\n## ")[0]
 
 
 def test_what_a_block_cites_stands_in_the_row_of_that_number(paper: ModuleType) -> None:

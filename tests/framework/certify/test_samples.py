@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, Literal
 
@@ -22,8 +23,11 @@ from dmframe.certificate import (
     Square,
 )
 from dmframe.certify import verify
+from dmframe.certify.checked import Numbers
 from dmframe.certify.refute import replay
+from dmframe.certify.sample_states import sampled_states
 from dmframe.certify.samples import sampled_claim_of
+from dmframe.certify.statements import States as Known
 from dmframe.certify.summary import summary
 from dmframe.certify.verify_samples import sampled_symbols
 from dmframe.diagram import Diagram
@@ -156,7 +160,8 @@ def diagram(**options: Any) -> Diagram:
 def test_an_estimator_that_takes_normalised_steps_is_proved_over_samples() -> None:
     verdict = verify(diagram())
     assert (verdict.outcome, verdict.claim) == ("proved", None)
-    assert verdict.headline.startswith("proved over samples, up to what its data leave unexplained; tracking is not")
+    assert verdict.headline.startswith("proved over samples of learner.theta, up to what its data leave unexplained; ")
+    assert verdict.headline.endswith(" states are not known to be bounded, and tracking is not part of it")
     assert [(item.name, item.holds) for item in verdict.conditions] == [
         ("learner: gain of the steps of theta", True),
         ("learner: floor of the steps of theta", True),
@@ -528,7 +533,7 @@ def test_it_is_said_what_nothing_bounds_and_what_nothing_ties_to_the_plant() -> 
     assert "no relation" not in assumed(diagram())
     left = "what its data leave unexplained and a residual that nothing bounds"
     verdict = verify(filtered(Steps))
-    assert verdict.headline == f"proved over samples, up to {left}; tracking is not part of it"
+    assert f", up to {left}; " in verdict.headline
     assert f"rises by no more than {left}" in meaning_of(verdict, T).sentence
 
 
@@ -559,3 +564,100 @@ def test_an_authors_words_stay_on_their_line(said: str) -> None:
     verdict = verify(filtered(Wordy, said=said))
     assert verdict.outcome == "not_applicable"
     assert "expected texts of one line" in verdict.reason
+
+
+def stepping(
+    states: str,
+    becomes: Callable[[Any], dict[str, Any]],
+    stored: Callable[[Any], Any] = lambda x: x.x,
+    lost: Callable[[Any], Square] = lambda x: Square(x.x, ca.SX(0.75)),
+) -> Diagram:
+    """One block whose states step, with what it stores and loses."""
+
+    class Toy(AbstractBlock):
+        inputs: Ports = ()
+        outputs: Ports = ()
+        states: States
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            return Equations(next=becomes(x))
+
+        def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> SampledCertificate:
+            return SampledCertificate(storage=(Square(stored(x)),), decrease=(lost(x),))
+
+    Toy.states = tuple(State(name, sampled=True) for name in states.split())
+    return Diagram.build({"toy": Toy()})
+
+
+def test_a_state_that_nothing_bounds_is_named_wherever_the_verdict_is_read() -> None:
+    verdict = verify(stepping("x z", lambda x: {"x": x.x / 2, "z": 2 * x.z}))
+    assert verdict.outcome == "proved"
+    assert verdict.states == Known(("toy.x",), (), ("toy.z",))
+    last = "and tracking is not part of it"
+    assert verdict.headline == f"proved over samples of toy.x; toy.z is not known to be bounded, {last}"
+    assert "not known to be bounded, so that this is not the stability of the whole loop: toy.z" in verdict_text(
+        "x", verdict
+    )
+    assert summary("x", verdict)["states"] == {"bounded": ["toy.x"], "unfelt": [], "open": ["toy.z"]}
+    sentence = meaning_of(verdict, T).sentence
+    assert "$V$ of `toy.x` never rises" in sentence
+    assert sentence.endswith("bounds `toy.z`.")
+
+
+def test_a_loop_over_samples_that_is_bounded_as_a_whole_names_no_state() -> None:
+    moves = {"x": lambda x: x.x / 2, "y": lambda x: ca.sin(x.x) + x.k, "k": lambda x: x.k, "c": lambda x: x.y**2}
+    verdict = verify(stepping("x y k c", lambda x: {name: move(x) for name, move in moves.items()}))
+    assert verdict.states == Known(("toy.x", "toy.y", "toy.k", "toy.c"))
+    assert verdict.headline == "proved over samples of toy.x; tracking is not part of it"
+
+
+FOLLOWS = {
+    "a sum that never ends": ("x z", lambda x: {"x": x.x / 2, "z": x.z + x.x}),
+    "a quotient": ("x z", lambda x: {"x": x.x / 2, "z": 1 / x.x}),
+    "two that exchange": ("x z w", lambda x: {"x": x.x / 2, "z": 2 * x.w, "w": x.z}),
+}
+
+
+@pytest.mark.parametrize("name", FOLLOWS)
+def test_a_state_does_not_follow_from_bounded_ones_where_its_next_value_need_not(name: str) -> None:
+    verdict = verify(stepping(*FOLLOWS[name]))
+    assert verdict.outcome == "proved"
+    assert verdict.states is not None
+    assert verdict.states.bounded == ("toy.x",)
+
+
+def test_a_vector_that_jumps_does_not_bound_the_state_that_it_holds() -> None:
+    rest = stepping(  # x - floor(x) stays below 1 while x rises without end
+        "x",
+        lambda x: {"x": x.x + 1 + 0 * x.x},
+        lambda x: x.x - ca.floor(x.x),
+        lambda x: Square(x.x * 0, ca.SX(1)),
+    )
+    states = sampled_states(claim := sampled_claim_of(rest), Numbers(claim.base, {}), 0)
+    assert states.open == ("toy.x",)
+
+
+def test_of_sums_of_states_only_what_they_determine_is_bounded() -> None:
+    def bounded(stored: Callable[[Any], Any]) -> tuple[str, ...]:
+        diagram = stepping(
+            "x z", lambda x: {"x": x.x / 2, "z": x.z / 2}, stored, lambda x: Square(stored(x), ca.SX(0.75))
+        )
+        claim = sampled_claim_of(diagram)
+        return sampled_states(claim, Numbers(claim.base, {}), 0).bounded
+
+    assert bounded(lambda x: x.x + x.z) == ()
+    assert bounded(lambda x: ca.vertcat(x.x + x.z, x.x - 2 * x.z)) == ("toy.x", "toy.z")
+    assert bounded(lambda x: ca.vertcat(x.x + x.z, 2 * x.x + 2 * x.z)) == ()
+
+
+def test_of_two_estimators_both_are_named_and_the_plant_is_not_called_bounded() -> None:
+    two = Diagram.build(
+        {"carts": Carts(), "learner": Learner(), "other": Learner(gain=3.0)},
+        {"carts.c": "learner.c"},
+    )
+    verdict = verify(two)
+    assert verdict.outcome == "proved"
+    assert verdict.headline.startswith("proved over samples of learner.theta and other.theta, up to ")
+    assert verdict.states is not None
+    assert verdict.states.bounded == ("learner.theta", "other.theta")
+    assert {"carts.y", "carts.v", "learner.count"} <= set(verdict.states.open)

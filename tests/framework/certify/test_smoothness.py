@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -10,7 +11,14 @@ import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
-from dmframe.certificate import Certificate, Square
+from dmframe.certificate import (
+    Barrier,
+    Certificate,
+    Driven,
+    Gathered,
+    NormSquare,
+    Square,
+)
 from dmframe.certify import claim_of, verify
 from dmframe.certify.smoothness import Smoothness, is_smooth_over, smoothness, smoothness_faults
 from dmframe.config import load_experiment
@@ -126,7 +134,7 @@ def test_a_correction_of_a_projection_in_v_is_refused() -> None:
     (projection, *_) = [item for item in claim.loop.projections if item.block == "inverse"]
     held = Square(projection.correction, ONE, "a correction")
     part = next(part for part in claim.parts if part.block == "inverse")
-    object.__setattr__(part.certificate, "storage", (*part.certificate.storage, held))
+    claim.field.part("inverse", replace(part.certificate, storage=(*part.certificate.storage, held)))
     found = smoothness_faults(loop, claim)
     assert (
         f"inverse: the storage of a correction holds the correction of the projection of {projection.name}" in found[0]
@@ -137,7 +145,7 @@ def test_a_symbol_of_nowhere_in_v_is_refused() -> None:
     loop = stored(lambda y: y)
     claim = claim_of(loop)
     held = Square(ca.SX.sym("ghost"), ONE, "a ghost")
-    object.__setattr__(claim.parts[0].certificate, "storage", (held,))
+    claim.field.part("toy", replace(claim.parts[0].certificate, storage=(held,)))
     (fault,) = smoothness_faults(loop, claim)
     assert fault.startswith("toy: the storage of a ghost holds ghost, which is no state, trajectory or parameter")
 
@@ -190,6 +198,126 @@ def test_a_rate_that_jumps_is_told_as_an_assumption() -> None:
     assert [item.text for item in look(diagram).assumptions] == [
         "d toy.y/dt holds sign: where it jumps, the motion is Filippov's solution"
     ]
+
+
+def kept_in(position: Callable[[Any, Any], Any]) -> Diagram:
+    """A position between -1 and 1 whose rate follows a barrier's reference but for s; z is a state next to it."""
+
+    def barrier(x: Any, u: Any) -> Barrier:
+        low, high, speed, rate, width = map(ca.SX, (-1.0, 1.0, 50.0, 3.0, 0.02))
+        return Barrier(position(x, u), ca.SX(0), low, high, speed, rate, width)
+
+    return scalar_loop(
+        "q s z",
+        lambda x, u, p: {"q": barrier(x, u).reference + x.s, "s": -x.s, "z": -x.z},
+        lambda x, u, p: Certificate(
+            (Square(x.s), Square(x.z)), (Square(x.s), Square(x.z)), pays=(ca.SX(1),), barriers=(barrier(x, u),)
+        ),
+    )
+
+
+POSITIONS = {
+    "sign": lambda x, u: x.q + 100 * ca.sign(x.z),
+    "floor": lambda x, u: x.q + ca.floor(x.z),
+    "fmod": lambda x, u: x.q + ca.floor(ca.fmod(x.z, 1)),
+    "if_else": lambda x, u: x.q + ca.if_else(u.t > 1, 100, 0),
+    "<": lambda x, u: x.q + 3 * (u.t < 5),
+    "fabs": lambda x, u: x.q + 0 * x.z + ca.fabs(x.z) - x.z,
+}
+
+
+@pytest.mark.parametrize("name", POSITIONS)
+def test_a_position_that_jumps_is_not_kept_between_limits(name: str) -> None:
+    verdict = verify(kept_in(POSITIONS[name]))
+    assert verdict.outcome == "not_applicable"
+    assert verdict.reason.startswith("toy: the position of its barrier holds ")
+    assert not any(item.says.startswith("stays between") for item in verdict.statements)
+
+
+def test_a_position_that_moves_smoothly_is_kept_between_limits() -> None:
+    verdict = verify(kept_in(lambda x, u: x.q))
+    assert verdict.outcome == "proved"
+    assert any(item.says.startswith("stays between -1 and 1") for item in verdict.statements)
+
+
+def test_a_residual_that_jumps_is_not_taken_for_a_constant() -> None:
+    def excess(x: Any) -> NormSquare:
+        return NormSquare(ca.floor(x.z), ca.SX(1), x.y)
+
+    verdict = verify(
+        scalar_loop(
+            "y z",
+            lambda x, u, p: {"y": -x.y + excess(x).value / x.y, "z": x.z},
+            lambda x, u, p: Certificate((Square(x.y),), (Square(x.y),), excess=(excess(x),)),
+        )
+    )
+    assert verdict.outcome == "not_applicable"
+    assert "the bounded residual of " in verdict.reason
+    assert "holds floor, which jumps" in verdict.reason
+
+
+def test_a_memory_that_jumps_is_refused_where_only_the_dissipation_holds_it() -> None:
+    def memory(x: Any) -> Any:
+        return x.g + ca.floor(x.z)
+
+    def loop(memory: Callable[[Any], Any]) -> Diagram:
+        return scalar_loop(
+            "y z g",
+            lambda x, u, p: {
+                "y": -x.y - memory(x) * x.y,
+                "z": -x.z,
+                "g": -memory(x) + x.y**2,
+            },
+            lambda x, u, p: Certificate(
+                (Square(x.y), Square(x.z)),
+                (Square(x.y), Square(x.z), Gathered(x.y, ca.SX(1), memory(x), x.y, ca.SX(1), ca.SX(1))),
+            ),
+        )
+
+    assert verify(loop(lambda x: x.g)).outcome == "proved"
+    verdict = verify(loop(memory))
+    assert verdict.outcome == "not_applicable"
+    assert "holds floor, which jumps" in verdict.reason
+
+
+def test_what_is_driven_may_not_jump_nor_may_a_path_that_it_holds() -> None:
+    def loop(vector: Callable[[Any, Any], Any], path: Callable[[Any], Any]) -> Diagram:
+        return scalar_loop(
+            "y v",
+            lambda x, u, p: {"y": -x.y, "v": -vector(x, u) + x.y},
+            lambda x, u, p: Certificate(
+                (Square(x.y),),
+                (Square(x.y),),
+                driven=(Driven((vector(x, u),), ((ca.SX(-1),),), (vector(x, u),)),),
+            ),
+            r=path,
+        )
+
+    still = verify(loop(lambda x, u: x.v - u.r, ca.sin))
+    assert still.outcome == "proved"
+    stepping = verify(loop(lambda x, u: x.v - u.r, ca.floor))
+    assert stepping.outcome == "not_applicable"
+    assert "path_r.r[0] jumps from 0 to 1 at t = 1 s" in stepping.reason
+    broken = verify(loop(lambda x, u: x.v + ca.floor(x.y), ca.sin))
+    assert "toy: what drives" in broken.reason
+
+
+def test_a_spent_vector_that_jumps_does_not_go_to_zero() -> None:
+    def loop(spent: Callable[[Any], Any]) -> Diagram:
+        return scalar_loop(
+            "y z",
+            lambda x, u, p: {"y": -(spent(x) ** 2) / x.y, "z": -x.z},
+            lambda x, u, p: Certificate((Square(x.y), Square(x.z)), (Square(spent(x)), Square(x.z))),
+        )
+
+    def vanish(spent: Callable[[Any], Any]) -> list[str]:
+        verdict = verify(loop(spent))
+        assert verdict.outcome == "proved"
+        proved = [item for item in verdict.statements if item.says == "goes to zero" and not item.assumes]
+        return [item.signal for item in proved]
+
+    assert vanish(lambda x: x.y) == ["y", "z", "dy", "dz"]
+    assert vanish(lambda x: x.y * ca.sign(x.z)) == ["z", "dz"]
 
 
 def test_the_steps_that_are_looked_for_are_those_of_numbers() -> None:

@@ -7,7 +7,7 @@ import pytest
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram.wiring import Derived, Wire
 from dmframe.drawing import mermaid
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 from dmframe.port import Side
 
 

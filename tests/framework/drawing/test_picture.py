@@ -7,7 +7,7 @@ import pytest
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram.wiring import Wire
 from dmframe.drawing import svg
-from dmframe.formula.names import unicode_name
+from dmframe.names import unicode_name
 
 SVG = "{http://www.w3.org/2000/svg}"
 GRAPHS = ["ur10_fast", "ur10_fast_kinematic", "pendulum", "arm2_joint"]

@@ -107,28 +107,6 @@ def test_delay_jitter_lost_samples_payload_and_slider_are_all_tried() -> None:
     assert [options["delay"] for options in found if set(options) == {"delay"}] == [1, 2, 3]
 
 
-def test_a_pass_is_kept_for_exactly_this_graph_whatever_its_time() -> None:
-    experiment = dm.load("ur10_fast").experiment
-    assert not kept.passed(experiment)
-    kept.keep(experiment, {"passed": True})
-    assert kept.passed(experiment)
-    assert kept.passed(experiment.with_duration(3.0))
-    assert not kept.passed(experiment.changed({"task.gamma": 0.9}))
-    kept.keep(experiment, {"passed": False})
-    assert not kept.passed(experiment)
-
-
-def test_one_of_another_version_or_a_damaged_one_does_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = dm.load("ur10_fast").experiment
-    kept.keep(experiment, {"passed": True})
-    with monkeypatch.context() as patch:
-        patch.setattr(kept, "version", lambda: "0.0.0")
-        assert not kept.passed(experiment)
-    place = kept._place(experiment)
-    place.write_text("{")
-    assert not kept.passed(experiment)
-
-
 def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleration_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,6 +123,8 @@ def test_a_real_robot_is_driven_after_a_passed_rehearsal_and_with_an_acceleratio
     with pytest.raises(DriveError, match="found none of exactly this graph; run dmframe rehearse with the same graph"):
         go(limits=file)
     assert go(limits=file, rehearsed=False).recording.time.size > 1
-    kept.keep(graph.experiment, {"passed": True})
+    monkeypatch.setattr(rehearse, "conditions", lambda *_: [IDEAL])
+    monkeypatch.setattr(rehearse, "LONGEST", 0.4)
+    assert kept.keep(graph.rehearse(limits=file, engine="interpreted"))
     assert go(limits=file).recording.time.size > 1
     assert go(shadow=True).notices[0] == "robot: real:host, in shadow: nothing was sent"

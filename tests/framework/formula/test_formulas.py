@@ -8,11 +8,11 @@ import casadi as ca
 import pytest
 
 from dmframe.formula.formula import Formula
-from dmframe.formula.names import distinct, latex_name, unicode_name
 from dmframe.formula.read import FUNCTIONS, UnreadableError, read
 from dmframe.formula.robot import PAPER, SIGNS
 from dmframe.formula.wrap import wrapped
 from dmframe.linalg import solve_spd
+from dmframe.names import distinct, latex_name, unicode_name
 from dmframe.naming import RESERVED, Naming, NamingError, derivative, named, operation, reading
 from dmframe.terms import MONOTONE, norm
 

@@ -7,7 +7,7 @@ import pytest
 
 from dmframe.formula.latex import evaluate, in_unicode, name_in, tokens
 from dmframe.formula.matrices import UnreadableLatexError
-from dmframe.formula.names import Symbol, symbol
+from dmframe.names import Symbol, symbol
 
 rng = np.random.default_rng(0)
 KNOWN = {

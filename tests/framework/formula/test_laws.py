@@ -20,10 +20,10 @@ from dmframe.diagram import Diagram
 from dmframe.errors import BlockError
 from dmframe.formula import laws_of, printed
 from dmframe.formula.alone import law_of_type, options_of, plainest, read_type, variants
-from dmframe.formula.names import unicode_name
 from dmframe.formula.points import agree, in_digits
 from dmframe.formula.tree import Applied, Name, Node, Unprinted
 from dmframe.formula.where import where
+from dmframe.names import unicode_name
 from dmframe.naming import named
 from dmframe.parameter import Diagonal, Positive
 from dmframe.port import Port, Side, State

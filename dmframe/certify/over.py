@@ -1,0 +1,102 @@
+"""Conditions over intervals: what holds nowhere is told apart from what intervals are too wide to decide.
+
+Interval arithmetic forgets that two operands are one number, so that a condition may hold at each point of a box and
+not be decided for the whole of it. It costs nothing where a graph has no intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.certify.checked import Checked, Numbers, lower, upper
+from dmframe.certify.claim import Claim
+from dmframe.certify.tacit import Tacit, tacit
+from dmframe.errors import ValueFault
+from dmframe.exact.fixed import UndecidedError
+from dmframe.exact.rational import as_float
+
+POINTS: Final = 64
+"""Points of the box at which a condition is looked at that is not decided over all of it."""
+NEEDED: Final = "over the intervals"
+
+
+def over_intervals(conditions: Sequence[Checked], claim: Claim, numbers: Numbers) -> list[Checked]:
+    """The conditions as they stand over the intervals, with what was decided at the graph's own numbers alone."""
+    if not numbers.open:
+        return list(conditions)
+    return [*(_settled(item, numbers) for item in conditions), *_undecided(claim, numbers)]
+
+
+def failing_of(conditions: Sequence[Checked]) -> str:
+    """Why conditions keep a claim from being proved; empty where all hold."""
+    failing = [item for item in conditions if not item.holds]
+    open_, names = [item for item in failing if NEEDED in item.expression], "; ".join(item.name for item in failing)
+    if not failing:
+        return ""
+    if len(open_) == len(failing):
+        return f"the identity holds, but a condition is not decided {NEEDED}: {names}"
+    return f"the identity holds, but a condition fails: {names}"
+
+
+def _settled(item: Checked, numbers: Numbers) -> Checked:
+    margin = item.margin if item.margin is not None else item.reads
+    if margin is None or not symbols_in([*numbers.claim.loop.joined([ca.vec(ca.densify(margin))])]) & numbers.open:
+        return item
+    if item.holds and item.how == "sampled":
+        text = f"{item.expression}; decided at the graph's own numbers alone, not {NEEDED}"
+        return replace(item, holds=False, how="undecided", value=None, expression=text)
+    if item.holds or item.how == "undecided" or item.margin is None or _fails(item.margin, item.strict, numbers):
+        return item
+    text = f"{item.expression}; not decided {NEEDED}: it holds at all of {POINTS} points that were tried"
+    return replace(item, how="undecided", expression=text)
+
+
+def _fails(margin: SX, strict: bool, numbers: Numbers) -> bool:
+    """The margin is not what it should be at some point of the box; what cannot be evaluated counts as failing."""
+    claim, rng = numbers.claim, np.random.default_rng(0)
+    (joined,) = claim.loop.joined([ca.vec(ca.densify(margin))])
+    columns = [*(ca.vec(p.symbol) for p in claim.loop.parameters), *(claim.starts[label] for label in numbers.starts)]
+    function = ca.Function("margin", columns, [joined], {"allow_free": True})
+    if function.has_free():
+        return True
+    values = [*(numbers.values[p.label] for p in claim.loop.parameters), *numbers.starts.values()]
+    low, high = ([np.array([as_float(end(x)) for x in one]) for one in values] for end in (lower, upper))
+    for k in range(POINTS):
+        # the corners first, so that what is monotonous is found where it is least
+        parts = [rng.integers(0, 2, one.size) if k < POINTS // 2 else rng.uniform(size=one.size) for one in low]
+        parts = [np.full(one.size, k) for one in low] if k < 2 else parts
+        point = [a + (b - a) * part for a, b, part in zip(low, high, parts, strict=True)]
+        least = np.min(function(*point).full(), initial=np.inf)
+        if not (least > 0 if strict else least >= 0):
+            return True
+    return False
+
+
+def _undecided(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
+    """What `verify` looks at in silence, and decides at the graph's own numbers."""
+    for item in tacit(claim, numbers):
+        margin = item.margin
+        if item.begun is not None and set(item.begun.symbols) & numbers.starts.keys():
+            margin = item.begun.at(numbers.starts)
+        read = item.reads if margin is None else margin
+        if read is None or item.over:
+            continue
+        (joined,) = claim.loop.joined([ca.vec(ca.densify(read))])
+        if symbols_in([joined]) & numbers.open and not (margin is not None and _positive(item, joined, numbers)):
+            text = f"not decided {NEEDED}"
+            yield Checked(item.name, text, None, False, "its equations need it", "undecided", item.strict)
+
+
+def _positive(item: Tacit, margin: SX, numbers: Numbers) -> bool:
+    try:
+        least = min(map(lower, numbers.enclosed(margin)), default=1)
+    except (ValueFault, UndecidedError, OverflowError):
+        return False
+    return least > 0 if item.strict else least >= 0

@@ -1,0 +1,293 @@
+"""What `verify` looks at in silence, beside its conditions: as margins, or as what each outcome depends on.
+
+That nothing divides by zero, that a clipped term has a width, that a projection's set has an inside, that an equation
+is stable of which its block would otherwise ask more, that a path does not jump, that a load is a body, that what is
+zero in the graph is zero. None of it is computed by `verify` of a single graph: it is for intervals and for numbers
+that move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, LogDet
+from dmframe.certify.begun import Begun
+from dmframe.certify.checked import Numbers, lower, upper
+from dmframe.certify.claim import Claim
+from dmframe.certify.closure import Closure
+from dmframe.certify.conditions import load_labels
+from dmframe.certify.definite import Number
+from dmframe.certify.divisors import written
+from dmframe.certify.memories import pivots_at_start, reads_of
+from dmframe.certify.positive import Signs
+from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
+from dmframe.certify.risky import risky
+from dmframe.certify.smoothness import HORIZON, SAMPLES, followed_by_numbers
+from dmframe.certify.statements import bases_of
+from dmframe.certify.symbols import symbols_of
+from dmframe.diagram.closed_loop import Parameter, stack
+from dmframe.diagram.projection import Ball, Bodies, Box, Projection
+from dmframe.linalg import ldl, square
+from dmframe.program import DIVISIONS, JUMPS, OPERATIONS
+from dmframe.robot.parameters import INERTIAL
+from dmframe.robot.pseudo_inertia import pseudo_inertia
+
+ROUNDING: Final = 1e-9 / 4
+"""Of a load's trace: less than the share of its largest eigenvalue that `verify` takes for rounding."""
+TINY: Final = 1e-30
+"""By which a load of nothing has pivots above zero."""
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Tacit:
+    """One thing of which a verdict says nothing while it holds.
+
+    Parameters
+    ----------
+    margin
+        Its least element decides; None where the graph's own numbers are all that it was decided for.
+    reads
+        Where there is no margin: all parameters and starts (`Claim.starts`) on which it depends.
+    opens
+        Where it fails, `verify` would ask something else, or decide it in another way, so that nothing is decided.
+    begun
+        What decides once a start is given.
+    over
+        `verify` decides it over intervals, too.
+    """
+
+    name: str
+    margin: SX | None = None
+    reads: SX | None = None
+    strict: bool = True
+    opens: bool = False
+    begun: Begun | None = None
+    over: bool = False
+
+
+def tacit(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """All of it. Costs about as much as a part of `verify`; pages, studies and intervals ask for it."""
+    yield from _domains(claim)
+    yield from _widths(claim)
+    yield from _stable(claim)
+    yield from _follows(claim, numbers)
+    yield from _sets(claim)
+    yield from _absent(claim, numbers)
+    yield from _paths(claim)
+    yield from _loads(claim, numbers)
+    yield from _rooms(claim, numbers)
+    yield from _starts(claim, numbers)
+
+
+def _domains(claim: Claim) -> Iterator[Tacit]:
+    """As `undefined` looks at divisors and arguments made of parameters alone; and of what bounds a residual."""
+    for name, model in claim.diagram.models.items():
+        yield from _domain(name, claim.risks[name], model.moving)
+    moving = symbols_in([claim.loop.state, claim.loop.time, *(leaf.symbol for leaf in claim.loop.trajectories)])
+    for part in claim.parts:
+        terms = [ca.SX(term.value) for term in part.certificate.excess]
+        yield from _domain(f"{part.block}, what bounds its residual", list(risky(terms)), moving)
+
+
+def _domain(name: str, risks: Sequence[tuple[int, SX]], moving: set[int]) -> Iterator[Tacit]:
+    for code, part in risks:
+        if symbols_in([part]) & moving or not symbols_in([part]) or code == ca.OP_TAN:
+            continue
+        if code in (*DIVISIONS, ca.OP_FMOD, ca.OP_REMAINDER):
+            # of an interval it has to be of one sign, which its square does not forget
+            yield Tacit(f"{name}: {written(part)} is not zero", part * part, over=True)
+            continue
+        text = f"{name}: {OPERATIONS[code].name} of {written(part)} is defined"
+        if code == ca.OP_SQRT:
+            yield Tacit(text, part, strict=False, over=True)
+        elif code == ca.OP_ACOSH:
+            yield Tacit(text, part - 1, strict=False, over=True)
+        elif code in (ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATANH, ca.OP_ERFINV):
+            yield Tacit(text, ca.vertcat(1 - part, 1 + part), over=True)
+        else:
+            yield Tacit(text, part + 1 if code == ca.OP_LOG1P else part, over=True)
+
+
+def _widths(claim: Claim) -> Iterator[Tacit]:
+    """As `bounds_of` looks at clipped terms."""
+    for part in claim.parts:
+        for term in part.certificate.excess:
+            if isinstance(term, Clipped):
+                yield Tacit(f"{part.block}: width of the clipped {term.of} > 0", ca.SX(term.width), over=True)
+
+
+def _asks(item: Driven) -> bool:
+    """Its block states conditions that stand in where it does not follow."""
+    return not all(isinstance(condition, Assumption) for condition in item.otherwise)
+
+
+def _stable(claim: Claim) -> Iterator[Tacit]:
+    """As the closure looks at equations of which a block says what stands in where they are not stable."""
+    for part in claim.parts:
+        for item in part.certificate.driven:
+            if _asks(item):
+                text = f"{part.block}: the linear equation of {', '.join(item.of)} is stable"
+                yield Tacit(text, _stability(item), opens=True, over=True)
+
+
+def _stability(item: Driven) -> SX:
+    if len(item.rates) == 1:
+        return -ca.SX(item.rates[0][0])
+    (a, b), (c, d) = [[ca.SX(rate) for rate in row] for row in item.rates]
+    return ca.vertcat(ca.vec(-(a + d)), ca.vec(a * d - b * c))
+
+
+def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """What follows at the graph's numbers follows at almost all others, or depends on them; in an interval, at zero."""
+    if not any(_asks(item) for part in claim.parts for item in part.certificate.driven):
+        return
+    symbols = symbols_of(claim, numbers.uncertain)
+    bases = bases_of(claim, symbols, Signs(claim, numbers))
+    zeros = frozenset(label for label in numbers.uncertain if all(map(_holds_zero, numbers.values[label])))
+    own = Closure(claim, numbers, bases, seed=0)
+    for text, other, labels in (
+        ("other numbers", Closure(claim, numbers, bases, seed=0, anywhere=True), None),
+        ("zero", Closure(claim, numbers, bases, seed=0, zeros=zeros) if zeros else own, zeros),
+    ):
+        if _lacking(own) != _lacking(other):
+            used = symbols_in(symbol for expression in own.read for symbol in ca.symvar(expression))
+            given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
+            known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
+            yield Tacit(f"what V bounds follows at {text} too", reads=ca.vertcat(ca.SX(0, 1), *known))
+
+
+def _fixed(numbers: Numbers, parameter: Parameter) -> bool:
+    return parameter.label not in numbers.uncertain
+
+
+def _holds_zero(value: Number) -> bool:
+    return lower(value) <= 0 <= upper(value)
+
+
+def _lacking(closure: Closure) -> list[list[str]]:
+    return [sorted(f"{b} {i.of}" for b, i in items) for items in (closure.missed, closure.assumed, closure.given)]
+
+
+def _sets(claim: Claim) -> Iterator[Tacit]:
+    """A projection's law is the same wherever its set lies, as long as that has an inside."""
+    for projection in claim.loop.projections:
+        name = f"{projection.name}: the {projection.kind} has an inside"
+        yield Tacit(name, _inside(projection.set), strict=not isinstance(projection.set, Box), opens=True)
+
+
+def _inside(kept: Box | Ball | Bodies) -> SX:
+    if isinstance(kept, Box):
+        return kept.upper - kept.lower
+    if isinstance(kept, Ball):
+        gain = kept.gain if kept.gain.is_column() else ca.vertcat(*ldl(square(kept.gain))[1])
+        return ca.vertcat(kept.radius, gain)
+    return ca.vertcat(*_pivots(kept.nominal), kept.share)
+
+
+def _pivots(bodies: SX, floor: bool = False) -> list[SX]:
+    """Of the pseudo-inertia of each body; with `floor`, moved up by what is taken for rounding."""
+    found = list[SX]()
+    for body in ca.vertsplit(bodies, len(INERTIAL)):
+        matrix = ca.blockcat(pseudo_inertia(ca.vertsplit(body)))
+        lifted = (ROUNDING * ca.trace(matrix) + TINY) * ca.SX.eye(4) if floor else 0
+        found += ldl(matrix + lifted)[1]
+    return found
+
+
+def _absent(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """The identity was tested with the plant's zeros as zeros: `symbols_of`."""
+    for group in symbols_of(claim, numbers.uncertain).groups:
+        if group.kind == "parameter" and group.values is not None and not any(group.values):
+            yield Tacit(f"{group.label} is zero, as the proof takes it", reads=ca.vec(group.symbol))
+
+
+def _paths(claim: Claim) -> Iterator[Tacit]:
+    for name, read in followed_by_numbers(claim.diagram, claim):
+        yield Tacit(f"{name} is continuous", reads=read)
+
+
+def _loads(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """That a load which a mass matrix holds is a body."""
+    for label in load_labels(claim):
+        (leaf,) = (leaf for leaf in claim.diagram.resolver.trajectories.values() if leaf.name == label)
+        pieces, rest = pieces_of(claim, numbers, claim.loop.on_path(leaf.symbol))
+        if pieces:
+            name = f"{label} is the inertia of a rigid body"
+            yield Tacit(name, ca.vertcat(*_pivots(ca.vertcat(*pieces), floor=True)), opens=True)
+        yield Tacit(f"{label} changes when it does in the graph", reads=rest)
+
+
+def _rooms(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """That a true value which a source gives lies in the set of its estimate."""
+    for name, room in rooms_on_path(claim, numbers):
+        pieces, rest = pieces_of(claim, numbers, room)
+        if pieces:
+            yield Tacit(f"{name}, as a source has it", ca.vertcat(*pieces) + ROUNDED, strict=False)
+        yield Tacit(f"{name} changes when it does in the graph", reads=rest)
+
+
+def pieces_of(claim: Claim, numbers: Numbers, expression: SX) -> tuple[list[SX], SX]:
+    """A function of time that is constant between steps, on each of its pieces, and what these depend on.
+
+    No piece, and all its parameters, where it moves between steps. Pieces that are passed within the step of the
+    instants at which `verify` looks are none to it either.
+    """
+    loop, expression = claim.loop, ca.densify(expression)
+    slope = ca.jacobian(expression, loop.time)
+    if not slope.is_zero():
+        return [], numbers.reads(expression)
+    steps = list(_steps([expression], symbols_in([loop.time])))
+    if not steps:
+        return [expression], ca.SX(0, 1)
+    function = ca.Function("steps", [loop.time, loop.p], [ca.vertcat(*steps)])
+    times = np.linspace(0.0, HORIZON, SAMPLES)
+    _, first = np.unique(function(times[None, :], loop.p_values).full(), axis=1, return_index=True)
+    pieces = [ca.substitute([expression], [loop.time], [ca.SX(float(times[k]))])[0] for k in sorted(first)]
+    return pieces, numbers.reads(ca.vertcat(*steps))
+
+
+def _steps(expressions: Sequence[SX], time: set[int]) -> Iterator[SX]:
+    """What jumps with time in an expression."""
+    waiting = [element for item in expressions for element in ca.vertsplit(ca.vec(item))]
+    seen = set[int]()
+    while waiting:
+        x = waiting.pop()
+        if x.element_hash() in seen or not x.n_dep():
+            continue
+        seen.add(x.element_hash())
+        if x.op() in JUMPS and symbols_in([x]) & time:
+            yield x
+        waiting += [x.dep(k) for k in range(x.n_dep())]
+
+
+def _starts(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
+    """What `verify` asks of a start as soon as there is a number for it."""
+    for projection in claim.loop.projections:
+        yield _started(projection, numbers)
+    for part in claim.parts:
+        for term in (*part.certificate.storage, *part.certificate.dissipation):
+            if isinstance(term, Gathered):
+                yield _gathers(f"{part.block}: start of what G gathers for |{term.of}|_G^2 >= 0", term.memory, numbers)
+            if isinstance(term, LogDet):
+                begun = pivots_at_start(claim, numbers, {}, term.matrix)
+                yield Tacit(f"{part.block}: {term.of} starts positive definite", ca.SX(0, 1), begun=begun)
+    for variable in claim.loop.variables:
+        if variable.label in claim.memories:
+            yield _gathers(f"{variable.block}: start of {variable.name}", variable.symbol, numbers)
+
+
+def _started(projection: Projection, numbers: Numbers) -> Tacit:
+    begun = begun_in(projection, numbers, {})
+    name = f"{projection.name}: starts inside the {projection.kind}"
+    return Tacit(name, ca.SX(0, 1), strict=False, begun=begun)
+
+
+def _gathers(name: str, memory: SX, numbers: Numbers) -> Tacit:
+    return Tacit(name, reads=reads_of(numbers, {}, memory))

@@ -1,0 +1,207 @@
+"""What a rehearsal is valid for: everything that can alter a command, in named parts, so that a change has a name.
+
+The parts are the resolved graph, the sources of its blocks, the robot's model, the limits, the payload that was tried,
+the engine with its compiler, dmframe itself, the numeric libraries, and the closed loop that follows from all of them.
+The closed loop is taken from the diagram and the controller that drive: a file may have changed since it was read.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.util
+import platform
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from dmframe.build.compiler import FLAGS, SHARED, find_compiler, processor
+from dmframe.catalogue import loaded_digest
+from dmframe.config.experiment import Experiment
+from dmframe.files import encoded
+from dmframe.program import CONST, instructions
+from dmframe.results.resolved import resolved, robot_source
+from dmframe.runtime.controller import control_function, start_function
+from dmframe.runtime.gate import Limits
+from dmframe.runtime.steered import Steered
+from dmframe.seal import digest
+from dmframe.version import version as own_version
+
+Identity = Mapping[str, Mapping[str, str]]
+"""By part, by item: a value or a digest."""
+
+LOOP: Final = "closed loop"
+"""The part that follows from the others; it is named where none of them changed."""
+_LIBRARIES: Final = ("casadi", "numpy", "scipy")
+
+
+def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: float) -> Identity:
+    """All parts. It takes some 0.1 s, most of it for the expressions of the controller.
+
+    Parameters
+    ----------
+    payload
+        The mass at the tool that a rehearsal tried [kg].
+    """
+    files, libraries = _sources(experiment)
+    return {
+        "graph": dict(_flat(resolved(experiment.with_duration(1.0)))),
+        "block source": files,
+        "robot model": _model(experiment),
+        "limits": {key: repr(value) for key, value in limits.data.items()},
+        "payload": {"at the tool [kg]": repr(float(payload))},
+        "engine": _engine(steered.controller.engine),
+        "dmframe": {"version": own_version(), "source": _framework()},
+        "library": {name: _installed(name) for name in sorted({*_LIBRARIES, *libraries})}
+        | {"python": platform.python_version()},
+        LOOP: _loop(steered),
+    }
+
+
+def differences(then: Identity, now: Identity) -> list[str]:
+    """What is another, in words, one entry an item."""
+    found, names = list[str](), [name for name in now if name != LOOP]
+    for part in [*names, LOOP]:
+        before, after = then.get(part, {}), now[part]
+        if part == LOOP and found:
+            continue
+        for item in dict.fromkeys((*before, *after)):
+            if before.get(item) != after.get(item):
+                found.append(f"{part}: {item}{_values(before.get(item), after.get(item))}")
+    return found
+
+
+def key_of(parts: Identity) -> str:
+    """One digest of all parts."""
+    lines = [f"{part}\0{item}\0{value}" for part, items in parts.items() for item, value in items.items()]
+    return digest(encoded("\n".join(lines)))
+
+
+def _values(before: str | None, after: str | None) -> str:
+    """Both values where a person can read them."""
+    if before is None or after is None:
+        return " is new" if before is None else " is gone"
+    if max(len(before), len(after)) > 40:  # digests and long lists
+        return ""
+    return f" was {before}, is {after}"
+
+
+def _flat(value: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    if isinstance(value, Mapping) and value:
+        for key, item in value.items():
+            yield from _flat(item, f"{path}.{key}" if path else str(key))
+    else:
+        yield path, repr(value)
+
+
+def _model(experiment: Experiment) -> dict[str, str]:
+    """Of the robot's file; meshes alter drawings alone."""
+    source = robot_source(experiment)
+    return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
+
+
+def _engine(engine: str) -> dict[str, str]:
+    compiler = find_compiler() if engine == "compiled" else None
+    if compiler is None:
+        return {"kind": engine, "machine": platform.machine()}
+    return {"kind": engine, "compiler": compiler.identity, "flags": repr((SHARED, FLAGS)), "processor": processor()}
+
+
+def _installed(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
+
+
+@functools.cache
+def _framework() -> str:
+    """Digest of dmframe's own Python files: a version that is being worked on has one number and many sources."""
+    folder, found = Path(__file__).parents[1], hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        found.update(encoded(str(path.relative_to(folder))) + b"\0" + hashlib.sha256(path.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def _loop(steered: Steered) -> dict[str, str]:
+    """Of the diagram and the controller that are about to be used."""
+    controller = steered.controller
+    diagram = controller.diagram
+    begin, _ = start_function(diagram, controller.given)
+    numbers = [np.array([controller.clock]), diagram.loop.p_values]
+    return {
+        "field": diagram.fingerprint,
+        "controller": _digest(control_function(diagram)),
+        "start": _digest(begin),
+        "numbers": digest(b"".join(np.ascontiguousarray(part, dtype=float).tobytes() for part in numbers)),
+    }
+
+
+def _digest(function: Any) -> str:
+    lines = (
+        f"{code} {read} {written} {constant.hex() if code == CONST else ''}"
+        for code, read, written, constant in instructions(function)
+    )
+    return digest(encoded("\n".join(lines)))
+
+
+def _sources(experiment: Experiment) -> tuple[dict[str, str], set[str]]:
+    """Digests of the files that define the blocks and of what they import from beside them; names of libraries.
+
+    What a block's code reads otherwise, such as a table of numbers, shows in the closed loop.
+    """
+    classes = {each for block in experiment.blocks.values() for each in type(block).__mro__}
+    todo = sorted({each.__module__ for each in classes if each.__module__ in sys.modules})
+    own, seen, files, libraries = frozenset(todo), set[str](), dict[str, str](), set[str]()
+    while todo:
+        name = todo.pop()
+        top, file = name.partition(".")[0], _file(name)
+        if name in seen or top in sys.stdlib_module_names or top == "dmframe" or file is None:
+            continue
+        seen.add(name)
+        if _is_library(file) and name not in own:
+            libraries.add(top)
+            continue
+        content = file.read_bytes() if file.suffix == ".py" and file.is_file() else b""
+        # of a user's file what was run, which is not what lies there by now
+        loaded = loaded_digest(sys.modules.get(name))
+        files[file.name if loaded else name] = loaded or digest(content)
+        todo += _imported(name, content)
+    return files, libraries
+
+
+def _file(name: str) -> Path | None:
+    """Where a module lies; one that is not loaded yet is looked for, and not run."""
+    found = getattr(sys.modules.get(name), "__file__", None)
+    if name not in sys.modules and "." not in name:
+        with suppress(ImportError, ValueError):
+            spec = importlib.util.find_spec(name)
+            found = spec.origin if spec is not None and spec.has_location else None
+    return Path(found) if found else None
+
+
+def _is_library(path: Path) -> bool:
+    return any(path.is_relative_to(sysconfig.get_path(kind)) for kind in ("purelib", "platlib"))
+
+
+def _imported(name: str, content: bytes) -> Iterator[str]:
+    """The modules that a source names in its imports."""
+    try:
+        tree = ast.parse(content)
+    except (SyntaxError, ValueError):
+        return
+    package = getattr(sys.modules.get(name), "__package__", None) or ""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (item.name for item in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            with suppress(ImportError, ValueError):
+                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+                yield from (base, *(f"{base}.{item.name}" for item in node.names))
