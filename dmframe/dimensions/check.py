@@ -21,8 +21,9 @@ from dmframe.dimensions.stated import Item, items_of
 from dmframe.dimensions.words import expression
 from dmframe.errors import UnitError
 from dmframe.parameter import specs
-from dmframe.port import ANY, PERIOD, TIME, Port, State
+from dmframe.port import ANY, Port, State
 from dmframe.program import CONST, INPUT, Program, by_code, read
+from dmframe.units import base_units
 
 
 def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:
@@ -136,6 +137,8 @@ class Check:
         places = iter(program.stored(range(len(values)))[0])
         for item in self._items:
             for k, place in zip(range(item.expression.numel()), places, strict=False):
+                if item.numbers and program.nodes[place].code == CONST:
+                    continue
                 if item.expected and algebra.same(item.expected[k], values[place]) is None:
                     found = algebra.of(item.expected[k]), algebra.of(values[place])
                     return Disagreement(item, place, (), found)
@@ -194,10 +197,10 @@ class Check:
 
 
 def _bare(block: AbstractBlock) -> bool:
-    """Whether a block declares no unit at all: its quantities are plain numbers then, and its time is one too."""
+    """Whether a block declares no units but those of time: its quantities are plain numbers then, time among them."""
     items: list[Port | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
-    units = {item.unit for item in items if item not in (TIME, PERIOD)}
-    return not (units | {spec.unit for spec in specs(type(block)).values()}) - {"", ANY}
+    units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
+    return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 
 
 def _unlike(block: AbstractBlock) -> Iterator[str]:

@@ -53,6 +53,7 @@ class Declared:
     def __init__(self, algebra: Algebra, model: BlockModel, units: Mapping[str, tuple[str, ...]]) -> None:
         self.algebra, self.model, self._units = algebra, model, units
         self._unknowns = dict[tuple[str, int], int]()
+        self._memories = {item.memory for item in model.block.estimates if item.memory}
         self.arguments = list[Argument]()
         self._starts = {name for state in model.block.states for name in (state.name, state.box, state.ball)}
         block, states = model.block, {state.name: state for state in model.block.states}
@@ -135,7 +136,7 @@ class Declared:
     def _element(self, name: str, shape: str, unit: str, i: int, j: int) -> int:
         """The dimension of one element of what has this name, shape and unit."""
         words = shape.split()
-        if unit == ANY:
+        if unit == ANY or name in self._memories:
             return self._free(name, shape, i, j)
         if not unit and len(words) == 1 and words[0] in self._units and self._units[words[0]][i]:
             return self._open(self._units[words[0]][i])

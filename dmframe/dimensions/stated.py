@@ -39,11 +39,14 @@ class Item:
         A matrix.
     expected
         The dimension of each element, column by column; none where any will do, so that only its sums are checked.
+    numbers
+        Numbers that are written out are in the unit that is expected, as in a graph file.
     """
 
     what: str
     expression: SX
     expected: tuple[int, ...] = ()
+    numbers: bool = False
 
 
 def items_of(model: BlockModel, sizes: Sizes, declared: Declared) -> list[Item]:
@@ -107,7 +110,8 @@ def _starts(model: BlockModel, declared: Declared, starts: Mapping[str, Any]) ->
     for state in model.block.states:
         if state.name in starts:
             expression = ca.SX(starts[state.name])
-            yield Item(f"the start of {state.name}", expression, tuple(declared.of_item(state, *expression.shape)))
+            own = tuple(declared.of_item(state, *expression.shape))
+            yield Item(f"the start of {state.name}", expression, own, numbers=True)
 
 
 def _certificate(certificate: Certificate, declared: Declared) -> Iterator[Item]:
