@@ -9,7 +9,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from dmframe.errors import OutputError
 
@@ -113,19 +113,23 @@ def write_bytes(path: str | Path, content: bytes, *, new: bool = False) -> None:
     check_place(path)
     with _claimed(path) if new else nullcontext(), writing(path):
         if path.is_file() or not path.exists():
-            _replace(Path(os.path.realpath(path)), content)
+            put(Path(os.path.realpath(path)), content)
         else:
             with path.open("wb") as device:
                 device.write(content)
 
 
-def _replace(target: Path, content: bytes) -> None:
-    """Put a regular file in the place of the one that is there, if any."""
+def put(target: Path, content: bytes) -> None:
+    """Put a regular file in the place of the one that is there, if any, and force it to the disk.
+
+    The content is on the disk before the name is, so that a power cut leaves the old file or the new one.
+    """
     old = target.stat() if target.exists() else None
     beside = target.with_name(hidden_name())
     try:
         with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666), "wb") as file:
             file.write(content)
+            forced(file)
         if old is not None:
             with suppress(OSError, AttributeError):  # only root may, and not on every system
                 os.chown(beside, old.st_uid, old.st_gid)
@@ -135,6 +139,40 @@ def _replace(target: Path, content: bytes) -> None:
         with suppress(OSError):
             beside.unlink()
         raise
+    sync(target.parent)
+
+
+def append(target: Path, line: str) -> None:
+    """Add a line to a file, and force it to the disk."""
+    with target.open("ab") as file:
+        file.write(encoded(line))
+        forced(file)
+
+
+def forced(file: IO[bytes]) -> None:
+    """Force what was written to an open file to the disk."""
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def sync(folder: Path) -> None:
+    """Force the names in a folder to the disk, where the system can."""
+    if hasattr(os, "O_DIRECTORY"):
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            with suppress(OSError):  # some network drives refuse it of folders
+                os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def sync_below(folder: Path) -> None:
+    """Force all files and names below a folder to the disk."""
+    for place, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            with Path(place, name).open("rb+") as file:
+                os.fsync(file.fileno())
+        sync(Path(place))
 
 
 @contextmanager

@@ -1,20 +1,34 @@
-"""V along a run: the same expressions that were proved, evaluated at what was simulated."""
+"""V along a run: the same expressions that were proved, evaluated at what was simulated.
+
+The true parameters in V are those of the plant as wired, and the states are those that the run kept. A source that
+steps, such as a load, makes V jump while no state moves: each such jump is computed and kept apart from what the loop
+does.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.certify.claim import Claim
+from dmframe.certify.claim import Claim, total
+from dmframe.certify.climb import Climb, climb_of
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.simulate import Recording
 
 CHUNK = 2048
 """Samples evaluated in one call."""
+
+LOOKED_AT = 128
+"""Instants at which the rounding error of V is bounded; between two of them the larger bound is taken."""
+
+
+def _none() -> np.ndarray:
+    return np.zeros(0)
 
 
 @final
@@ -33,6 +47,15 @@ class TermAlong:
 
 @final
 @dataclass(frozen=True)
+class Jump:
+    """A step of V at `time` [s], by which a source that steps changes it while every state stays."""
+
+    time: float
+    change: float
+
+
+@final
+@dataclass(frozen=True)
 class Along:
     """V and its terms at every sample of a run.
 
@@ -42,12 +65,32 @@ class Along:
         (N,) [s].
     kappa
         The weight of the servo level.
+    dissipation
+        (N,) The squares that dV/dt spends, each with its weight; empty where they were not evaluated.
+    rate
+        (N,) dV/dt as the claim states it, of continuous time, at the same states; empty where it was not evaluated.
+    rounding
+        (N,) How far V may be wrong by rounding; empty for exact numbers.
+    jumps
+        What sources that step add to V at their steps.
     """
 
     time: np.ndarray
     kappa: float
     V: np.ndarray
     terms: tuple[TermAlong, ...]
+    dissipation: np.ndarray = field(default_factory=_none)
+    rate: np.ndarray = field(default_factory=_none)
+    rounding: np.ndarray = field(default_factory=_none)
+    jumps: tuple[Jump, ...] = ()
+
+    @cached_property
+    def climb(self) -> Climb:
+        """How far V rose between its jumps, beyond what rounding explains."""
+        jumped = np.zeros_like(self.V)
+        for jump in self.jumps:
+            jumped[self.time >= jump.time] += jump.change
+        return climb_of(self.time, self.V - jumped, self.rounding)
 
     @property
     def steps(self) -> np.ndarray:
@@ -93,14 +136,16 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         for part in claim.parts
         for square, law in zip(part.certificate.storage, claim.laws[part.block].storage, strict=True)
     ]
-    rows = _evaluated(claim, run, [claim.weight(part) * square.value / 2 for part, square, _ in stored], kappa)
+    with np.errstate(over="ignore", invalid="ignore"):
+        own = _Evaluated(claim, run, kappa)
+        rows = own.of([claim.weight(part) * square.value / 2 for part, square, _ in stored])
+        V = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
+        dissipation, rate = own.rates()
     terms = tuple(
         TermAlong(part.block, square.of, row, law.vector.unicode)
         for (part, square, law), row in zip(stored, rows, strict=True)
     )
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = np.sum(rows, axis=0) if len(rows) else np.zeros(run.time.size)
-    return Along(run.time, kappa, total, terms)
+    return Along(run.time, kappa, V, terms, dissipation, rate, own.rounding(), own.jumps())
 
 
 def _check_same(claim: Claim, run: Recording) -> None:
@@ -118,20 +163,93 @@ def _check_same(claim: Claim, run: Recording) -> None:
             )
 
 
-def _evaluated(claim: Claim, run: Recording, expressions: list[Any], kappa: float) -> np.ndarray:
-    """Each expression at every sample, (terms, N), with the trajectories as the functions of time that they are."""
-    loop, count = claim.loop, run.time.size
-    column = loop.on_path(stack(expressions))
-    if not claim.kappa.is_constant():
-        column = ca.substitute(column, claim.kappa, kappa)
-    states = np.hstack([run.states[variable.label] for variable in loop.variables]).T
-    function = ca.Function("terms", [loop.state, loop.time, loop.p], [ca.cse(column)])
-    values, mapped = np.empty((len(expressions), count)), dict[int, Any]()
-    for first in range(0, count, CHUNK):
-        part = slice(first, min(first + CHUNK, count))
-        size = part.stop - part.start
-        if size not in mapped:
-            mapped[size] = function.map(size)
-        moment = np.tile(run.diagram.loop.p_values[:, None], size)
-        values[:, part] = mapped[size](states[:, part], run.time[None, part], moment).full()
-    return values
+@final
+class _Evaluated:
+    """Expressions of a claim at the instants of a run."""
+
+    def __init__(self, claim: Claim, run: Recording, kappa: float) -> None:
+        self.claim, self.run, self.kappa = claim, run, kappa
+        self._states = np.hstack([run.states[variable.label] for variable in claim.loop.variables]).T
+
+    def of(self, expressions: list[Any]) -> np.ndarray:
+        """(expressions, N), with the trajectories as the functions of time that they are."""
+        loop = self.claim.loop
+        return self._mapped(loop.on_path(self._weighed(stack(expressions))), np.arange(self.run.time.size))
+
+    def rates(self) -> tuple[np.ndarray, np.ndarray]:
+        """What dV/dt spends, and dV/dt as it is claimed; empty where a derivative enters that this loop does not take.
+
+        By the claim's identity this is dV/dt in continuous time, and much cheaper than its derivative.
+        """
+        claim, loop = self.claim, self.claim.loop
+        spent = total([claim.weight(part) * part.dissipation for part in claim.parts])
+        left = total([claim.weight(part) * (part.excess + part.lemma) for part in claim.parts]) + claim.consumption
+        column = loop.on_path(loop.projected([self._weighed(stack([spent, left - spent]))])[0])
+        known = stack([loop.state, loop.time, loop.p])
+        if ca.Function("rates", [known], [column], {"allow_free": True}).has_free():
+            return _none(), _none()
+        spent_rows, rate = self._mapped(column, np.arange(self.run.time.size))
+        return spent_rows, rate
+
+    def rounding(self) -> np.ndarray:
+        """How far V may be wrong by rounding, to first order.
+
+        Each of its n operations and each of the numbers that it reads is rounded by a share eps, and what a number adds
+        is |dV/dz| |z|: the difference of two near numbers is as uncertain as the numbers are. So the bound is
+        n eps (V + sum |dV/dz| |z|), z the states.
+        """
+        loop, count = self.claim.loop, self.run.time.size
+        V = loop.on_path(self._weighed(self.claim.V))
+        read = ca.dot(ca.fabs(ca.gradient(V, loop.state)), ca.fabs(loop.state))
+        operations = ca.Function("V", [loop.state, loop.time, loop.p], [ca.cse(V)]).n_instructions()
+        looked = np.unique(np.linspace(0, count - 1, min(LOOKED_AT, count)).astype(int))
+        with np.errstate(over="ignore", invalid="ignore"):
+            (size,) = self._mapped(ca.fabs(V) + read, looked)
+        bound = operations * np.finfo(float).eps * size
+        after = np.minimum(np.searchsorted(looked, np.arange(count)), len(looked) - 1)
+        found: np.ndarray = np.maximum(bound[after], bound[np.maximum(after - 1, 0)])
+        return found
+
+    def jumps(self) -> tuple[Jump, ...]:
+        """What each step of a source adds to V at the first kept instant that has it, with the states of that instant.
+
+        Exact for a step at a kept instant; of one between two, the states of the later one are taken.
+        """
+        loop, resolver = self.claim.loop, self.claim.diagram.resolver
+        stepping = [leaf for (block, port, _), leaf in resolver.trajectories.items() if resolver.steps(block, port)]
+        if not stepping:
+            return ()
+        held, moves = stack(leaf.symbol for leaf in stepping), stack(leaf.expression for leaf in stepping)
+        values = self._mapped(loop.on_path(moves), np.arange(self.run.time.size))
+        places = np.flatnonzero(np.any(np.diff(values, axis=1) != 0, axis=0)) + 1
+        if not places.size:
+            return ()
+        kept = ca.SX.sym("kept", held.numel())
+        V = loop.on_path(ca.substitute([self._weighed(self.claim.V)], [held], [kept])[0])
+        before, after = (self._mapped(V, places, (kept, values[:, places - back])) for back in (1, 0))
+        return tuple(
+            Jump(float(self.run.time[place]), float(change))
+            for place, change in zip(places, (after - before).ravel(), strict=True)
+        )
+
+    def _weighed(self, expression: Any) -> Any:
+        kappa = self.claim.kappa
+        return expression if kappa.is_constant() else ca.substitute(expression, kappa, self.kappa)
+
+    def _mapped(self, column: Any, places: np.ndarray, *more: tuple[Any, np.ndarray]) -> np.ndarray:
+        """A column of expressions at some instants, with the run's own parameters; `more` are further inputs."""
+        loop, count = self.claim.loop, places.size
+        fixed = ca.substitute(ca.cse(column), loop.p, ca.DM(self.run.diagram.loop.p_values))
+        inputs = [loop.state, loop.time, *(symbol for symbol, _ in more)]
+        function = ca.Function("terms", inputs, [ca.cse(fixed)])
+        values: np.ndarray = np.empty((column.numel(), count))
+        mapped = dict[int, Any]()
+        for first in range(0, count, CHUNK):
+            part = slice(first, min(first + CHUNK, count))
+            at, size = places[part], part.stop - part.start
+            if size not in mapped:
+                mapped[size] = function.map(size)
+            given = [np.ascontiguousarray(self._states[:, at]), self.run.time[None, at]]
+            given += [np.ascontiguousarray(numbers[:, part]) for _, numbers in more]
+            values[:, part] = mapped[size](*given).full()
+        return values

@@ -135,9 +135,13 @@ def verify(
     """
     clock = _Clock()
     try:
-        return _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
+        found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
     except NotApplicableError as error:
         return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
+    if found.outcome == "proved" and diagram.unit_faults:
+        texts = "; ".join(fault.text for fault in diagram.unit_faults)
+        return replace(found, outcome="not_applicable", reason=f"the units do not agree: {texts}")
+    return found
 
 
 @final

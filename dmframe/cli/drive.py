@@ -17,6 +17,7 @@ from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.arguments import seconds as time_of
 from dmframe.results.folder import drawing, write_data
+from dmframe.results.place import complete
 from dmframe.results.run import table_of
 from dmframe.units import shorten, to_unit
 
@@ -75,6 +76,7 @@ def drive_graph(
         tell(json.dumps(summaries[0], indent=2) if as_json else f"{table_of([run])}\nresults: {place.path}")
         if formats and not came:
             draw(place)
+        complete(place)
     if came:
         return STOPPED
     return FAILED if run.recording.interrupted else 0

@@ -18,7 +18,7 @@ from dmframe.graph.arguments import seconds
 from dmframe.graph.progress import Bars
 from dmframe.graph.runs import labelled, labels_of
 from dmframe.results.folder import drawing, folders_of, safe_name, write_data
-from dmframe.results.place import PAGE, Place, reserved
+from dmframe.results.place import PAGE, Place, complete, reserved
 from dmframe.results.run import Run
 from dmframe.simulate.engine import Choice
 
@@ -77,6 +77,7 @@ def run_graphs(
                         draw(place)
         if pages and not signals:
             _write_pages(place, [run.name for run in runs], graphs)
+        complete(place)
     if interrupted or signals:
         return STOPPED
     return DIVERGED if any(run.divergence for run in runs) else 0

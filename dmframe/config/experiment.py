@@ -24,6 +24,7 @@ from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, raise_all, visible
 from dmframe.exact.rational import Interval
+from dmframe.seal import faults, folder_of
 from dmframe.simulate import Log, Recording, Solver, simulate
 from dmframe.simulate.engine import Choice
 from dmframe.simulate.march import Progress
@@ -113,6 +114,13 @@ class Experiment:
                 diagram = Diagram.build(self.blocks, file.wires, self.robot)
             check_run(diagram, file.duration, **self.settings)
             return diagram
+        except DmframeError as error:
+            raise placed(error, self.document) from None
+
+    def check_units(self, diagram: Diagram) -> None:
+        """Raise what disagrees in the units of the blocks' equations, certificates and conditions."""
+        try:
+            raise_all(diagram.unit_faults)
         except DmframeError as error:
             raise placed(error, self.document) from None
 
@@ -266,7 +274,9 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
     -----
     A name from before is read as the new one, with a notice on stderr; see `dmframe.config.renamed`.
     """
-    document = read_file(find_graph(str(source)))
+    path = find_graph(str(source))
+    document = read_file(path)
+    _tell_changes(path)
     first, others = _parted(overrides)
     asked = overridden(document, first, KEYS)
     made, later = (
@@ -274,6 +284,15 @@ def load_experiment(source: str | Path, overrides: Sequence[str] = ()) -> Experi
         (partial(_overridden, overrides=others),),
     )
     return replace(made, overrides=tuple(overrides), asked=Asked(asked, later) if KEY in asked.data else None)
+
+
+def _tell_changes(path: Path) -> None:
+    """Tell on stderr which files beside a graph of a sealed folder are not what was written; signals are not read."""
+    folder = folder_of(path)
+    if folder is not None:
+        near = path.parent.resolve()
+        for text in faults(folder, lambda name: (folder / name).resolve().parent == near and not name.endswith(".nc")):
+            sys.stderr.write(f"{visible(f'{folder}: notice: {text}')}\n")
 
 
 def with_overrides(document: Document, overrides: Sequence[str], find: Find = find_block) -> Document:

@@ -92,10 +92,9 @@ def driven(
         rest, experiment, diagram, Options(duration, engine, max(held.deceleration, held.halt), patience)
     )
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
-    found = drive(steered, driver, Gate(held, driver.period), plan, asked)
-    recording = recording_of(
-        diagram, steered, found, robot=robot, until=duration, solver=experiment.solver, shadow=shadow
-    )
+    gate = Gate(held, driver.period)
+    found = drive(steered, driver, gate, plan, asked)
+    recording = recording_of(diagram, steered, found, robot=robot, plan=plan, gate=gate, solver=experiment.solver)
     if recording is None:
         raise DriveError(f"{robot}: the robot was stopped before its first command: {found.stop}")
     return recording

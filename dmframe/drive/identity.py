@@ -11,7 +11,6 @@ import ast
 import functools
 import hashlib
 import importlib.util
-import inspect
 import platform
 import sys
 import sysconfig
@@ -56,7 +55,7 @@ def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: 
         "graph": dict(_flat(resolved(experiment.with_duration(1.0)))),
         "block source": files,
         "robot model": _model(experiment),
-        "limits": _limits(limits),
+        "limits": {key: repr(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},
@@ -106,14 +105,6 @@ def _model(experiment: Experiment) -> dict[str, str]:
     """Of the robot's file; meshes alter drawings alone."""
     source = robot_source(experiment)
     return {} if source is None else {source.urdf.name: digest(source.urdf.read_bytes())}
-
-
-def _limits(limits: Limits) -> dict[str, str]:
-    plain = {key: getattr(limits, key) for key in inspect.signature(Limits).parameters}
-    return {
-        key: repr(np.asarray(value).tolist() if isinstance(value, np.ndarray) else value)
-        for key, value in plain.items()
-    }
 
 
 def _engine(engine: str) -> dict[str, str]:

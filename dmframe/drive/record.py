@@ -11,7 +11,9 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal, stack
 from dmframe.port import Side
-from dmframe.runtime.driving import Driven
+from dmframe.runtime.driving import Driven, Plan
+from dmframe.runtime.gate import Gate
+from dmframe.runtime.signals import TOLD
 from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.run import Beside, moving_outputs
@@ -19,7 +21,14 @@ from dmframe.units import plain
 
 
 def recording_of(
-    diagram: Diagram, steered: Steered, driven: Driven, *, robot: str, until: float, solver: Solver, shadow: bool
+    diagram: Diagram,
+    steered: Steered,
+    driven: Driven,
+    *,
+    robot: str,
+    plan: Plan,
+    gate: Gate,
+    solver: Solver,
 ) -> Recording | None:
     """What was recorded; None where not one sample was.
 
@@ -39,7 +48,7 @@ def recording_of(
     time, scale = np.array(journal.reference[:count]), np.array(journal.scale[:count])
     missed = np.array([sample.missed for sample in samples], dtype=float)
     period = steered.controller.clock * (1 + missed) * scale
-    known = _plain(diagram, {"q", "dq", "q_c", "x"})
+    known = plain_signals(diagram)
     told = {
         label: np.array([getattr(sample, name) for sample in samples])
         for label, name in known.items()
@@ -63,7 +72,7 @@ def recording_of(
     return Recording(
         diagram=diagram,
         clock=steered.controller.clock,
-        duration=until,
+        duration=plan.until,
         solver=solver,
         time=time,
         states={label: values for label, values in states.items() if label not in hidden},
@@ -72,8 +81,10 @@ def recording_of(
         interrupted=driven.stop is not None,
         wall_time=driven.wall_time,
         engine=steered.controller.engine,
-        notices=_notices(driven, robot, shadow, answer, missed, beside),
+        notices=_notices(driven, robot, plan.shadow, answer, missed, beside),
         beside=beside,
+        drive={"robot": robot, "shadow": plan.shadow, "ramp": repr(plan.ramp)}
+        | {"period": repr(gate.period), "limits": gate.limits.data},
     )
 
 
@@ -83,12 +94,12 @@ def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale:
     return {label: rows if steered.fields[label] != "dq" else rows / share for label, rows in measured.items()}
 
 
-def _plain(diagram: Diagram, names: set[str]) -> dict[str, str]:
-    """The robot's own signals of these names: what it tells is taken for them, also where an encoder stands between."""
+def plain_signals(diagram: Diagram) -> dict[str, str]:
+    """By label the field of a sample that the robot's own signal is, also where an encoder stands between."""
     return {
         signal.label: signal.name
         for signal in diagram.loop.outputs
-        if signal.name in names and diagram.blocks[signal.block].side is Side.PLANT
+        if signal.name in TOLD and diagram.blocks[signal.block].side is Side.PLANT
     }
 
 

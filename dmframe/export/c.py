@@ -22,6 +22,7 @@ from dmframe.export.program import Member, Program, program_of
 from dmframe.export.replay import Computed, computed_by_c, first_sample, kept, samples_as_c, samples_of, sizes_as_c
 from dmframe.files import encoded, expanded, write_bytes, writing
 from dmframe.results.folder import provenance
+from dmframe.results.place import held
 from dmframe.results.resolved import resolved_text
 from dmframe.units import plain
 from dmframe.version import version
@@ -247,27 +248,30 @@ def new_folder(folder: str | Path) -> Path:
 
 
 def write_all(place: Path, contents: Mapping[str, str | bytes]) -> list[Path]:
-    """Files by their paths below a new folder, all or none: half a controller would look like one.
+    """Files by their paths below a folder, all or none: half a controller would look like one.
 
-    Raises `OutputError`.
+    The folder is locked meanwhile, as that of a run is. Raises `OutputError`.
     """
-    done = [place / name for name in contents]
-    folders = {folder for file in done for folder in file.parents if not folder.exists()}
-    made = sorted(folders, key=lambda folder: len(folder.parts), reverse=True)
-    try:
-        with writing(place, "folder"):
+    files, done = [place / name for name in contents], list[Path]()
+    with held(place):
+        if there := [file for file in files if file.exists()]:  # another export has come first
+            raise OutputError(f"{there[0]}: is there already; name a new folder")
+        made = sorted({file.parent for file in files if not file.parent.exists()}, reverse=True)
+        try:
+            with writing(place, "folder"):
+                for file in files:
+                    file.parent.mkdir(parents=True, exist_ok=True)
+            for file, content in zip(files, contents.values(), strict=True):
+                done.append(file)
+                write_bytes(file, content if isinstance(content, bytes) else encoded(content))
+        except BaseException:
             for file in done:
-                file.parent.mkdir(parents=True, exist_ok=True)
-        for file, content in zip(done, contents.values(), strict=True):
-            write_bytes(file, content if isinstance(content, bytes) else encoded(content))
-    except BaseException:
-        for file in done:
-            file.unlink(missing_ok=True)
-        with suppress(OSError):
-            for folder in made:
-                folder.rmdir()
-        raise
-    return done
+                file.unlink(missing_ok=True)
+            with suppress(OSError):
+                for folder in made:
+                    folder.rmdir()
+            raise
+    return files
 
 
 def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict[str, str]:
@@ -289,7 +293,7 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
 def origin(experiment: Experiment, model: str) -> dict[str, str]:
     """The files that say from what others were made; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
-    made = {**provenance(experiment, text), "field_hash": model}
+    made = provenance(experiment, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 

@@ -101,7 +101,7 @@ def _judged(found: Along, clock: float | None) -> str:
     share = found.largest_increase / found.V[0] if found.V[0] else float("inf")
     rose = (
         f"Along the run $V$ rose from one sample to the next in {found.rises} of {found.steps.size} cases, by at most "
-        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. "
+        f"{found.largest_increase:.3g}, which is {100 * share:.2g} % of $V$ at the start. {_climbed(found)}"
     )
     if clock is not None:
         return rose + "The theorem is about continuous time; of a sampled loop it does not say that $V$ never rises."
@@ -111,6 +111,17 @@ def _judged(found: Along, clock: float | None) -> str:
         "**Warning**: where all that the theorem assumes is true, $V$ does not rise. Either an assumption is not true "
         "of this run, or the integrator's steps are too long: run it with a smaller step to see which."
     )
+
+
+def _climbed(found: Along) -> str:
+    """By how much V rose altogether, as a share of its fall."""
+    climb = found.climb
+    if climb.since is None or climb.until is None:
+        return "That is within rounding. "
+    share = "" if climb.share is None else f", which is {100 * climb.share:.3g} % of its fall"
+    between = f"between {plain(climb.since, 's')} and {plain(climb.until, 's')}"
+    jumps = f"; its {len(found.jumps)} jumps at the steps of a source are left out" if found.jumps else ""
+    return f"It rose by {climb.rise:.3g} {between}{share}{jumps}. "
 
 
 def _run_facts(run: Recording) -> tuple[list[tuple[str, str]], dict[str, Any]]:
@@ -145,11 +156,12 @@ def _along(verdict: Verdict, run: Recording) -> tuple[Along | None, str]:
 
 
 def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], dict[str, Any]]:
-    every = "sample" if clock is not None else "recorded instant"
+    every, climb = "sample" if clock is not None else "recorded instant", found.climb
     facts = [
         ("$V$ at the start and at the end", f"{found.V[0]:.6g} and {found.V[-1]:.6g}"),
         (f"largest increase of $V$ from one {every} to the next", _increase(found)),
         (f"steps in which $V$ rose, of {found.steps.size}", str(found.rises)),
+        ("largest rise of $V$ above an earlier value, and its fall", f"{climb.rise:.3g} and {climb.fall:.3g}"),
     ]
     kept = np.unique(np.linspace(0, found.time.size - 1, 201).astype(int))
     numbers = {
@@ -159,6 +171,12 @@ def _v_facts(found: Along, clock: float | None) -> tuple[list[tuple[str, str]], 
         "largest_increase_at": found.increase_at,
         "rises": found.rises,
         "steps": int(found.steps.size),
+        "rise": climb.rise,
+        "rise_share": climb.share,
+        "rise_from": climb.since,
+        "rise_until": climb.until,
+        "fall": climb.fall if np.isfinite(climb.fall) else None,
+        "jumps": [[jump.time, jump.change] for jump in found.jumps],
         "kappa": found.kappa,
         "time": [float(t) for t in found.time[kept]],
         "V": [float(v) if np.isfinite(v) else None for v in found.V[kept]],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, final
@@ -24,7 +25,8 @@ from dmframe.version import version
 if TYPE_CHECKING:
     import xarray
 
-PACKED: Final = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+# HDF5 itself refuses numbers that have changed, whoever reads them
+PACKED: Final = {"compression": "gzip", "compression_opts": 1, "shuffle": True, "fletcher32": True}
 _DIMENSIONS = {"n": "joint", "m": "axis", "p": "parameter", "k": "kinematic_parameter"}
 
 
@@ -56,7 +58,8 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
     Parameters
     ----------
     experiment
-        The graph that ran: its name, its title and the SHA-256 of its resolved text become attributes.
+        The graph that ran: its name, its title, the SHA-256 of its resolved text and the hash of the model that ran
+        (`Diagram.fingerprint`) become attributes.
     seed
         Of the run's noise, where it has any.
     """
@@ -90,8 +93,12 @@ def _attributes(run: Recording, experiment: Experiment | None, seed: int | None)
         "duration": f"{run.duration!r} s",
         "solver": _solver(run.solver, run.clock),
         "source": f"dmframe {version()}",
+        "engine": run.engine,
     }
+    if run.drive:
+        said["drive"] = json.dumps(dict(run.drive))
     if experiment is not None:
+        said["field_hash"] = run.diagram.fingerprint
         said["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
     if seed is not None:
         said["seed"] = seed

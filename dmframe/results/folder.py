@@ -21,10 +21,10 @@ from dmframe.files import encoded, told_apart, write_bytes, writing
 from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
-from dmframe.results.place import Place, built, clear_figures, reserved
+from dmframe.results.place import Place, built, clear_figures, complete, reserved
 from dmframe.results.ran import Ran
 from dmframe.results.resolved import companions, resolved_text, robot_source
-from dmframe.results.summary import summary
+from dmframe.results.summary import summary_of
 
 _PACKAGES = (
     "dmframe",
@@ -85,6 +85,7 @@ def write_run(
     with held as place, drawing(runs if plots else (), checked_formats("formats", formats)) as draw:
         summaries = write_data(place, runs, seed=seed, command=command, now=now)
         draw(place)
+        complete(place)
     return summaries
 
 
@@ -96,10 +97,10 @@ def write_data(
     command: Sequence[str] | None = None,
     now: datetime | None = None,
 ) -> list[dict[str, Any]]:
-    """All of `write_run` but the figures."""
+    """All of `write_run` but the figures and the note, `complete`, that nothing is still to come."""
     below = folders_of([run.name for run in runs])
     folders = [place.path / name for name in below] or [place.path]
-    summaries = [summary(run.name, run.recording, str(folder)) for run, folder in zip(runs, folders, strict=True)]
+    summaries = [{**summary_of(run, str(folder)), "graph": run.name} for run, folder in zip(runs, folders, strict=True)]
     with built(place) as building:
         for run, folder, told in zip(runs, folders, summaries, strict=True):
             own = building / folder.relative_to(place.path)
@@ -166,14 +167,17 @@ def _write_one(
     for name, source in companions(run.experiment).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
-    made = provenance(run.experiment, text, seed=seed, command=command, now=now)
     # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
-    _write_json(place / "provenance.json", {**made, "field_hash": run.recording.diagram.fingerprint})
+    field_hash = run.recording.diagram.fingerprint
+    made = provenance(run.experiment, text, field_hash=field_hash, seed=seed, command=command, now=now)
+    if run.recording.drive:
+        made["drive"] = dict(run.recording.drive)
+    _write_json(place / "provenance.json", made)
     _write_signals(place / "signals.nc", run, seed)
 
 
 def _write_signals(file: Path, run: Ran, seed: int | None) -> None:
-    file.write_bytes(netcdf(run.recording, run.experiment, seed))
+    file.write_bytes(netcdf(run.whole, run.experiment, seed))
 
 
 def _write_json(file: Path, data: dict[str, Any]) -> None:
@@ -184,11 +188,14 @@ def provenance(
     experiment: Experiment,
     text: str,
     *,
+    field_hash: str,
     seed: int | None = None,
     command: Sequence[str] | None = None,
     now: datetime | None = None,
 ) -> dict[str, Any]:
-    """What it takes to have the same run again: versions, machine, command, time, digests, seed."""
+    """What it takes to have the same run again: versions, machine, command, time, digests, seed; and the model's hash,
+    `Diagram.fingerprint`.
+    """
     source = robot_source(experiment)
     return {
         "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
@@ -197,6 +204,7 @@ def provenance(
         "platform": platform.platform(),
         "versions": {name: _version(name) for name in _PACKAGES},
         "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
+        "field_hash": field_hash,
         "robot": experiment.robot.name if experiment.robot is not None else None,
         "urdf": source.urdf.name if source else None,
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.errors import OutputError
-from dmframe.files import hidden_name, is_hidden, writing
+from dmframe.files import hidden_name, is_hidden, sync, sync_below, write_text, writing
 from dmframe.plotting import FORMATS
+from dmframe.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
 
-FILES: Final = ("graph.yaml", "provenance.json", "signals.nc", "summary.json")
+FILES: Final = ("graph.yaml", "provenance.json", SEAL, "signals.nc", "summary.json")
 PAGE: Final = "page.html"
 FIGURES: Final = ("error", "path", "commands", "effort")
 OF_EACH: Final = ("storage", "estimates")
@@ -59,16 +60,27 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
         It exists and is not empty, or is no folder, or cannot be written, or another run is about to write there; or,
         with `force`, what would be replaced in it is not ours.
     """
-    path, made = Path(path), list[Path]()
+    path = Path(path)
+    with held(path) as (folder, locked, made):
+        with writing(path, "folder"):
+            _check_usable(folder, path, folders, ours=locked, force=force)
+        yield Place(path, folder, folder in made)
+
+
+@contextmanager
+def held(path: Path) -> Iterator[tuple[Path, bool, list[Path]]]:
+    """Make a folder and lock it; yields where it really lies, whether it is locked, and the folders that are new.
+
+    Of the new folders those that are still empty at the end are removed. Raises `OutputError`.
+    """
+    made = list[Path]()
     try:
         with writing(path, "folder"):
             folder = Path(os.path.realpath(path))
             _make(folder, path, made)
             lock = _locked(folder, path)
         try:
-            with writing(path, "folder"):
-                _check_usable(folder, path, folders, ours=lock is not None, force=force)
-            yield Place(path, folder, folder in made)
+            yield folder, lock is not None, made
         finally:
             if lock is not None:
                 os.close(lock)
@@ -79,7 +91,7 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
 
 
 def _make(folder: Path, path: Path, made: list[Path]) -> None:
-    """Make a folder and those above it."""
+    """Make a folder and those above it; the new ones are added to `made`."""
     for each in (*reversed(folder.parents), folder):
         try:
             each.mkdir()
@@ -145,7 +157,7 @@ def _locked(folder: Path, path: Path) -> int | None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         os.close(lock)
-        raise OutputError(f"{path}: another run writes there; name another folder") from None
+        raise OutputError(f"{path}: another process writes there; name another folder") from None
     except OSError:  # some network drives have no locks
         os.close(lock)
         return None
@@ -163,10 +175,14 @@ def built(place: Place) -> Iterator[Path]:
         try:
             building.mkdir()
             yield building
+            _seal_data(building)
+            sync_below(building)
             with contextlib.suppress(OSError):
                 os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+                sync(place.folder.parent)
                 return
-            for item in list(building.iterdir()):
+            (place.folder / SEAL).unlink(missing_ok=True)  # until all files are there, there is no seal
+            for item in sorted(building.iterdir(), key=lambda item: item.name == SEAL):
                 target = place.folder / item.name
                 if target.exists() or target.is_symlink():  # --force, and it may have come since
                     _check_replaceable(target, place.path, folder=item.is_dir())
@@ -175,9 +191,39 @@ def built(place: Place) -> Iterator[Path]:
                 item.replace(target)
                 moved.append(target)
             building.rmdir()
+            sync(place.folder)
         except BaseException:
             for item in (building, *moved):
                 shutil.rmtree(item, ignore_errors=True)
                 with contextlib.suppress(OSError):
                     item.unlink()
             raise
+
+
+def _seal_data(folder: Path) -> None:
+    """Note the digests of all files below, which are not all that will be written."""
+    files = {path.relative_to(folder).as_posix(): digest_of(path) for path in folder.rglob("*") if path.is_file()}
+    (folder / SEAL).write_text(FolderSeal(files, complete=False).text, encoding="utf-8")
+
+
+def complete(place: Place) -> None:
+    """Note that all is written, with the digests of figures and pages too: the last file of a folder of results.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written, or the data have no seal any more.
+    """
+    try:
+        seal = seal_of(place.folder)
+    except BrokenSeal as error:
+        raise OutputError(f"{place.path}: {error}") from None
+    if seal is None:
+        raise OutputError(f"{place.path}: {SEAL} is gone, which was written with the data")
+    files = dict(seal.files)
+    for folder in {place.folder, *((place.folder / name).parent for name in seal.files)}:
+        for item in folder.iterdir():
+            name = item.relative_to(place.folder).as_posix()
+            if name not in files and is_ours(item.name) and item.name != SEAL and item.is_file():
+                files[name] = digest_of(item)
+    write_text(place.folder / SEAL, FolderSeal(files, complete=True).text)

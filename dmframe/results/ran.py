@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from dmframe.config import Experiment
+from dmframe.results.storage import Storage
 from dmframe.simulate import Recording
 
 
@@ -22,3 +23,15 @@ class Ran(Protocol):
     @property
     def recording(self) -> Recording:
         """What came of it."""
+
+    @property
+    def whole(self) -> Recording:
+        """The same with V among its signals, where there is a V."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What the run has to say of itself."""
+
+    @property
+    def storage(self) -> Storage:
+        """V along the run; raises `DmframeError` with the reason where there is none."""

@@ -13,13 +13,14 @@ import numpy as np
 from dmframe import notebook
 from dmframe.columns import columns
 from dmframe.config import Experiment
-from dmframe.errors import UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.files import expanded
 from dmframe.plotting import FORMATS
 from dmframe.results.dataset import dataset
 from dmframe.results.metrics import TrackingError, TurnError, tracking_error, turn_error
 from dmframe.results.shown import Shown, shown_by
-from dmframe.results.summary import summary
+from dmframe.results.storage import SIGNALS, Storage, storage_of, with_storage
+from dmframe.results.summary import summary, summary_of
 from dmframe.simulate import Divergence, Recording
 from dmframe.units import plain
 
@@ -39,6 +40,9 @@ class Run:
     """A graph with what its run recorded.
 
     ``run["arm.q"]`` is a signal as an xarray, time by joint, with its unit; ``run.data`` holds all of them.
+    ``run["V"]`` is the Lyapunov function that its blocks claim, ``run["V.dynamics"]`` the part of one block,
+    ``run["V_rate"]`` dV/dt as the claim states it. V is computed when it or the notices are read: it takes a fraction
+    of a second.
 
     Parameters
     ----------
@@ -71,12 +75,44 @@ class Run:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the run has to say of itself."""
-        return self.recording.notices
+        """What the run has to say of itself, the rise of V last."""
+        storage, own = self._storage, self.recording.notices
+        return (*own, storage.notice) if isinstance(storage, Storage) and storage.notice else own
 
     @cached_property
     def data(self) -> xarray.Dataset:
-        """Every recorded signal ``block.signal`` over time, with its unit and the names of its elements."""
+        """Every recorded signal ``block.signal`` over time, with its unit and the names of its elements; V, if any."""
+        return dataset(self.whole, self.experiment)
+
+    @property
+    def whole(self) -> Recording:
+        """The recording with V among its signals, where there is a V."""
+        storage = self._storage
+        return with_storage(self.recording, storage if isinstance(storage, Storage) else None)
+
+    @property
+    def storage(self) -> Storage:
+        """V along the run, how far it rose, and what is known of the reason.
+
+        Raises
+        ------
+        DmframeError
+            The graph has no V, or the run did not keep what V holds: with the reason.
+        """
+        if isinstance(self._storage, DmframeError):
+            raise self._storage
+        return self._storage
+
+    @cached_property
+    def _storage(self) -> Storage | DmframeError:
+        try:
+            return storage_of(self.recording, self.experiment)
+        except DmframeError as error:
+            return error
+
+    @cached_property
+    def _recorded(self) -> xarray.Dataset:
+        """`data` without V, which takes time."""
         return dataset(self.recording, self.experiment)
 
     @cached_property
@@ -97,17 +133,25 @@ class Run:
     @property
     def summary(self) -> dict[str, Any]:
         """What ``dmframe run --json`` prints of it."""
-        return summary(self.experiment.name, self.recording)
+        return summary_of(self)
 
     def __getitem__(self, label: str) -> xarray.DataArray:
         if not isinstance(label, str):
             raise ValueFault(
                 f"run[{label!r:.40}]: expected a signal's name such as arm.q, found {type(label).__name__}"
             )
+        if label not in self and _of_storage(label):
+            if isinstance(self._storage, DmframeError):
+                reason = self._storage.text
+                raise ValueFault(f"run[{label!r}]: expected a graph with a claim about V, found none: {reason}")
+            held = self._storage.signals
+            if label not in held:
+                raise UnknownNameError(f"run[{label!r}]", "signal", label, held)
+            return self.data[label]
         if label not in self:
             own = [name for name in self if name.startswith(f"{label}.")]
             raise UnknownNameError(f"run[{label!r}]", "signal", "" if own else label, own or self)
-        return self.data[label]
+        return self._recorded[label]
 
     def __contains__(self, label: object) -> bool:
         return isinstance(label, str) and self._has(label)
@@ -186,6 +230,10 @@ class Run:
         return f", |{error.signal}| {plain(error.rms_final, error.unit)}{turned} RMS in the last eighth"
 
 
+def _of_storage(label: str) -> bool:
+    return label in SIGNALS or label.startswith("V.")
+
+
 def drawn(runs: Sequence[Run], signals: Sequence[str | Sequence[str]]) -> Figures:
     """See `Run.plot`."""
     from dmframe.results.figures import figures_of, signals_figure
@@ -206,7 +254,7 @@ def saved(runs: Sequence[Run], folder: str | Path, *, plots: bool, formats: Sequ
 
 def row(run: Run) -> tuple[str, ...]:
     """A run under `HEADS`."""
-    told = run.summary
+    told = summary(run.experiment.name, run.recording)
     error, turn = told["error"], told["turn"]
     clock = told["clock"] if told["clock"] == "continuous" else plain(told["clock"], "s")
     first, last = (", ".join(_rms(each, index) for each in (error, turn) if each) or "-" for index in (0, -1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,12 +11,15 @@ import numpy as np
 from dmframe.certify.along import Along
 from dmframe.errors import DmframeError
 from dmframe.plotting import draw_curve, frame, look, page, span, tame, verbatim
-from dmframe.results.drawn_runs import told
+from dmframe.results.drawn_runs import note_below, told
 from dmframe.results.ran import Ran
 from dmframe.simulate import Recording
 
 CURVES = 6
 """Terms of V that are shown, the largest ones."""
+
+NOTE_WIDTH = 115
+"""Characters of a line below the panels."""
 
 FAINT = 1e-9
 """Of the largest value of a term: what is smaller lies below the panel."""
@@ -26,22 +30,17 @@ def storage_figure(name: str, run: Ran) -> Any:
 
     That dV/dt is what they claim is for `verify` to prove: the figure only shows V.
     """
-    from dmframe.certify.unproved import unproved_along
-
-    recording = run.recording
     try:
-        intervals = run.experiment.intervals(recording.diagram)
-    except DmframeError:  # a run does without them
+        storage = run.storage
+    except DmframeError:
         return None
-    found = unproved_along(recording, intervals, run.experiment.start)
-    if found is None:
-        return None
+    found = storage.along
     names = [f"{term.drawn} ({verbatim(term.block)})" for term in found.terms]
-    return storage_picture(found, names, recording, title=told(name, recording))
+    return storage_picture(found, names, run.recording, title=told(name, run.recording), note=storage.notice)
 
 
-def storage_picture(found: Along, names: Sequence[str], run: Recording, title: str = "") -> Any:
-    """V above, its largest terms below on a logarithmic axis, each under its name."""
+def storage_picture(found: Along, names: Sequence[str], run: Recording, title: str = "", note: str = "") -> Any:
+    """V above, its largest terms below on a logarithmic axis, each under its name; where V rises, that is shaded."""
     diverged = run.divergence is not None
     tops = [span(tame(term.values), diverged)[1] for term in found.terms]
     largest = sorted(range(len(tops)), key=lambda k: -tops[k])[:CURVES]
@@ -51,6 +50,9 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
         frame(above, [(tame(found.V), diverged)])
         above.set_ylabel("$V$")
         above.set_title(title, loc="left")
+        climb = found.climb
+        if climb.since is not None and climb.until is not None:
+            above.axvspan(climb.since, climb.until, color="#c46a00", alpha=0.12, linewidth=0)
         for place, k in enumerate(largest):
             values = np.maximum(tame(found.terms[k].values), 1e-300)
             draw_curve(below, found.time, values, 600, label=names[k], **look(place))
@@ -62,4 +64,10 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
         below.set_xlabel("time [s]")
         above.set_xlim(0, float(found.time[-1]))
         below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)
+        note_below(figure, *wrapped_note(note))
     return figure
+
+
+def wrapped_note(note: str) -> list[str]:
+    """A notice as lines that fit below the panels."""
+    return textwrap.wrap(note, NOTE_WIDTH)

@@ -5,9 +5,23 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from dmframe.errors import DmframeError
 from dmframe.results.metrics import tracking_error, turn_error
+from dmframe.results.ran import Ran
 from dmframe.results.shown import shown_by
+from dmframe.results.storage import no_storage
 from dmframe.simulate import Recording
+
+
+def summary_of(run: Ran, out: str | None = None) -> dict[str, Any]:
+    """`summary` with V: by how much it rose, and the notice of it."""
+    try:
+        storage = run.storage.summary
+    except DmframeError as error:
+        storage = no_storage(error)
+    told = summary(run.experiment.name, run.recording, out)
+    out = told.pop("out")
+    return {**told, "storage": storage, "notices": list(run.notices), "out": out}
 
 
 def summary(name: str, run: Recording, out: str | None = None) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, final
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Final, final
 
 import numpy as np
 
@@ -60,6 +60,30 @@ class Limits:
     deviation: float = 0.2
     lost: int = 5
     box: np.ndarray | None = None
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """As JSON can hold it; numbers as texts, which give the same bits again, infinite ones too."""
+        return {key: _texts(value) for key, value in vars(self).items()}
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> Limits:
+        """From `data`. Raises `ValueError`, `TypeError` or `KeyError` for what is none."""
+        known = {each.name for each in fields(cls)}
+        if known != set(data):
+            raise ValueError(f"expected {', '.join(sorted(known))}")
+        joints, arrays = list(data["joints"]), ("lower", "upper", "speed", "acceleration", "box")
+        made = {key: None if data[key] is None else np.array(data[key], dtype=float) for key in arrays}
+        numbers = {key: float(data[key]) for key in ("deceleration", "halt", "deviation")}
+        return cls(joints=joints, lost=int(data["lost"]), **numbers, **made)  # type: ignore[arg-type]
+
+
+def _texts(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple):
+        return [_texts(item) for item in value]
+    return repr(value) if isinstance(value, float) else value
 
 
 @final

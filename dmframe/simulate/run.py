@@ -70,6 +70,8 @@ class Recording:
         How close each matrix that must keep its rank came to losing it.
     beside
         What a robot told that was driven, ``robot.sent``.
+    drive
+        How a robot was driven, as JSON can hold it: its limits, its ramp; empty for a simulation.
     """
 
     diagram: Diagram
@@ -86,6 +88,7 @@ class Recording:
     notices: tuple[str, ...] = field(default=())
     ranks: tuple[Rank, ...] = field(default=())
     beside: Mapping[str, Beside] = field(default_factory=dict)
+    drive: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def real_time_factor(self) -> float:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, final
 
-from dmframe.files import encoded
+from dmframe.files import append, is_hidden, put
 
 CHUNKS: Final = "chunks.jsonl"
 
@@ -52,41 +51,14 @@ def end_line(path: Path) -> None:
             append(path, "\n")
 
 
+def is_partial(name: str) -> bool:
+    """True for the name of a file that a process left while it wrote; versions before had the ending ``.tmp``."""
+    return is_hidden(name) or name.endswith(".tmp")
+
+
 def put_below(folder: Path, name: str, content: bytes) -> None:
     """Write a file where it is not there already, in a folder that may be new."""
     target = folder / name
     target.parent.mkdir(parents=True, exist_ok=True)
     if not target.is_file() or target.read_bytes() != content:
         put(target, content)
-
-
-def put(target: Path, content: bytes) -> None:
-    """Write a file in one step, and force it to the disk."""
-    beside = target.with_name(f"{target.name}.tmp")
-    try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(target)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
-    _sync(target.parent)
-
-
-def append(target: Path, line: str) -> None:
-    """Add a line to a file, and force it to the disk."""
-    with target.open("ab") as file:
-        file.write(encoded(line))
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)

@@ -15,12 +15,11 @@ from pathlib import Path
 from typing import Final, final
 
 from dmframe.errors import OutputError, ValueFault
-from dmframe.files import encoded, writing
+from dmframe.files import append, encoded, put, writing
 from dmframe.study.beside import files_beside
 from dmframe.study.chunks import WORK, Chunk, Extent, Sizes
 from dmframe.study.cluster import Cluster, WorkersLost, exposed
 from dmframe.study.computed import Computable, Computed, Failed, versions
-from dmframe.study.disk import append, put
 from dmframe.study.pool import Pool, Workers
 from dmframe.study.store import PROCESSES, PROVENANCE, Store, opened
 

@@ -19,10 +19,10 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.errors import MissingError, OutputError, ValueFault, visible
-from dmframe.files import encoded, expanded, writing
+from dmframe.files import append, encoded, expanded, put, writing
 from dmframe.study.chunks import Chunk, Extent
 from dmframe.study.computed import Computable, Computed, Table, versions
-from dmframe.study.disk import CHUNKS, Kept, append, end_line, kept_in, put, put_below
+from dmframe.study.disk import CHUNKS, Kept, end_line, is_partial, kept_in, put_below
 from dmframe.study.lock import LOCK, difference, plain, read_lock
 
 RUNS: Final = "runs"
@@ -167,7 +167,7 @@ class Store:
         wanted = {f"{chunk.name(self.key)}.parquet": chunk for extent in self.extents for chunk in extent}
         wrong = list[str]()
         for item in sorted((self.path / RUNS).iterdir()):
-            if item.suffix == ".tmp" and item.is_file():
+            if is_partial(item.name) and item.is_file():
                 item.unlink()  # of a process that was ended while it wrote
                 continue
             chunk, kept = wanted.get(item.name), held.get(item.name)
@@ -212,8 +212,8 @@ def opened(path: str | Path, study: Computable, files: Mapping[str, bytes], *, f
         lock = read_lock(path)
         if lock is None:
             ours = {_HELD, RUNS, CHUNKS, PROVENANCE, PROCESSES, *(Path(name).parts[0] for name in files)}
-            ours |= {f"{name}.tmp" for name in (*ours, LOCK)}  # of a process that was ended while it began
-            strangers = [item.name for item in path.iterdir() if item.name not in ours]
+            # partial ones are of a process that was ended while it began
+            strangers = [item.name for item in path.iterdir() if item.name not in ours and not is_partial(item.name)]
             if strangers:
                 raise OutputError(
                     f"{path}: expected an empty or a new folder, or one of this study, found {strangers[0]}; name "
@@ -277,7 +277,7 @@ def _clear(path: Path) -> None:
     with writing(path, "folder"):
         (path / CHUNKS).unlink(missing_ok=True)
         for item in (path / RUNS).iterdir() if (path / RUNS).is_dir() else ():
-            if item.suffix in (".parquet", ".tmp", ".refused") and item.is_file():
+            if (item.suffix in (".parquet", ".refused") or is_partial(item.name)) and item.is_file():
                 item.unlink()
         (path / LOCK).unlink(missing_ok=True)
 

@@ -27,11 +27,15 @@ def test_a_drive_writes_what_a_run_writes_and_is_played_again(dmframe: Any) -> N
     assert sorted(path.name for path in Path("log").iterdir()) == [
         "graph.yaml",
         "provenance.json",
+        "seal.json",
         "signals.nc",
         "summary.json",
     ]
     said = dmframe("replay", "log", "ur10_fast")
-    assert (said.status, said.out) == (0, "ur10_fast: inverse.dq_c of 21 samples of log: identical, bit by bit\n")
+    assert said.status == 0
+    assert said.out.startswith("ur10_fast: inverse.dq_c, robot.sent and ")
+    assert said.out.endswith("by the compiled engine: identical, bit by bit\n")
+    assert "of 21 samples of log, computed again" in said.out
     said = dmframe("replay", "log", "ur10_fast", "--set", "task.gamma=1", "--json")
     assert said.status == 1
     assert json.loads(said.out)["identical"] is False

@@ -175,7 +175,7 @@ def test_force_leaves_no_figure_of_another_run_and_touches_no_folder_or_link_of_
     assert dmframe("run", "pendulum", *SHORT, "--out", "o", "--force").status == 0
     assert elsewhere.read_text() == "precious"
     assert {item.name for item in out.iterdir()} == {
-        "graph.yaml", "provenance.json", "signals.nc", "summary.json", "notes.txt"
+        "graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json", "notes.txt"
     }  # fmt: skip
     (out / "signals.nc").unlink()
     (out / "signals.nc" / "deep").mkdir(parents=True)

@@ -26,7 +26,7 @@ QUICK = (
 )
 """Before a report that is only to be there: it leaves out its longest sections."""
 LONG = ("run", "arm2_joint", "--until", "2000 s", "--no-plots", "--out", "mine")
-FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
+FILES = {"graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json"}
 
 
 @pytest.fixture(autouse=True)

@@ -16,9 +16,9 @@ from dmframe.config import load_experiment
 from dmframe.results.place import FIGURES, OF_EACH
 
 CONTRACT = {"graph", "duration", "clock", "diverged", "error", "engine", "wall_time", "real_time_factor", "out"}
-EXTRAS = {"divergence", "interrupted", "notices", "rank", "shown", "turn"}
+EXTRAS = {"divergence", "interrupted", "notices", "rank", "shown", "storage", "turn"}
 FILES_END = (".yaml", ".json", ".nc")
-FILES = {"graph.yaml", "provenance.json", "signals.nc", "summary.json"}
+FILES = {"graph.yaml", "provenance.json", "seal.json", "signals.nc", "summary.json"}
 SHORT = ("--until", "0.5 s", "--no-plots")
 UNBOXED = ("--set", "dynamics.a_d_hat_box=null", "--set", "inverse.w_box=null")
 UNSTABLE = ("run", "arm2_joint", "--no-plots", *UNBOXED, "--set", "dynamics.Gamma=1e9")

@@ -29,7 +29,7 @@ def reserve(path):
 def test_one_graph_leaves_data_summary_graph_and_provenance(tmp_path, ur10):
     (told,) = write_run(tmp_path / "out", [ur10], plots=False)
     names = {item.name for item in (tmp_path / "out").iterdir()}
-    assert names == {"signals.nc", "summary.json", "graph.yaml", "provenance.json"}
+    assert names == {"signals.nc", "summary.json", "graph.yaml", "provenance.json", "seal.json"}
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == told
     assert told["out"] == str(tmp_path / "out")
 
@@ -171,6 +171,7 @@ def test_figures_that_cannot_be_drawn_lose_no_data(tmp_path, ur10, monkeypatch):
             "summary.json",
             "graph.yaml",
             "provenance.json",
+            "seal.json",
         }
 
 
@@ -195,7 +196,7 @@ def test_results_of_a_diverged_run_are_written(tmp_path, ur10, blow_up):
 
 def test_a_folder_that_is_held_is_nobody_elses(tmp_path, kinematic):
     with reserved(tmp_path / "out") as place:
-        with pytest.raises(OutputError, match="out: another run writes there; name another folder"):
+        with pytest.raises(OutputError, match="out: another process writes there; name another folder"):
             reserve(tmp_path / "out")
         write_run(place, [kinematic], plots=False)
     with pytest.raises(OutputError, match="found one with files"):
@@ -207,7 +208,7 @@ def test_what_a_killed_run_left_is_in_nobodys_way(tmp_path, kinematic):
     left.mkdir(parents=True)
     (left / "signals.nc").write_text("", encoding="utf-8")
     write_run(tmp_path / "out", [kinematic], plots=False)
-    assert len(list((tmp_path / "out").iterdir())) == 4
+    assert len(list((tmp_path / "out").iterdir())) == 5
 
 
 @pytest.mark.parametrize(

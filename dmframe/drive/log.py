@@ -1,0 +1,95 @@
+"""The record of a drive or a run, read back: what was measured and commanded, and whether it is what was written."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, final
+
+import numpy as np
+
+from dmframe.errors import MissingError
+from dmframe.seal import SEAL, faults, folder_of, seal_of
+
+SIGNALS: Final = "signals.nc"
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A record.
+
+    Parameters
+    ----------
+    values
+        Rows of numbers by label.
+    drive
+        How the robot was driven; empty for a simulation, and for a record of an earlier version.
+    engine
+        What computed the commands then; empty where the record does not say.
+    signals
+        The labels of all that the record holds.
+    notices
+        Why the record may not be what was written.
+    """
+
+    values: Mapping[str, np.ndarray]
+    drive: Mapping[str, Any]
+    engine: str
+    signals: Sequence[str]
+    notices: tuple[str, ...]
+
+
+def read_log(path: Path, needed: Sequence[str], known: Sequence[str]) -> Log:
+    """Read the `needed` signals, and the `known` ones that are there.
+
+    Raises
+    ------
+    MissingError
+        There is no such file, it lacks what is needed, or a file of its folder is not what was written.
+    """
+    file = path / SIGNALS if path.is_dir() else path
+    try:
+        content = file.read_bytes()
+    except OSError:
+        raise MissingError(f"expected a folder of results, or its {SIGNALS}, found none", location=str(path)) from None
+    notices = _checked(file)
+    return _parsed(content, file, needed, known, notices)
+
+
+def _checked(file: Path) -> tuple[str, ...]:
+    """Notices about a file's seal. Raises `MissingError` where a digest is another."""
+    folder = folder_of(file)
+    if folder is None:
+        return (f"{file} has no {SEAL}: it is incomplete, or older; nothing shows whether it is what was written",)
+    if broken := faults(folder):
+        more = f"; and {len(broken) - 1} more" if len(broken) > 1 else ""
+        raise MissingError(f"expected the files as they were written: {broken[0]}{more}", location=str(folder))
+    seal = seal_of(folder)
+    assert seal is not None  # it was there a moment ago, and whole
+    if file.resolve().relative_to(folder.resolve()).as_posix() not in seal.files:
+        return (f"{file} is not among the files of {SEAL}: nothing shows whether it is what was written",)
+    return () if seal.complete else (f"{folder} is incomplete: what wrote it was stopped before its last file",)
+
+
+def _parsed(content: bytes, file: Path, needed: Sequence[str], known: Sequence[str], notices: tuple[str, ...]) -> Log:
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(io.BytesIO(content), "r") as opened:
+            there = list(opened.variables)
+            lacking = [name for name in ("time", *needed) if name not in there]
+            if lacking:
+                text = f"expected a record with {lacking[0]}, which this controller needs, found none"
+                raise MissingError(text, location=str(file))
+            wanted = dict.fromkeys(("time", *needed, *(name for name in known if name in there)))
+            values = {name: np.array(opened.variables[name][...]) for name in wanted}
+            drive, engine = json.loads(str(opened.attrs.get("drive", "{}"))), str(opened.attrs.get("engine", ""))
+            return Log(values, dict(drive), engine, there, notices)
+    except MissingError:
+        raise
+    except Exception:  # h5netcdf raises what it likes of a file that is none of its own
+        raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None
