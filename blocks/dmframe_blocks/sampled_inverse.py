@@ -175,7 +175,7 @@ class SampledInverse(AbstractBlock):
         State("goals", "W n", "rad/s", sampled=True, optional=True, recorded=False),
         State("late_rows", "A c", sampled=True, optional=True, recorded=False),
         State("late_goals", "A n", "rad/s", sampled=True, optional=True, recorded=False),
-        State("psi_slow", "c", sampled=True, optional=True, recorded=False),
+        State("psi_slow", "c", ANY, sampled=True, optional=True, recorded=False),
         State("y_slow", "n", "rad/s", sampled=True, optional=True),
         State("q_before", "n", "rad", sampled=True),
         State("q_aim", "n", "rad", sampled=True),
@@ -207,13 +207,13 @@ class SampledInverse(AbstractBlock):
     k_P_size: Scalar = Positive("", "1/s", default=1.0)
     k_I_size: Scalar = Positive("", "1/s^2", default=1.0)
     offset_size: Scalar = Positive("", "N m", default=30.0)
-    inertia_size: Scalar = Positive("", "kg m^2", default=5.0)
-    friction_size: Scalar = Positive("", "N m s/rad", default=5.0)
+    inertia_size: Scalar = Positive("", "kg m^2", default=5.0, several=True)
+    friction_size: Scalar = Positive("", "N m s/rad", default=5.0, several=True)
     k_P_box: Box = Interval("", "1/s", default=(0.2, 6.0))
     k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0))
     offset_box: Box = Interval("", "rad/s", default=(-1.0, 1.0))
-    inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0))
-    friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0))
+    inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0), several=True)
+    friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0), several=True)
     u_max: Diagonal = Positive("n", "rad/s", default=3.0)
     margin: Scalar = NonNegative(default=0.05)
     supervised: bool = False
