@@ -12,6 +12,7 @@ import numpy as np
 
 from dmframe.block.base import AbstractBlock, Equations, Signals
 from dmframe.block.faults import told_by
+from dmframe.block.numberless import with_other_numbers
 from dmframe.block.sizes import Sizes
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.certificate import SX
@@ -149,7 +150,8 @@ def model_block(
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
     with inverting(inverted):
-        _check_steady(name, equations, stated_by(name, block, signals, sizes))
+        other = with_other_numbers(block)  # made even where none is taken: its validators may write what methods read
+        _check_steady(name, equations, stated_by(name, other or block, signals, sizes), other is not None)
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -219,19 +221,23 @@ _PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "se
 """Of `Equations`, with what each says."""
 
 
-def _check_steady(name: str, first: Equations, second: Equations) -> None:
-    """The equations are a function of their arguments: what is proved must be what runs."""
+def _check_steady(name: str, first: Equations, second: Equations, varied: bool) -> None:
+    """The equations are a function of their arguments: what is proved must be what runs.
+
+    The second time a block with other numbers was asked, where it takes some (`varied`).
+    """
     pairs = [(getattr(first, part), getattr(second, part)) for part in _PARTS]
     if all(once.keys() == again.keys() for once, again in pairs) and same_expressions(
-        [once[key] for once, _ in pairs for key in once], [again[key] for once, again in pairs for key in once]
+        [once[key] for once, _ in pairs for key in once], [again[key] for once, again in pairs for key in again]
     ):
         return
+    when = "when they are asked again, its parameters at other numbers" if varied else "when they are asked again"
     for kind, (once, again) in zip(_PARTS.values(), pairs, strict=True):
         for key in {**once, **again}:
             if key not in once or key not in again or not same_expression(once[key], again[key]):
                 raise BlockError(
-                    f"{name}: equations() state another {kind} of {key} when they are asked again; expected the same "
-                    "expression each time, from u, x and p alone"
+                    f"{name}: equations() state another {kind} of {key} {when}; expected the same expression each "
+                    "time, from u, x and p alone"
                 )
 
 
