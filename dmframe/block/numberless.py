@@ -10,6 +10,7 @@ What a method could still find by another way, such as a global that a validator
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from dmframe.errors import BlockError, DmframeError
@@ -24,7 +25,8 @@ B = TypeVar("B", bound="AbstractBlock")
 OWNER: Final = "__owner__"
 """Under which a copy keeps the name of its block, for messages."""
 
-_FACTORS: Final = (1000.0, 0.001, 2.7, 0.37, 1.0001, 0.9999)
+LARGER: Final = (1000.0, 2.7, 1.0001)
+SMALLER: Final = (0.001, 0.37, 0.9999)
 """By which numbers differ in `with_other_numbers`; the first that the block takes counts."""
 
 
@@ -62,15 +64,19 @@ def unreadable(block: AbstractBlock, name: str) -> BlockError | None:
     return None
 
 
-def with_other_numbers(block: B) -> B | None:
-    """The same options with other numbers, as far as the block takes some; None where it takes none.
+def with_other_numbers(block: B, factors: Sequence[float], only: str | None = None) -> B | None:
+    """The same options with other numbers, or with one other number, as far as the block takes some; else None.
 
-    All numbers are multiplied by one factor, which keeps boxes in order and matrices definite; zeros get it as value.
+    All are multiplied by the first factor that the block takes, which keeps boxes in order and matrices definite;
+    zeros get it as value. Without factors it is the block, made anew.
     """
     kind, numbers = type(block), specs(type(block))
     given = {key: value for key, value in vars(block).items() if key in kind.model_fields}
     varied = [key for key in numbers if given.get(key) is not None and not isinstance(given[key], Prior)]
-    for factor in _FACTORS if varied else ():
+    varied = [key for key in varied if only in (None, key)]
+    if not factors:
+        return kind(**{key: value for key, value in given.items() if value is not None})
+    for factor in factors if varied else ():
         other = {key: _other(given[key], factor) for key in varied}
         for changed in (other, *({key: value} for key, value in other.items())):
             try:
