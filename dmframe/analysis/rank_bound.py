@@ -106,9 +106,9 @@ class MatrixBound:
             turned = np.swapaxes(Vt, 1, 2) / s[:, None, :]
             X = np.ascontiguousarray(np.moveaxis(turned @ np.swapaxes(U, 1, 2), 0, 2))
             U = np.ascontiguousarray(np.moveaxis(U, 0, 2))
-            doubt = _symmetric(_times(slopes, X)).magnitude
+            doubt = _symmetric(times(slopes, X)).magnitude
             moved = up(around[:, None, None, :] * doubt[: self.n])
-            middles = _symmetric(_times(J, X)) - np.eye(self.rows)[:, :, None]
+            middles = _symmetric(times(J, X)) - np.eye(self.rows)[:, :, None]
             error = up(middles.magnitude[0] + _sum(moved))
             error = up(error + _spread(doubt[self.n :], half, shape))
             least = down(down(1 - _norm(error)) / _size(X, U))
@@ -125,7 +125,7 @@ class MatrixBound:
         return Enclosure(lower.swapaxes(1, 2), upper.swapaxes(1, 2))
 
 
-def _times(matrices: Enclosure, X: Array) -> Enclosure:
+def times(matrices: Enclosure, X: Array) -> Enclosure:
     """Products of (v, m, n, N) and (n, k, N)."""
     total = Enclosure.of(0.0)
     for j, row in enumerate(X):
@@ -174,7 +174,7 @@ def _size(X: Array, U: Array) -> Array:
 
     |X| <= |X U| / sqrt(1 - |U' U - I|), and a symmetric matrix's norm is at most its largest sum of a row.
     """
-    product = _times(Enclosure.of(X[None]), U)
+    product = times(Enclosure.of(X[None]), U)
     turned = Enclosure(product.lower[0], product.upper[0])
     gram = _gram(turned).magnitude
     wrong = (_gram(Enclosure.of(U)) - np.eye(len(U))[:, :, None]).magnitude

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, final
+from typing import Any, Final, Literal, final
 
 import casadi as ca
 import numpy as np
@@ -16,8 +16,9 @@ from dmframe.certificate import SX
 from dmframe.certify.true_values import true_values
 from dmframe.diagram import ClosedLoop, Diagram, Variable
 from dmframe.diagram.closed_loop import Signal
-from dmframe.errors import MissingError
+from dmframe.errors import MissingError, listed
 from dmframe.exact.enclosure import Enclosure
+from dmframe.port import Side
 from dmframe.results.dataset import element_labels
 from dmframe.robot.symbolic import SymbolicRobot
 from dmframe.simulate.rank import watched
@@ -50,10 +51,12 @@ class RankProblem:
         (h,) where the estimate starts; None where there is none.
     names
         Of the elements of a.
-    reach
-        What follows the path, and the path.
     start
         (n,) where a run starts.
+    reach
+        What follows the path, and the path; None where the joint path is given.
+    path
+        What `dmframe.analysis.path_tube` takes: the same as expressions, with enclosures of their parameters.
     period
         Of the desired path; see `period_of`.
     """
@@ -71,13 +74,14 @@ class RankProblem:
     centre: Array
     estimate: Array | None
     names: tuple[str, ...]
-    reach: Reach
     start: Array
-    period: float | None
+    reach: Reach | None = None
+    path: tuple[Any, ...] = ()
+    period: float | None = None
 
 
-def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> RankProblem:
-    """Read a diagram's first matrix that must keep full row rank.
+def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre, *, given: bool = False) -> RankProblem:
+    """Read a diagram's first matrix that must keep full row rank; `given`, the joint path is known, and none is sought.
 
     Raises
     ------
@@ -92,13 +96,17 @@ def rank_problem(diagram: Diagram, start: Mapping[str, Any], centre: Centre) -> 
     loop, signal = diagram.loop, matrices[0]
     state = start_state(diagram, start)
     (matrix,) = loop.joined([signal.expression])
-    desired, actual = _goal(loop)
-    joints = _only([v for v in loop.plant if _depends(actual, v)], f"one state of the plant behind {desired}")
+    label, output, desired, actual = _goal(loop)
+    joints = _only([v for v in loop.plant if _depends(actual, v)], f"one state of the plant behind {label}")
     estimates = [v for v in loop.controller if _depends(matrix, v)]
-    reach = _reach(loop, desired, actual, joints)
-    period = period_of(_numeric(loop, loop.on_path(desired)), loop.time)
-    common = {"matrix": signal.label, "unit": signal.unit, "q": joints.symbol, "reach": reach, "period": period}
+    common: dict[str, Any] = {"matrix": signal.label, "unit": signal.unit, "q": joints.symbol}
     common["start"] = _part(loop, state, joints)
+    if not given:
+        _refuse_others(diagram, label, output)
+        wanted = _timed(loop, label, desired)
+        common["reach"] = _reach(loop, wanted, actual, joints)
+        common["path"] = actual, joints.symbol, wanted, loop.time, loop.p, _enclosed(diagram)
+        common["period"] = period_of(_numeric(loop, wanted), loop.time)
     if estimates:
         found = _adapted(diagram, _only(estimates, f"one estimate in {signal.label}"), state, centre)
         found["expression"] = matrix
@@ -121,18 +129,12 @@ def _adapted(diagram: Diagram, estimate: Variable, state: Array, centre: Centre)
         raise MissingError(text)
     declared = next(s for s in diagram.blocks[estimate.block].states if s.name == estimate.name)
     options = {"box": declared.box, "ball": declared.ball}
-    exact = {} if diagram.robot is None else {c.name: c.values for c in SymbolicRobot(diagram.robot).constants}
-    enclosed = list[Any]()
-    for parameter in loop.parameters:
-        rational = exact.get(parameter.label)
-        numbers = parameter.value.ravel(order="F") if rational is None else map(Enclosure.around, rational)
-        enclosed += [Enclosure.of(number) for number in numbers]
     return {
         "parameters": estimate.label,
         "options": {shape: f"{estimate.block}.{name}" for shape, name in options.items() if name},
         "a": estimate.symbol,
         "p": loop.p,
-        "enclosed": enclosed,
+        "enclosed": _enclosed(diagram),
         "values": loop.p_values,
         "centre": truth,
         "estimate": begin,
@@ -171,19 +173,57 @@ def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> di
     return found
 
 
-def _goal(loop: ClosedLoop) -> tuple[SX, SX]:
+def _enclosed(diagram: Diagram) -> list[Enclosure]:
+    """The loop's parameters, each element a number or, where it is rational, an enclosure of it."""
+    enclosed = list[Enclosure]()
+    for parameter in diagram.loop.parameters:
+        rational = parameter.rational
+        numbers = parameter.value.ravel(order="F") if rational is None else map(Enclosure.around, rational)
+        enclosed += [Enclosure.of(number) for number in numbers]
+    return enclosed
+
+
+_GIVE: Final = "give the joint path of a run: rank_region(..., path=...)"
+
+
+def _goal(loop: ClosedLoop) -> tuple[str, str, SX, SX]:
     pairs = loop.followed
     if not pairs:
         raise MissingError("rank: expected a path that a measured signal follows, such as x_d; found none")
-    _, _, desired, actual = pairs[0]
-    return desired, loop.joined([actual])[0]
+    label, output, desired, actual = pairs[0]
+    return label, output, desired, loop.joined([actual])[0]
+
+
+def _refuse_others(diagram: Diagram, label: str, output: str) -> None:
+    """The robot follows no other goal than this one: its joint path would be another."""
+    loop = diagram.loop
+    led = dict(loop.led).get(output)
+    if led is not None:
+        text = f"found {led}, which a block of the controller makes of {label}, and which {output} follows"
+        raise MissingError(f"rank: expected a path that is known in advance, {text}; {_GIVE}")
+    sources = {name for name, block in diagram.blocks.items() if block.side is Side.SOURCE}
+    others = [s.label for s in loop.outputs if s.block in sources and s.name.endswith("_d") and s.label != label]
+    if others:
+        text = f"found {listed(others)} too, which decides the joints with it and is not followed here"
+        raise MissingError(f"rank: expected {label} as the one goal, {text}; {_GIVE}")
+
+
+def _timed(loop: ClosedLoop, label: str, desired: SX) -> SX:
+    """The desired path as a function of time and parameters; refused where it is none."""
+    wanted = loop.on_path(loop.joined([desired])[0])
+    others = symbols_in([wanted]) - symbols_in([loop.time]) - symbols_in([loop.p])
+    if others:
+        moving = listed([v.label for v in loop.variables if symbols_in([v.symbol]) & others] or ["a signal"])
+        text = f"found {label}, whose time is not that of the run: it moves with {moving}"
+        raise MissingError(f"rank: expected a path that is a function of time, {text}; {_GIVE}")
+    return wanted
 
 
 def _reach(loop: ClosedLoop, desired: SX, actual: SX, joints: Variable) -> Reach:
     p = loop.p_values
     values = ca.Function("actual", [joints.symbol, loop.p], [ca.vec(actual)])
     slopes = ca.Function("slope", [joints.symbol, loop.p], [ca.jacobian(ca.vec(actual), joints.symbol)])
-    goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(loop.on_path(desired))])
+    goal = ca.Function("goal", [loop.time, loop.p], [ca.vec(desired)])
     return Reach(
         lambda q: np.asarray(values(q, p).full().ravel()),
         lambda q: np.asarray(slopes(q, p).full()),

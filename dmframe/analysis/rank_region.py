@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.analysis.joint_path import REACHED, JointPath, joint_path
+from dmframe.analysis.path_tube import path_tube
 from dmframe.analysis.rank_bound import Shape
 from dmframe.analysis.rank_problem import Centre, RankProblem, rank_problem
 from dmframe.analysis.rank_search import LARGEST, Cover, RankSearch
@@ -69,8 +70,9 @@ class RankRegion:
     For every q within `tube` of the joint path, in each joint, and every :math:`a_k` in the set, every singular value
     of J is at least `certified` > 0. That is proved, by interval arithmetic with outward rounding, for all real q and
     :math:`a_k` there. Assumed is that the robot stays in the tube and the estimate in its set, which a projection onto
-    the set sees to. The joint path is what inverse kinematics gives in floating point: the proof holds for the straight
-    lines between its poses, whether or not they are the path that was meant.
+    the set sees to. The joint path is exact: inverse kinematics gives poses in floating point, and for every time up to
+    `until` a pose that puts the tool on its path is proved to lie within `apart` of the lines between them, in each
+    joint. That is not so of a path that was given: there the lines are the path.
 
     Parameters
     ----------
@@ -106,6 +108,10 @@ class RankRegion:
         The joint path.
     boxes
         Of poses, over which it was proved.
+    model
+        The diagram's fingerprint: of which model it was proved.
+    redundant
+        The robot has many joint paths along which the tool follows its path; this one is the shortest, pose by pose.
     loss
         Why there is no region: `radius`, `certified` are then 0.
     """
@@ -128,12 +134,24 @@ class RankRegion:
     fails_at: float | None
     path: JointPath
     boxes: int
+    model: str = ""
+    redundant: bool = False
     loss: RankLoss | None = None
 
     @property
     def holds(self) -> bool:
         """True where there is a region."""
         return self.loss is None
+
+    @property
+    def until(self) -> float:
+        """Up to when the exact joint path is enclosed [s]."""
+        return self.path.until
+
+    @property
+    def apart(self) -> float | None:
+        """The most by which the exact joint path lies beside the lines [rad]; None for a path that was given."""
+        return None if self.path.apart is None or not self.holds else float(np.max(self.path.apart, initial=0.0))
 
     @property
     def radius(self) -> float:
@@ -196,21 +214,16 @@ def rank_region(
     """
     _check(tube=tube, duration=duration, boxes=boxes, least=least, shape=shape, centre=centre)
     tell = progress or (lambda text: None)
-    problem = rank_problem(diagram, start or {}, centre)
+    problem = rank_problem(diagram, start or {}, centre, given=path is not None)
     weights = _weights(scale, problem.centre)
-    stride = min(max(tube / 2, _LEAST_STRIDE), _MOST_STRIDE)
-
-    def follows(share: float) -> None:
-        tell(f"following the path: {100 * share:.0f} %")
-
-    if path is None:
-        path = joint_path(problem.reach, problem.start, duration, problem.period, stride, follows)
+    path = path or _followed(problem, duration, tube, tell)
     search = RankSearch(problem, path, tube, shape, weights, boxes, tell)
     singular = search.singular(path.poses)
     nominal = float(np.min(singular))
     asked = SHARE * nominal if least is None else least
     cover, radius, fails_at = None, 0.0, None
     loss = _unreachable(problem, path, float(singular[-1])) or _lost(search, path, nominal, int(np.argmin(singular)))
+    loss = loss or _doubted(search, path)
     if loss is None:
         loss, cover = _middle(search, path, asked)
     if cover is not None:
@@ -238,8 +251,21 @@ def rank_region(
         fails_at=fails_at,
         path=path,
         boxes=0 if cover is None else len(cover.least),
+        model=diagram.fingerprint,
+        redundant=search.bound.n > search.bound.rows and path.apart is not None,
         loss=loss,
     )
+
+
+def _followed(problem: RankProblem, duration: float, tube: float, tell: Progress) -> JointPath:
+    if problem.reach is None:  # only of a path that is given
+        raise TypeError(problem.matrix)
+    stride, proof = min(max(tube / 2, _LEAST_STRIDE), _MOST_STRIDE), path_tube(problem.path, tube)
+
+    def follows(share: float) -> None:
+        tell(f"following the path: {100 * share:.0f} %")
+
+    return joint_path(problem.reach, problem.start, duration, problem.period, stride, proof, follows)
 
 
 def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> RankLoss | None:
@@ -249,12 +275,24 @@ def _unreachable(problem: RankProblem, path: JointPath, singular: float) -> Rank
     goal = ", ".join(f"{number:.4g}" for number in leave.goal)
     away = f"at t = {leave.later:.6g} s it is at [{goal}], {leave.distance:.3g} m from the nearest point in reach"
     text = (
-        f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
+        f"the path jumps by {leave.jump:.3g} m at t = {leave.time:.6g} s, where no joint path can follow it"
+        if leave.jump
+        else f"the path leaves the workspace at t = {leave.time:.6g} s: {away}"
         if leave.distance > REACHED
         else f"the path passes a singularity at t = {leave.time:.6g} s, behind which no pose near the last reaches it"
     )
     text += f"; the least singular value of {problem.matrix} at the last pose is {singular:.3g} {problem.unit}"
     return RankLoss("unreachable", leave.time, leave.q, singular, text)
+
+
+def _doubted(search: RankSearch, path: JointPath) -> RankLoss | None:
+    """Nothing is proved of a path of which the way between two poses is not known."""
+    doubt = path.doubt
+    if doubt is None:
+        return None
+    why = f"that a joint path follows the desired one is not proved from t = {doubt.time:.6g} s on: {doubt.reason}"
+    singular = float(search.singular(doubt.q[None])[0])
+    return RankLoss("undecided", doubt.time, doubt.q, singular, f"{why}; nothing is proved of {search.problem.matrix}")
 
 
 def _lost(search: RankSearch, path: JointPath, nominal: float, place: int) -> RankLoss | None:

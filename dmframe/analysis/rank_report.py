@@ -8,13 +8,32 @@ from typing import Any, Final
 from dmframe.analysis.rank_region import RankRegion
 
 PROVED: Final = (
-    "Proved, by interval arithmetic with outward rounding: the bound on J J', for every pose in the tube and all "
-    "parameters in the set. Assumed: the robot stays in the tube."
+    "Proved, by interval arithmetic with outward rounding, of the model {model}: the bound on J J', for every pose in "
+    "the tube and all parameters in the set. Assumed: the robot stays in the tube."
 )
+EXACT: Final = (
+    "Proved too: at every time from 0 to {until:.6g} s, not only at the poses, the joint path on which the tool "
+    "follows its path lies within {apart:.2g} rad of the lines between the poses, in each joint; the boxes cover the "
+    "tube about it."
+)
+WAY: Final = "The lines from the start onto the path are one way; the robot may take another."
+MANY: Final = "The robot is redundant: this joint path is one of many, and its controller may choose another."
+GIVEN: Final = "The joint path was given: whether the tool is then on its path was not asked."
 KEPT: Final = "The projection keeps the estimate in the set."
 MODEL: Final = "The true translations must lie in the set: it is what the model may be wrong by."
 
 _MICROMETRE: Final = Decimal("0.000001")
+
+
+def proved(region: RankRegion) -> str:
+    """What is proved of which model, and what is assumed."""
+    parts = [PROVED.format(model=region.model[:12])]
+    if region.apart is None:
+        parts.append(GIVEN)
+    else:
+        parts.append(EXACT.format(until=region.until, apart=region.apart))
+        parts += [WAY] * region.path.led + [MANY] * region.redundant
+    return " ".join([*parts, MODEL if region.option is None else KEPT])
 
 
 def option_value(region: RankRegion) -> list[Any] | None:
@@ -55,8 +74,16 @@ def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
         "time": region.time,
         "q": region.q.tolist(),
         "fails_at": region.fails_at,
-        "path": {"poses": len(path.poses), "span": path.span, "period": path.period},
+        "path": {
+            "poses": len(path.poses),
+            "span": path.span,
+            "period": path.period,
+            "until": region.until,
+            "apart": region.apart,
+        },
         "boxes": region.boxes,
+        "model": region.model,
+        "field_hash": region.model,
         "loss": None
         if loss is None
         else {

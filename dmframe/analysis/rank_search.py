@@ -96,9 +96,10 @@ class RankSearch:
         return witness(self.bound, problem.values, self.path.poses, self.tube, problem.centre, half, self.shape, least)
 
     def segments(self) -> Cover:
-        """A box about each piece of the path, wider by the tube."""
+        """A box about each piece of the path, wider by the tube and by how far the exact path may lie beside it."""
         low, high = self.path.hulls
-        low, high = down(low - self.tube), up(high + self.tube)
+        wide = self.tube if self.path.apart is None else up(self.tube + self.path.apart)
+        low, high = down(low - wide), up(high + wide)
         return Cover(low, high, np.arange(len(low)), np.full(len(low), -np.inf))
 
     def cover(self, radius: float, least: float, begin: Cover) -> tuple[bool, Cover]:

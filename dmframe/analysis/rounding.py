@@ -38,20 +38,13 @@ def unrounded(diagram: Diagram) -> Diagram:
     loop = diagram.loop
     if not rounds(loop):
         return diagram
-    changed = replace(
-        loop,
-        controller=tuple(replace(v, rate=_mean(v.rate), next=_mean(v.next)) for v in loop.controller),
-        plant=tuple(replace(v, rate=_mean(v.rate), next=_mean(v.next)) for v in loop.plant),
-        crossings=tuple(leaf.standing_for(_mean(leaf.expression)) for leaf in loop.crossings),
-        outputs=tuple(replace(signal, expression=_mean(signal.expression)) for signal in loop.outputs),
-    )
-    return replace(diagram, loop=changed)
+    return replace(diagram, loop=loop.mapped(_mean))
 
 
 def rounds(loop: ClosedLoop) -> bool:
     """Whether a signal of the loop is rounded."""
-    moved = [part for v in loop.variables for part in (v.rate, v.next) if part is not None]
-    return any(_rounded(part) for part in (*moved, *(leaf.expression for leaf in loop.crossings)))
+    moved = [*map(loop.moves_of, loop.variables), *(leaf.expression for leaf in loop.crossings)]
+    return any(_rounded(part) for part in moved)
 
 
 def _function(expression: SX) -> tuple[list[SX], Any]:
@@ -64,7 +57,7 @@ def _rounded(expression: SX) -> bool:
 
 
 def _mean(expression: Any) -> Any:
-    if expression is None or not _rounded(expression):
+    if not _rounded(expression):
         return expression
     symbols, f = _function(expression)
     program = read(f)

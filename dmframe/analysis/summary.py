@@ -59,6 +59,8 @@ class LoopAnalysis:
         Estimates of which no true value is known: they are where the set-point has them.
     rounded
         Whether a signal is rounded, as by an encoder.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was analysed.
     """
 
     clock: float | None
@@ -71,6 +73,7 @@ class LoopAnalysis:
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
     rounded: bool = False
+    field_hash: str = ""
 
     @property
     def note(self) -> str:
@@ -127,13 +130,17 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounds(diagram.loop))
+    rounded, field_hash = rounds(diagram.loop), diagram.fingerprint
+    return LoopAnalysis(
+        clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounded, field_hash=field_hash
+    )
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
     """Plain data that JSON can hold; a number that is not finite is None."""
     return {
         "graph": name,
+        "field_hash": analysis.field_hash,
         "clock": analysis.clock if analysis.clock is not None else "continuous",
         "set_point": dict(zip(analysis.at_rest.states, analysis.at_rest.point.tolist(), strict=True)),
         "at_rest": _linear(analysis.at_rest, analysis.clock),

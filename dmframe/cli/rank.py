@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from dmframe.analysis.rank_region import RankRegion, rank_region
-from dmframe.analysis.rank_report import KEPT, MODEL, PROVED, option_value, rank_summary
+from dmframe.analysis.rank_report import option_value, proved, rank_summary
 from dmframe.cli.streams import tell
 from dmframe.columns import columns
 from dmframe.graph import Graph
@@ -45,7 +45,7 @@ def page(graph: Graph, region: RankRegion) -> str:
         "",
         columns(_set(region)),
         "",
-        *(f"  {line}" for line in textwrap.wrap(f"{PROVED} {MODEL if region.option is None else KEPT}", 110)),
+        *(f"  {line}" for line in textwrap.wrap(proved(region), 110)),
     ]
     return "\n".join([*parts, *_use(region)])
 
@@ -63,8 +63,9 @@ def _facts(region: RankRegion) -> Iterator[tuple[str, str]]:
     yield "", f"{region.nominal:.4g} {region.unit} on the path itself, in the middle of the {region.shape}"
     yield "tightest", f"t = {region.time:.4g} s, q = [{', '.join(f'{angle:.4g}' for angle in region.q)}]"
     covered = f"over {path.span:.4g} s" if path.span else "from the start to where the path rests"
-    yield "joint path", f"{len(path.poses)} poses {covered}{'; it repeats itself' if path.span and path.period else ''}"
-    yield "proved over", f"{region.boxes} boxes of poses"
+    again = f"; it repeats itself, proved up to {region.until:.6g} s" if path.span and path.period else ""
+    yield "joint path", f"{len(path.poses)} poses {covered}{again}"
+    yield "proved over", f"{region.boxes} boxes of poses, of the model {region.model[:12]}"
 
 
 def _set(region: RankRegion) -> Iterator[tuple[str, str, str]]:

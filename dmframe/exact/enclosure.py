@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dmframe.errors import ValueFault
 from dmframe.exact.arithmetic import ARITHMETIC
-from dmframe.program import CONST, INPUT, by_code, read, run
+from dmframe.program import CONST, INPUT, OPERATIONS, Node, by_code, read, run
 
 Numbers = NDArray[np.float64]
 
@@ -181,37 +181,46 @@ def _series(coefficients: Sequence[Enclosure], square: Enclosure) -> Enclosure:
 RULES: Final = ARITHMETIC | by_code(
     {"sq": Enclosure.square, "sin": lambda x: x.on_circle[0], "cos": lambda x: x.on_circle[1]}
 )
-_KNOWN: Final = frozenset((INPUT, CONST, *RULES))
 
 
 @final
 class Enclosing:
-    """An SX function of field operations, sine and cosine, evaluated in enclosures.
+    """An SX function evaluated in enclosures; the default `rules` know field operations, sine and cosine.
 
     Raises `ValueFault` for a function that holds any other operation, or a constant that is not finite.
     """
 
-    def __init__(self, f: Any) -> None:
+    def __init__(self, f: Any, rules: Mapping[int, Callable[..., Any]] = RULES) -> None:
         self.sparsity = [f.sparsity_out(j) for j in range(f.n_out())]
-        self._program = read(f)
-        for code, _, _, constant, _ in self._program.nodes:
-            if code not in _KNOWN:
+        self.program, self._rules = read(f), rules
+        for code, _, _, constant, _ in self.program.nodes:
+            if code not in rules and code not in (INPUT, CONST):
                 raise self._refuse(code)
             if not math.isfinite(constant):
                 raise ValueFault(f"{f.name()}: expected finite constants, found {constant}")
 
     def __call__(self, inputs: Sequence[Sequence[Any]]) -> list[list[Enclosure]]:
         """The stored elements of each output; an input is a list of its elements, numbers or enclosures."""
+        return self.program.stored(self.values(inputs))
+
+    def values(
+        self, inputs: Sequence[Sequence[Any]], keep: Callable[[Node, Enclosure], Enclosure] | None = None
+    ) -> list[Enclosure]:
+        """The values of all nodes of the program; `keep` as of `dmframe.program.run`."""
         with np.errstate(invalid="ignore", over="ignore"):
-            values = run(
-                self._program,
-                RULES,
+            return run(
+                self.program,
+                self._rules,
                 given=lambda argument, element: Enclosure.of(inputs[argument][element]),
                 constant=Enclosure.of,
                 refuse=self._refuse,
+                keep=keep,
             )
-        return self._program.stored(values)
 
     def _refuse(self, code: int) -> ValueFault:
-        name = self._program.name
-        return ValueFault(f"{name}: expected + - * /, sin and cos only, found CasADi's instruction {code}")
+        if self._rules is RULES:
+            text = f"expected + - * /, sin and cos only, found CasADi's instruction {code}"
+        else:
+            found = OPERATIONS[code].name if code in OPERATIONS else f"CasADi's instruction {code}"
+            text = f"expected operations of which an enclosure is known, found {found}"
+        return ValueFault(f"{self.program.name}: {text}")

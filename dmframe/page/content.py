@@ -62,6 +62,7 @@ def content_of(
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "field_hash": diagram.fingerprint,
         "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),

@@ -1,0 +1,244 @@
+"""Enclosures of functions that switch: where a comparison is not decided over an interval, both of its values count.
+
+The rules extend those of `dmframe.exact.enclosure`. Over an interval on which a function may jump its derivative bounds
+nothing, so `over_pieces` reports the places. There it evaluates the function once for each way in which its switches
+can turn out: a function that is continuous where it switches then has a narrow range over a narrow interval.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.exact.enclosure import RULES, Enclosing, Enclosure, down, up
+from dmframe.exact.fixed import ONE, Fixed, UndecidedError
+from dmframe.program import COMPARISONS, JUMPS, Node, by_code
+
+_LARGEST_POWER: Final = 64
+_MOST_SWITCHES: Final = 4
+_LARGEST: Final = 600.0
+"""Above this an exponential is taken to overflow, and below its negative to lie between zero and that of this."""
+
+
+def _truth(yes: Any, no: Any) -> Enclosure:
+    """One where it holds, zero where it does not, both where neither is sure."""
+    return Enclosure(np.where(yes, 1.0, 0.0), np.where(no, 0.0, 1.0))
+
+
+def _less(a: Enclosure, b: Enclosure) -> Enclosure:
+    return _truth(a.upper < b.lower, a.lower >= b.upper)
+
+
+def _at_most(a: Enclosure, b: Enclosure) -> Enclosure:
+    return _truth(a.upper <= b.lower, a.lower > b.upper)
+
+
+def _equal(a: Enclosure, b: Enclosure) -> Enclosure:
+    same = (a.lower == a.upper) & (b.lower == b.upper) & (a.lower == b.lower)
+    return _truth(same, (a.upper < b.lower) | (b.upper < a.lower))
+
+
+def _set(a: Enclosure) -> Enclosure:
+    """Whether a number is other than zero."""
+    return _truth((a.lower > 0) | (a.upper < 0), (a.lower == 0) & (a.upper == 0))
+
+
+def _not(a: Enclosure) -> Enclosure:
+    found = _set(a)
+    return Enclosure(1 - found.upper, 1 - found.lower)
+
+
+def _both(a: Enclosure, b: Enclosure) -> Enclosure:
+    return _least(_set(a), _set(b))
+
+
+def _either(a: Enclosure, b: Enclosure) -> Enclosure:
+    return _greatest(_set(a), _set(b))
+
+
+def _where(condition: Enclosure, x: Enclosure) -> Enclosure:
+    """X, zero, or all between them."""
+    found = _set(condition)
+    yes, no = found.lower == 1, found.upper == 0
+    lower = np.where(yes, x.lower, np.where(no, 0.0, np.minimum(x.lower, 0.0)))
+    return Enclosure(lower, np.where(yes, x.upper, np.where(no, 0.0, np.maximum(x.upper, 0.0))))
+
+
+def _least(a: Enclosure, b: Enclosure) -> Enclosure:
+    return Enclosure(np.minimum(a.lower, b.lower), np.minimum(a.upper, b.upper))
+
+
+def _greatest(a: Enclosure, b: Enclosure) -> Enclosure:
+    return Enclosure(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper))
+
+
+def _absolute(a: Enclosure) -> Enclosure:
+    through = (a.lower <= 0) & (a.upper >= 0)
+    return Enclosure(np.where(through, 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper))), a.magnitude)
+
+
+def _sign(a: Enclosure) -> Enclosure:
+    lower = np.where(a.lower > 0, 1.0, np.where(a.lower == 0, 0.0, -1.0))
+    return Enclosure(lower, np.where(a.upper < 0, -1.0, np.where(a.upper == 0, 0.0, 1.0)))
+
+
+def _floor(a: Enclosure) -> Enclosure:
+    return Enclosure(np.floor(a.lower), np.floor(a.upper))
+
+
+def _ceil(a: Enclosure) -> Enclosure:
+    return Enclosure(np.ceil(a.lower), np.ceil(a.upper))
+
+
+def _rest(a: Enclosure, b: Enclosure, whole: Callable[[Any], Any], most: Enclosure) -> Enclosure:
+    """A - b k, with k the whole quotient where it is one over the interval; else all numbers of `most`."""
+    quotient = a / b
+    k = whole(quotient.lower)
+    sure = np.isfinite(k) & (k == whole(quotient.upper))
+    found = a - b * Enclosure.of(np.where(sure, k, 0.0))
+    return Enclosure(np.where(sure, found.lower, most.lower), np.where(sure, found.upper, most.upper))
+
+
+def _fmod(a: Enclosure, b: Enclosure) -> Enclosure:
+    size = b.magnitude
+    most = Enclosure(np.where(a.lower >= 0, 0.0, -size), np.where(a.upper <= 0, 0.0, size))
+    return _rest(a, b, np.trunc, most)
+
+
+def _remainder(a: Enclosure, b: Enclosure) -> Enclosure:
+    half = up(b.magnitude / 2)
+    return _rest(a, b, np.rint, Enclosure(-half, half))
+
+
+def _root(a: Enclosure) -> Enclosure:
+    """IEEE 754's root is the nearest number to the true one; no number where the operand may be negative."""
+    with np.errstate(invalid="ignore"):
+        return Enclosure(np.maximum(down(np.sqrt(a.lower)), 0.0), up(np.sqrt(a.upper)))
+
+
+def _power(a: Enclosure, b: Enclosure) -> Any:
+    """Whole powers and the root; others are refused."""
+    if b.lower.ndim or b.lower != b.upper:
+        return NotImplemented
+    k = float(b.lower)
+    if k == 0.5:
+        return _root(a)
+    if k != int(k) or abs(k) > _LARGEST_POWER:
+        return NotImplemented
+    if k < 0:
+        return 1 / _power(a, -b)
+    found = a.square() if k >= 2 else Enclosure.of(1.0)
+    for _ in range(int(k) // 2 - 1):
+        found = found * a.square()
+    return found * a if int(k) % 2 else found
+
+
+def _rising(rule: Callable[[Fixed], Fixed]) -> Callable[[Enclosure], Enclosure]:
+    """A function that rises, by the ends of the interval, each in many places."""
+
+    def ends(x: float) -> tuple[float, float]:
+        """Below and above the value at x; far out tanh is what it is at the largest, up to the next number."""
+        if x < -_LARGEST and rule is Fixed.exp:
+            return 0.0, ends(-_LARGEST)[1]
+        if not abs(x) <= _LARGEST:
+            return (np.nan, np.nan) if rule is Fixed.exp or np.isnan(x) else ends(np.copysign(_LARGEST, x))
+        scaled = Fraction(x) * ONE
+        try:
+            found = rule(Fixed(scaled.numerator // scaled.denominator, -(-scaled.numerator // scaled.denominator)))
+        except UndecidedError:
+            return np.nan, np.nan
+        return float(down(float(Fraction(found.lower, ONE)))), float(up(float(Fraction(found.upper, ONE))))
+
+    both: Any = np.vectorize(ends, otypes=[float, float])
+    return lambda a: Enclosure(both(a.lower)[0], both(a.upper)[1])
+
+
+SWITCHING: Final = RULES | by_code(
+    {
+        "lt": _less,
+        "le": _at_most,
+        "eq": _equal,
+        "ne": lambda a, b: _not(_equal(a, b)),
+        "not": _not,
+        "and": _both,
+        "or": _either,
+        "if_else_zero": _where,
+        "fmin": _least,
+        "fmax": _greatest,
+        "fabs": _absolute,
+        "sign": _sign,
+        "floor": _floor,
+        "ceil": _ceil,
+        "fmod": _fmod,
+        "remainder": _remainder,
+        "sqrt": _root,
+        "pow": _power,
+        "constpow": _power,
+        "exp": _rising(Fixed.exp),
+        "tanh": _rising(Fixed.tanh),
+    }
+)
+"""The rules of enclosures, and those of operations that switch."""
+
+_CHOICES: Final = by_code({"if_else_zero": None})
+"""It jumps where its condition does, which is a value of its own."""
+_RESTS: Final = by_code({"fmod": np.trunc, "remainder": np.rint})
+_STEPS: Final = by_code({"floor": None, "ceil": None})
+_SIGNS: Final = by_code({"sign": None})
+
+
+def over_pieces(
+    f: Enclosing, inputs: Sequence[Sequence[Any]], shape: tuple[int, ...]
+) -> tuple[list[Enclosure], NDArray[np.bool_]]:
+    """The elements of a function's first output; and where the function may jump over its interval."""
+    values = f.values(inputs)
+    jumps, ways = np.zeros(shape, dtype=bool), dict[int, list[Enclosure]]()
+    for place, (node, value) in enumerate(zip(f.program.nodes, values, strict=True)):
+        if node.code in _RESTS:
+            value = _quotient(node, values)  # it jumps where this does
+        if node.code in JUMPS and node.code not in _CHOICES and not np.all(value.lower == value.upper):
+            jumps |= ~(value.lower == value.upper)
+            if node.code in COMPARISONS or node.code in _SIGNS:
+                ways[place] = [Enclosure.of(k) for k in (0.0, 1.0, -1.0)[: 2 + (node.code in _SIGNS)]]
+            elif node.code in (*_STEPS, *_RESTS) and np.all(value.upper - value.lower <= 1):
+                ways[place] = [Enclosure.of(value.lower), Enclosure.of(value.upper)]
+    (found,) = f.program.stored(values)
+    if not ways or len(ways) > _MOST_SWITCHES:
+        return found, jumps
+    outcomes = [_turned_out(f, inputs, dict(zip(ways, chosen, strict=True))) for chosen in product(*ways.values())]
+    return [_hull(elements) for elements in zip(*outcomes, strict=True)], jumps
+
+
+def _quotient(node: Node, values: Sequence[Enclosure]) -> Enclosure:
+    """Which whole multiple of the divisor a rest leaves out."""
+    quotient, whole = values[node.a] / values[node.b], _RESTS[node.code]
+    return Enclosure(whole(quotient.lower), whole(quotient.upper))
+
+
+def _turned_out(f: Enclosing, inputs: Sequence[Sequence[Any]], chosen: Mapping[int, Enclosure]) -> list[Enclosure]:
+    """The first output with some switches as they may turn out."""
+    seen = list[Enclosure]()
+
+    def keep(node: Node, value: Enclosure) -> Enclosure:
+        way = chosen.get(len(seen))
+        if way is not None:
+            value = seen[node.a] - seen[node.b] * way if node.code in _RESTS else way
+        seen.append(value)
+        return value
+
+    return f.program.stored(f.values(inputs, keep))[0]
+
+
+def _hull(parts: Sequence[Enclosure]) -> Enclosure:
+    total = parts[0]
+    for part in parts[1:]:
+        total = Enclosure(np.minimum(total.lower, part.lower), np.maximum(total.upper, part.upper))
+    return total
+
+
+__all__ = ["SWITCHING", "over_pieces"]
