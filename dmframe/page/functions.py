@@ -72,8 +72,8 @@ class Functions:
     shown
         (state, t, T, p) -> what is drawn of an instant: `scene`, then the groups.
     judged
-        (state, p) -> the margins of `conditions`, the least kappa, and the true values of estimates; the state is that
-        at the start, on which conditions may depend.
+        (pose, T, p) -> the margins of `conditions`, the least kappa, and the true values of estimates: conditions may
+        depend on where the states start, and there a start is taken as it is said to be, inside of its box or not.
     starts
         The rows of the state whose starts the pose or p decides, and the elements of p that decide any of them.
     scene
@@ -143,9 +143,9 @@ def functions_of(
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
     claim = verdict.claim if verdict.samples is None else verdict.samples.base
-    begin = _function("begin", [_pose(posed), loop.period, loop.p], [symbolic_start(diagram, start, posed)[1]])
-    reach = _reach(diagram, posed, start)
-    starts, labels = _starts(loop, begin, reach)
+    said, begun = symbolic_start(diagram, start, posed)
+    known, reach = [_pose(posed), loop.period, loop.p], _reach(diagram, posed, start)
+    starts, labels = _starts(loop, _function("said", known, [said]), reach)
     everything = elsewhere(verdict.conditions, claim, uncertain or {}, labels)
     judged, places = _margins(everything)
     count, kappa, least = len(verdict.conditions), None, None
@@ -200,10 +200,10 @@ def functions_of(
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
-        begin=begin,
+        begin=_function("begin", known, [begun]),
         reach=reach,
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
-        judged=_function("judged", [loop.state, loop.p], [_started(claim, judged)]),
+        judged=_function("judged", known, [_started(claim, judged, said)]),
         scene=scene.numel(),
         goal=goal,
         groups=tuple(groups),
@@ -217,23 +217,23 @@ def functions_of(
     )
 
 
-def _starts(loop: ClosedLoop, begin: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
+def _starts(loop: ClosedLoop, said: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
     """See `Functions.starts`; and the labels of the states that these rows are of."""
-    patterns = [np.asarray(begin.jac_sparsity(0, i).row()) for i in (0, 2)]
+    patterns = [np.asarray(said.jac_sparsity(0, i).row()) for i in (0, 2)]
     rows = sorted({int(row) for pattern in patterns for row in pattern})
-    read = set(begin.jac_sparsity(0, 2).get_col())
+    read = set(said.jac_sparsity(0, 2).get_col())
     if reach is not None:
         read |= set(reach.jac_sparsity(0, 1).get_col())
     owners = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
     return (tuple(rows), tuple(sorted(int(place) for place in read))), {owners[row] for row in rows}
 
 
-def _started(claim: Claim | None, judged: SX) -> SX:
-    """Margins with the state at the start in the place of the symbols of starts."""
+def _started(claim: Claim | None, judged: SX, said: SX) -> SX:
+    """Margins with what is said of the start in the place of the symbols of starts."""
     if claim is None:
         return judged
     names = stack(claim.starts[variable.label] for variable in claim.loop.variables)
-    return ca.substitute(judged, names, claim.loop.state)
+    return ca.substitute(judged, names, said)
 
 
 def _function(name: str, reads: Sequence[SX], gives: Sequence[SX]) -> Any:

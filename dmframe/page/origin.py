@@ -26,8 +26,8 @@ def origin_of(experiment: Experiment) -> dict[str, Any] | None:
     source = robot_source(experiment)
     if source is None:
         return None
-    stated = source.folder / SOURCE
-    text = _head(stated.read_text("utf-8")) if stated.is_file() else ""
+    stated = None if source.folder is None else source.folder / SOURCE
+    text = _head(stated.read_text("utf-8")) if stated is not None and stated.is_file() else ""
     licences = dict(_licences(source.urdf))
     if COLLECTION in source.urdf.parts:
         licences |= dict(_of_the_collection())

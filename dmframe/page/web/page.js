@@ -35,8 +35,8 @@ function simulate(quick) {
   const took = performance.now() - begun;
   if (run.work > 2000) perMs = run.work / Math.max(took, 1);
   if (run.short) run.notices.push(quick ? `while it is moved, the first ${plain(run.short, "s")} are run` : `so short are the steps that only ${plain(run.short, "s")} are run`);
-  run.judged = loop.judged(p, run.begin);
-  run.spread = loop.spread(p, run.begin);
+  run.judged = loop.judged(p, run.start, run.tick);
+  run.spread = loop.spread(p, run.start, run.tick);
   run.climb = climb(p);
   time = Math.min(time, run.times.at(-1));
   tell(p);

@@ -43,7 +43,7 @@ export async function loaded(content) {
 
 export class Loop {
   constructor(content, exports) {
-    this.content = { ...content, start: Float64Array.from(content.state, Number) };
+    this.content = content;
     this.exports = exports;
     const { sizes } = content, states = sizes.Z + sizes.X;
     this.states = states;
@@ -74,20 +74,27 @@ export class Loop {
     if (lacking > 0) memory.grow(Math.ceil(lacking / 65536));
   }
 
-  // Margins of conditions, the least kappa and true values of estimates, at the numbers p and from a start.
-  judged(p, start = this.content.start) {
+  // Margins of conditions, the least kappa and true values of estimates, at the numbers p and from a pose.
+  judged(p, pose = this.pose, tick = this.content.tick) {
     this.view("p", p.length).set(p);
-    this.view("beside", this.states).set(start);
-    this.exports.judged(this.places.beside, this.places.p, this.places.judged);
+    this.view("pose", pose.length).set(pose);
+    this.view("T", 1)[0] = tick;
+    this.exports.judged(this.places.pose, this.places.T, this.places.p, this.places.judged);
     return this.view("judged", this.content.sizes.judged).slice();
   }
 
+  // The file's pose at the start.
+  get pose() {
+    const { pose, state } = this.content;
+    return pose ? state.slice(pose.at, pose.at + pose.size) : [];
+  }
+
   // By how much these move with numbers that are off by sixteen roundings: a margin below that has no sure sign.
-  spread(p, start = this.content.start) {
-    const here = this.judged(p, start), most = new Float64Array(here.length);
+  spread(p, pose = this.pose, tick = this.content.tick) {
+    const here = this.judged(p, pose, tick), most = new Float64Array(here.length);
     for (let turn = 1; turn <= 4; turn++) {
       const off = (value, k) => value * (1 + Math.sign(Math.sin(turn * (k + 0.5) * 2.4)) * 2 ** -48);
-      const beside = this.judged(p.map(off), start.map(off));
+      const beside = this.judged(p.map(off), pose.map(off), tick);
       beside.forEach((value, k) => (most[k] = Math.max(most[k], Math.abs(value - here[k]))));
     }
     return most;
@@ -233,7 +240,7 @@ export class Loop {
         notices.push(`at longer steps the integrator itself diverged: rk4 took steps of ${plain(h, "s")}`);
       }
     }
-    return { ...this.shown(run, tick), ...run, start: q, begin: start, tick, horizon: ticks * tick, notices };
+    return { ...this.shown(run, tick), ...run, start: q, tick, horizon: ticks * tick, notices };
   }
 
   // The state at kept instants, from a start on; `divergence` is where it left its bounds.

@@ -6,7 +6,8 @@ export function conditionsAt({ verdict }, judged, moved, spread) {
   const rows = verdict.conditions.map((condition) => decided(condition, judged, moved, spread));
   if (!moved.p && !moved.start) return rows;
   const tacit = (verdict.tacit ?? []).map((condition) => decided(condition, judged, moved, spread));
-  return [...rows, ...tacit.filter(({ holds }) => holds !== true)];
+  const named = new Set(rows.map(({ name }) => name));
+  return [...rows, ...tacit.filter(({ name, holds }) => holds !== true && !named.has(name))];
 }
 
 // `opens`: where its margin does not hold, `verify` would look in another way, so that nothing is decided.

@@ -5,7 +5,7 @@ const { web, content, runs = [], judged = [], climbs = [], quantities = [] } = J
 const { loaded, plain } = await import(`${web}/solver.js`);
 const { climbOf, judgement } = await import(`${web}/verdict.js`);
 
-const loop = content.module ? await loaded(content) : null;
+const loop = content?.module ? await loaded(content) : null;
 const answers = [];
 for (const { p = content.p, ...asked } of runs) {
   const run = loop.simulate({ p, ...asked });
@@ -20,9 +20,9 @@ for (const { p = content.p, ...asked } of runs) {
   });
 }
 for (const { p = null, margins = null, shift = null, run = {}, moved: { at, ...moved } } of judged) {
-  const start = p ? loop.begun(p, shift, content.tick).state : null;
-  const found = p ? loop.judged(p, start) : Float64Array.from(margins, (value) => value ?? NaN);
-  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved, p ? loop.spread(p, start) : null, run));
+  const pose = p ? loop.posed(p, shift).q : null;
+  const found = p ? loop.judged(p, pose) : Float64Array.from(margins, (value) => value ?? NaN);
+  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved, p ? loop.spread(p, pose) : null, run));
 }
 for (const { V, wrong } of climbs) answers.push(climbOf(V, wrong));
 process.stdout.write(JSON.stringify({ answers, plain: quantities.map((pair) => plain(...pair)) }));
