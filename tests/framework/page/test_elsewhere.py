@@ -199,6 +199,7 @@ class Reader(AbstractBlock):
     states: ClassVar[tuple[State, ...]] = (State("x"),)
     k: Scalar = Positive("", "", default=2.0)
     few: Scalar = Positive("", "", default=2.0)
+    numeric: bool = False
 
     @model_validator(mode="after")
     def _small(self) -> Reader:
@@ -213,16 +214,19 @@ class Reader(AbstractBlock):
         return Certificate((Square(x.x),), (Square(x.x, p.few * p.k),))
 
     def conditions(self, p: Any, truth: Any) -> tuple[Inequality, ...]:
-        return (Inequality("k < 3", 3 - ca.SX(float(self.k)), "nobody"),)
+        return (Inequality("k < 3", 3 - (ca.SX(float(self.k)) if self.numeric else p.k), "here"),)
 
 
-def test_a_slider_moves_no_number_that_a_claim_reads_as_such_and_reaches_none_that_is_refused() -> None:
+def test_no_claim_reads_a_number_as_such_and_a_slider_reaches_none_that_is_refused() -> None:
     diagram = Diagram.build({"toy": Reader()})
     assert verify(Diagram.build({"toy": Reader(k=4.0)})).outcome == "not_applicable"
-    (slider,) = sliders_of(diagram, verify(diagram))
-    assert slider.label == "toy.few"
-    assert 2 * slider.most < 5
-    assert slider.most > 1.5
+    refused = verify(Diagram.build({"toy": Reader(numeric=True)}))
+    assert refused.outcome == "not_applicable"
+    assert "toy: its methods read the number k from self" in refused.reason
+    sliders = {slider.label: slider for slider in sliders_of(diagram, verify(diagram))}
+    assert sliders.keys() == {"toy.k", "toy.few"}
+    assert 2 * sliders["toy.few"].most < 5
+    assert sliders["toy.few"].most > 1.5
 
 
 def test_a_number_is_written_as_its_block_was_given_it() -> None:
