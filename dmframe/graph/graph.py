@@ -392,10 +392,16 @@ class Graph:
 
         return Drawing(self.diagram, self.title)
 
-    def page(self) -> Page:
+    def page(self, *, periods: bool = True) -> Page:
         """Its live page: the closed loop runs in a browser, under sliders, beside its verdict.
 
         A notebook shows it; `Page.save` writes one file that needs no other and no network. The graph is proved for it.
+
+        Parameters
+        ----------
+        periods
+            Look for the sampling periods up to which the loop is stable near its set-point, two to five seconds for a
+            UR10: beyond them the page does not show a proof in continuous time as if it held for its clock.
 
         Raises
         ------
@@ -403,8 +409,13 @@ class Graph:
             A loop that cannot run in a browser: one that draws random numbers, say.
         """
         from dmframe.page import Page
+        from dmframe.page.periods import stable_periods
 
-        page = Page(self.experiment, self.diagram, self.verify().verdict)
+        verdict, found = self.verify().verdict, None
+        if periods:
+            with telling(self.name) as tell, SYMBOLIC:
+                found = stable_periods(self.diagram, self.clock, verdict, self.experiment.start, tell)
+        page = Page(self.experiment, self.diagram, verdict, found)
         _ = page.html
         return page
 
