@@ -119,7 +119,7 @@ class FilteredRegressor(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
-        if self.bias == (self.Gamma_b is not None):
+        if self.bias == ("Gamma_b" in p):
             raise ValueFault(
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
                 f"integrator; found {'both' if self.bias else 'neither'}"
@@ -178,9 +178,7 @@ class FilteredRegressor(AbstractBlock):
 
     def _inertial(self, u: Signals, p: Signals) -> SX:
         """Its columns for the inertial parameters."""
-        zero = ca.DM.zeros(p.robot.n)
-        moving, still = p.robot.regressor(u.q, zero, zero, u.dq), p.robot.regressor(u.q, zero, zero, zero)
-        return named("Y_p", ca.densify(moving - still))
+        return named("Y_p", ca.densify(p.robot.momentum_regressor(u.q, u.dq)))
 
     def _rest(self, u: Signals, p: Signals) -> SX:
         """Y_r of Y_r a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""
