@@ -25,9 +25,10 @@ from dmframe.analysis.set_point import (
     rates,
     undrawn,
 )
+from dmframe.analysis.switches import turning
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ShapeError
+from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step
@@ -70,6 +71,8 @@ class Linear:
         Largest rate at `point`; it would be zero at an equilibrium.
     advanced
         Z as a function of the period T [s]: the slope of the map of one sample that a run takes.
+    kinks
+        Operations whose slope jumps at `point`: the linearised loop has that of one side.
     clock
         The period [s] at which a loop that runs on a clock alone was linearised; None for one in continuous time.
     again
@@ -88,6 +91,7 @@ class Linear:
     command: Array
     plant_A: Array
     plant_B: Array
+    kinks: tuple[str, ...] = ()
     clock: float | None = None
     again: Callable[[float], Linear] | None = None
 
@@ -200,7 +204,9 @@ def linearise(
     moving: bool = False,
     clock: float | None = None,
 ) -> Linear:
-    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn or rounded.
+    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn.
+
+    What a block declares to be rounded is as it is in the mean; any other switch as it turns out at the point.
 
     Parameters
     ----------
@@ -215,7 +221,7 @@ def linearise(
     Raises
     ------
     ShapeError, EngineError
-        A state of another size; no equilibrium; a loop that needs a clock.
+        A state of another size; no equilibrium; one at which the loop jumps; a loop that needs a clock.
     """
     still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
@@ -224,6 +230,7 @@ def linearise(
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
     p = at_speed(loop) if moving else loop.p_values
     field, slope = rates(loop), rates(loop).jacobian()
+    kinks = _kinks(loop, point, p, T)
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
@@ -257,11 +264,25 @@ def linearise(
             command=told(command(point, p, T, 0)[0]),
             plant_A=told(plant_A(point[first:], u, p)),
             plant_B=told(plant_B(point[first:], u, p)),
+            kinks=kinks,
             clock=T if loop.clocked else None,
             again=again if loop.clocked else None,
         )
 
     return at(point, T)
+
+
+def _kinks(loop: ClosedLoop, point: Array, p: Array, T: float) -> tuple[str, ...]:
+    """Where its slope is that of one side; refused where it jumps, for it then has none."""
+    symbols = [loop.state, loop.p, loop.period]
+    held = undrawn(loop, loop.on_path(loop.acting([moves(loop)])[0]))
+    jumps, kinks = turning(held, symbols, [point, p, T])
+    if jumps:
+        raise EngineError(
+            f"linearise: expected a loop without a jump at its set-point, found that it rests where {listed(jumps)} "
+            "jumps: it has no slope there; give another set-point, or replace the switch by a steep smooth function"
+        )
+    return tuple(kinks)
 
 
 def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
