@@ -32,7 +32,7 @@ from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.exact.fixed import ONE, Fixed, UndecidedError, fixed_values
 from dmframe.exact.matrix import Matrix, held
 from dmframe.exact.rows import Row, combined, dense, picked, product, sparse, stored_rows
-from dmframe.program import Program, read
+from dmframe.program import INPUT, Program, read
 
 MOST_STATES: Final = 3000
 """Of a loop with more states nothing is tried: it would take minutes."""
@@ -98,6 +98,8 @@ class EnclosedLoop:
         exactly = [Fixed.around(float(value)) for value in linear.point]
         self._check_room([exactly, self._p, [Fixed.around(clock)]])  # told before that a projection turns there
         self.split = split or split_moves(self.loop, linear.point, self._p, Fixed.around(clock))
+        programs = (self.split.y, self.split.L, self.split.R, self.split.guards)
+        self._timed = any(node.code == INPUT and node.a == 2 for program in programs for node in program.nodes)
         self._once: Enclosure | None = None
         self._last: tuple[float, Enclosure] | None = None
 
@@ -116,7 +118,7 @@ class EnclosedLoop:
         here, T = self.at(period), Fixed.around(period)
         _, integral = held(here.A, T)
         first, steps = self.linear.controller, list[Row]()
-        rows = [v.next is None for v in self.loop.stepped for _ in range(v.symbol.numel())]
+        rows = [not v.sampled for v in self.loop.stepped for _ in range(v.symbol.numel())]
         for row, flows in enumerate(rows):
             steps.append({place: T * value for place, value in here.L[row].items()} if flows else here.L[row])
         flowing = {k: {first + j: value for j, value in row.items()} for k, row in enumerate(sparse(integral))}
@@ -132,7 +134,7 @@ class EnclosedLoop:
 
     def at(self, period: float) -> Enclosure:
         """Where the loop rests on a clock of that period [s]; once for all where its equations do not read it."""
-        if self.linear.clock is not None:
+        if self.linear.clock is not None or self._timed:
             if self._last is None or self._last[0] != period:
                 self._last = period, self._on(period)
             return self._last[1]

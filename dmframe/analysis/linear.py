@@ -76,7 +76,10 @@ class Linear:
     clock
         The period [s] at which a loop that runs on a clock alone was linearised; None for one in continuous time.
     again
-        The same loop at the set-point that it has on another clock; only where there is a `clock`.
+        The same loop at the set-point that it has on another clock; only where there is a `clock`, or a step with a
+        second term.
+    period
+        The period [s] at which `point` and the slopes are; zero of a loop in continuous time.
     """
 
     states: tuple[str, ...]
@@ -94,6 +97,7 @@ class Linear:
     kinks: tuple[str, ...] = ()
     clock: float | None = None
     again: Callable[[float], Linear] | None = None
+    period: float = 0.0
 
     @cached_property
     def _others(self) -> Array:
@@ -139,7 +143,7 @@ class Linear:
 
     def on(self, period: float) -> Linear:
         """The loop at the set-point that it has on a clock of that period [s]."""
-        return self if self.again is None or period == self.clock else self.again(period)
+        return self if self.again is None or period == self.period else self.again(period)
 
     def sampled(self, period: float) -> Array:
         r"""The state's transition over one tick of that period [s].
@@ -234,7 +238,7 @@ def linearise(
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
-    first = slopes.size1_out(0)
+    first, timed = slopes.size1_out(0), bool(loop.clocked or ca.depends_on(moves(loop), loop.period))
 
     def told(matrix: Any) -> Array:
         return np.asarray(computable(loop, "linearise", np.asarray(matrix.full())))
@@ -266,7 +270,8 @@ def linearise(
             plant_B=told(plant_B(point[first:], u, p)),
             kinks=kinks,
             clock=T if loop.clocked else None,
-            again=again if loop.clocked else None,
+            again=again if timed else None,
+            period=T,
         )
 
     return at(point, T)
@@ -302,8 +307,7 @@ def _trajectory_slope(loop: ClosedLoop, point: Array, p: Array, T: float) -> Arr
 def _plant(loop: ClosedLoop) -> tuple[Any, Any]:
     """Jacobians of the plant's rate in the states that flow and in what is held over a sample."""
     x, (held, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
-    (rate,) = loop.projected([stack(v.rate for v in loop.flowing)], joined=False)
-    rate, inputs = loop.on_path(rate), [x, held, loop.p]
+    rate, inputs = loop.on_path(loop.flow), [x, held, loop.p]
     return (
         ca.Function("plant_A", inputs, [ca.jacobian(rate, x)]),
         ca.Function("plant_B", inputs, [ca.jacobian(rate, held)]),

@@ -80,8 +80,7 @@ class SplitMoves:
         loop = self.loop
         held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
         x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
-        (rate,) = loop.projected([stack(v.rate for v in loop.flowing)], joined=False)
-        slope = ca.densify(ca.jacobian(loop.on_path(rate), x))
+        slope = ca.densify(ca.jacobian(loop.on_path(loop.flow), x))
         return held, read(ca.Function("flow", [x, leaves, loop.p], [ca.cse(slope)]))
 
 
@@ -139,13 +138,13 @@ def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
     put_back = [item.state for item in loop.projections]
     own, row = dict[int, Sum](), 0
     for v in loop.variables:
-        (rate,) = loop.projected([v.rate], joined=False)
+        (rate,) = loop.projected(loop.rates_of([v]), joined=False)
         free = not any(ca.depends_on(state, v.symbol) for state in put_back)
         steady = v not in loop.flowing or not ca.depends_on(loop.on_path(rate), flowing)
         for k in range(row, row + v.symbol.numel()):
             one = sums[places[k]]
             if free and steady and one is not None:
-                own[k] = one if v.next is not None else scaled(one, Fraction(1), 1) or {}
+                own[k] = one if v.sampled else scaled(one, Fraction(1), 1) or {}
         row += v.symbol.numel()
     return conserved(own)
 
@@ -179,7 +178,7 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
         whole[place] = False
     sums, values, T = sums_of(program.nodes, whole), _values(program, symbols), symbols[2]
     own = {node.b: k for k, node in reversed(list(enumerate(program.nodes))) if node.code == INPUT and not node.a}
-    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
+    sampled = [v.sampled for v in loop.variables for _ in range(v.symbol.numel())]
 
     def summed(state: int, place: int) -> SX:
         one = sums[place]

@@ -175,10 +175,9 @@ def _known(diagram: Diagram, signal: Signal, matrix: SX, joints: Variable) -> di
 
 def _enclosed(diagram: Diagram) -> list[Enclosure]:
     """The loop's parameters, each element a number or, where it is rational, an enclosure of it."""
-    exact = {} if diagram.robot is None else {c.name: c.values for c in SymbolicRobot(diagram.robot).constants}
     enclosed = list[Enclosure]()
     for parameter in diagram.loop.parameters:
-        rational = exact.get(parameter.label)
+        rational = parameter.rational
         numbers = parameter.value.ravel(order="F") if rational is None else map(Enclosure.around, rational)
         enclosed += [Enclosure.of(number) for number in numbers]
     return enclosed

@@ -83,6 +83,7 @@ def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
         },
         "boxes": region.boxes,
         "model": region.model,
+        "field_hash": region.model,
         "loss": None
         if loss is None
         else {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 
@@ -32,19 +32,7 @@ def unrounded(diagram: Diagram) -> Diagram:
     steps = _steps(diagram)
     if not steps:
         return diagram
-
-    def mean(expression: Any) -> Any:
-        return None if expression is None else _mean(expression, steps)
-
-    loop = diagram.loop
-    changed = replace(
-        loop,
-        controller=tuple(replace(v, rate=mean(v.rate), next=mean(v.next)) for v in loop.controller),
-        plant=tuple(replace(v, rate=mean(v.rate), next=mean(v.next)) for v in loop.plant),
-        crossings=tuple(leaf.standing_for(mean(leaf.expression)) for leaf in loop.crossings),
-        outputs=tuple(replace(signal, expression=mean(signal.expression)) for signal in loop.outputs),
-    )
-    return replace(diagram, loop=changed)
+    return replace(diagram, loop=diagram.loop.mapped(lambda expression: _mean(expression, steps)))
 
 
 def averaged(diagram: Diagram) -> dict[str, float]:

@@ -185,15 +185,16 @@ def _given(loop: ClosedLoop, estimates: Mapping[str, Any]) -> dict[str, np.ndarr
 
 
 def moves(loop: ClosedLoop) -> SX:
-    """What is zero where a loop rests: the rates, and what each sampled state moves in one sample, unless it counts."""
-    return stack(v.rate if v.next is None else 0 * v.symbol if counts(v) else v.next - v.symbol for v in loop.variables)
+    """What is zero where a loop rests (`ClosedLoop.moves_of`); a state that counts samples moves nothing."""
+    return stack(0 * v.symbol if counts(v) else loop.moves_of(v) for v in loop.variables)
 
 
 def counts(variable: Variable) -> bool:
     """True for a sampled state that grows by the same number in each sample, whatever happens."""
-    if variable.next is None or symbols_in([variable.next]) != symbols_in([variable.symbol]):
+    gained = variable.gained
+    if gained is None or symbols_in([gained]) - symbols_in([variable.symbol]):
         return False
-    step = ca.Function("step", [variable.symbol], [ca.vec(ca.densify(variable.next - variable.symbol))])
+    step = ca.Function("step", [variable.symbol], [ca.vec(ca.densify(gained))])
     if codes(step) & (JUMPS | KINKS | EDGES) or not ca.jacobian(step(variable.symbol), variable.symbol).is_zero():
         return False
     return bool(np.all(step(np.zeros(variable.symbol.shape)).full() > 0))
@@ -215,7 +216,7 @@ def period_of(loop: ClosedLoop, clock: float | None) -> float:
 
 
 def _unit(loop: ClosedLoop, row: int) -> str:
-    sampled = [v.next is not None for v in loop.variables for _ in range(v.symbol.numel())]
+    sampled = [v.sampled for v in loop.variables for _ in range(v.symbol.numel())]
     return "sample" if sampled[row] else "second"
 
 
@@ -226,12 +227,8 @@ def at_set_point(loop: ClosedLoop, name: str, expression: SX) -> Any:
     """
     held = undrawn(loop, loop.on_path(loop.acting([expression])[0]))
     if symbols_in([held]) & symbols_in([loop.time]):
-        timed = [
-            v
-            for v in loop.variables
-            if symbols_in(loop.joined([v.rate if v.next is None else v.next])) & symbols_in([loop.time])
-        ]
-        where = ", ".join(f"d {v.label}/dt" if v.next is None else f"{v.label}+" for v in timed) or name
+        timed = [v for v in loop.variables if symbols_in(loop.joined([loop.moves_of(v)])) & symbols_in([loop.time])]
+        where = ", ".join(f"{v.label}+" if v.sampled else f"d {v.label}/dt" for v in timed) or name
         raise EngineError(f"set-point: expected a loop that rests when its trajectories do, found t in {where}")
     return ca.Function(name, [loop.state, loop.p, loop.period], [ca.cse(held)])
 

@@ -60,6 +60,8 @@ class LoopAnalysis:
         Estimates of which no true value is known: they are where the set-point has them.
     averaged
         Outputs that blocks declare to be rounded, as encoders are, each with its largest step.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was analysed.
     """
 
     clock: float | None
@@ -72,6 +74,7 @@ class LoopAnalysis:
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
     averaged: Mapping[str, float] = field(default_factory=dict)
+    field_hash: str = ""
 
     @property
     def note(self) -> str:
@@ -131,13 +134,15 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, averaged(diagram))
+    means, field_hash = averaged(diagram), diagram.fingerprint
+    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, means, field_hash)
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
     """Plain data that JSON can hold; a number that is not finite is None."""
     return {
         "graph": name,
+        "field_hash": analysis.field_hash,
         "clock": analysis.clock if analysis.clock is not None else "continuous",
         "set_point": dict(zip(analysis.at_rest.states, analysis.at_rest.point.tolist(), strict=True)),
         "at_rest": _linear(analysis.at_rest, analysis.clock),

@@ -59,6 +59,17 @@ class BlockModel:
         """The estimates that the block declares, without those that its options leave out."""
         return tuple(item for item in self.block.estimates if item.name in self.states)
 
+    def stated_start(self, sizes: Sizes) -> Mapping[str, SX] | str:
+        """Where the block's states start, in its own symbols, truths among them; what it lacks, where it cannot say."""
+        u, _, p = self.signals()
+        known = {port.name: symbol(port.name, sizes.of(port.shape)) for port in self.block.truth if sizes.knows(port)}
+        try:
+            with told_by(self.name, "start()"):
+                stated = self.block.composed_start(u, p, Signals(self.name, "truths of known size", known))
+            return {name: ca.SX(value) for name, value in stated.items()}
+        except BlockError as fault:  # a run that needs the start raises it
+            return fault.text
+
     def needs(self, expression: SX) -> tuple[str, ...]:
         """The inputs on which an expression depends, from its structure: feedthrough is read, never declared."""
         key = nodes(expression)

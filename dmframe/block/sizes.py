@@ -39,6 +39,10 @@ class Sizes:
         """The numbers that a shape stands for: ``"n p"`` -> (3, 36). Raises KeyError for an unbound letter."""
         return tuple(int(word) if word.isdigit() else self.bound[word][0] for word in shape.split())
 
+    def knows(self, item: Port | State) -> bool:
+        """Whether all letters of its shape are bound."""
+        return all(word.isdigit() or word in self.bound for word in item.shape.split())
+
     def matrix(self, shape: str) -> tuple[int, int]:
         """Rows and columns: ``"n"`` -> (3, 1)."""
         rows, columns, *_ = (*self.of(shape), 1, 1)

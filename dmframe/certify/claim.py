@@ -260,7 +260,7 @@ class Field:
         loop = self.loop
         variables = loop.variables
         self._leaves = [loop.time, *(variable.symbol for variable in variables)]
-        self._rates = [ca.SX(1), *loop.joined([variable.rate for variable in variables])]
+        self._rates = [ca.SX(1), *loop.joined(loop.rates_of(variables))]
         self._labels = ["", *(variable.label for variable in variables)]
 
     def with_parameters(self, symbols: SX, others: SX) -> Field:

@@ -174,7 +174,7 @@ class Closure:
 
     @cached_property
     def _rates(self) -> Mapping[str, SX]:
-        joined = self._claim.loop.joined([variable.rate for variable in self._variables])
+        joined = self._claim.loop.joined(self._claim.loop.rates_of(self._variables))
         return {variable.label: rate for variable, rate in zip(self._variables, joined, strict=True)}
 
     def _rate(self, variable: Variable) -> SX:

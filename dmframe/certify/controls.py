@@ -110,7 +110,7 @@ def _faulty(claim: Claim, field: Field) -> tuple[list[_Fault], SX]:
 
 def _flips(claim: Claim) -> Iterator[tuple[str, _Fault]]:
     V, loop = claim.V, claim.loop
-    rates = loop.joined([variable.rate for variable in loop.controller])
+    rates = loop.joined(loop.rates_of(loop.controller))
     for variable, rate in zip(loop.controller, rates, strict=True):
         gained = ca.dot(ca.gradient(V, variable.symbol), ca.densify(rate))
         if not gained.is_zero():

@@ -106,7 +106,7 @@ def _becomes(claim: SampledClaim) -> Iterator[tuple[str, tuple[SX, SX]]]:
     for variable, row in zip(loop.stepped, rows, strict=True):
         yield variable.label, (ca.vec(variable.symbol), row)
     for variable in loop.flowing:
-        if loop.joined([variable.rate])[0].is_zero():
+        if loop.joined(loop.rates_of([variable]))[0].is_zero():
             yield variable.label, (ca.vec(variable.symbol), ca.vec(variable.symbol))
 
 

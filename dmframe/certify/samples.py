@@ -24,7 +24,7 @@ from dmframe.certify.identity import Equality
 from dmframe.certify.sample_forms import unfit
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram import Diagram
-from dmframe.diagram.closed_loop import Variable, stack
+from dmframe.diagram.closed_loop import stack
 from dmframe.diagram.truths import Stated, conflicts
 from dmframe.diagram.view import view
 from dmframe.errors import BlockError
@@ -109,7 +109,7 @@ class SampledClaim:
     @cached_property
     def symbols(self) -> Mapping[str, SX]:
         """The sampled states, by label."""
-        return {v.label: v.symbol for v in self.base.loop.stepped if v.next is not None}
+        return {v.label: v.symbol for v in self.base.loop.stepped if v.sampled}
 
     def moved(self, expression: SX) -> SX:
         """An expression of sampled states one sample later."""
@@ -154,7 +154,7 @@ class SampledClaim:
         moving = [variable for variable in loop.flowing if symbols_in([expression]) & symbols_in([variable.symbol])]
         if not moving:
             return ca.SX.zeros(expression.shape)
-        rates = [variable.rate for variable in moving]
+        rates = loop.rates_of(moving)
         if known:
             rates = ca.substitute(rates, [stack(a for a, _ in known)], [stack(b for _, b in known)])
         return ca.jtimes(expression, stack(variable.symbol for variable in moving), stack(rates))
@@ -178,9 +178,8 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
     steps = [(part.block, item) for part in parts for item in part.steps]
     memories = frozenset(f"{name}.{item.memory}" for name, item in steps if isinstance(item, LeastSquaresSteps))
     base = Claim(diagram, diagram.loop, (), ca.SX(1), truths, {}, memories=memories)
-    sampled = [variable for variable in diagram.loop.stepped if variable.next is not None]
-    moved = diagram.loop.crossed([_put_back(diagram, variable) for variable in sampled])
-    becomes = {variable.label: value for variable, value in zip(sampled, moved, strict=True)}
+    own = diagram.loop.becomes()
+    becomes = dict(zip(own, diagram.loop.crossed(list(own.values())), strict=True))
     claim = SampledClaim(base, parts, silent, becomes)
     for text in _no_constants(claim):
         raise NotApplicableError(text)
@@ -188,12 +187,6 @@ def sampled_claim_of(diagram: Diagram) -> SampledClaim:
         for text in unfit(claim, part):
             raise NotApplicableError(f"{part.block}: {text}")
     return claim
-
-
-def _put_back(diagram: Diagram, variable: Variable) -> SX:
-    """A sampled state at the next sample, back in its box or ball."""
-    held = diagram.loop.held(variable.symbol)
-    return ca.substitute([held], [variable.symbol], [ca.densify(ca.SX(variable.next))])[0]
 
 
 def _no_constants(claim: SampledClaim) -> Iterator[str]:

@@ -184,7 +184,7 @@ def _field(claim: Claim) -> Told:
     """Where a rate jumps, solutions slide along the switching set, and have to be told what they are."""
     loop = claim.loop
     for variable in loop.variables:
-        (rate,) = loop.joined([variable.rate])
+        (rate,) = loop.joined(loop.rates_of([variable]))
         symbols = ca.symvar(rate)
         function = ca.Function("rate", [stack(symbols)], [rate])
         if not JUMPS & codes(function):

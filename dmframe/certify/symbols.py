@@ -106,11 +106,7 @@ def _parameter(diagram: Diagram, parameter: Parameter, uncertain: bool) -> Group
 
 def exact_values(diagram: Diagram) -> Mapping[str, tuple[Fraction, ...]]:
     """Every parameter's value as rational numbers: what was written in decimals, and the robot's exact numbers."""
-    values = {
-        parameter.label: tuple(decimal(float(x)) for x in parameter.value.ravel(order="F"))
+    return {
+        parameter.label: parameter.rational or tuple(decimal(float(x)) for x in parameter.value.ravel(order="F"))
         for parameter in diagram.loop.parameters
     }
-    for model in diagram.models.values():
-        if model.robot is not None:
-            values |= {constant.name: tuple(constant.values) for constant in model.robot.constants}
-    return values

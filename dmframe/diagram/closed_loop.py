@@ -2,93 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, final
+from typing import final
 
 import casadi as ca
 import numpy as np
 
 from dmframe.certificate import SX
+from dmframe.diagram.pieces import Followed, Noise, Parameter, Signal, Variable
 from dmframe.diagram.projection import Projection
 from dmframe.diagram.resolve import Leaf
 from dmframe.port import Side
-
-
-@final
-@dataclass(frozen=True)
-class Variable:
-    """A state of the closed loop; `shape` in letters, as declared.
-
-    `rate` is its time derivative, zero of a sampled state between samples; `next` a sampled state's value one sample
-    later, before it is projected, and None in continuous time. Results hold it where it is `recorded` or asked for.
-    `second`, if a block says it, is what its step on a clock has beside T times the rate, over T^2.
-    """
-
-    block: str
-    name: str
-    shape: str
-    unit: str
-    symbol: SX
-    rate: SX
-    next: SX | None = None
-    recorded: bool = True
-    second: SX | None = None
-
-    @property
-    def label(self) -> str:
-        """``block.state``."""
-        return f"{self.block}.{self.name}"
-
-
-@final
-@dataclass(frozen=True)
-class Signal:
-    """An output of a block; `own`, of a plant's, that it stands in for no other signal."""
-
-    block: str
-    name: str
-    shape: str
-    unit: str
-    expression: SX
-    own: bool = False
-
-    @property
-    def label(self) -> str:
-        """``block.port``."""
-        return f"{self.block}.{self.name}"
-
-
-@final
-@dataclass(frozen=True)
-class Noise:
-    """An input that each sample draws anew, of a distribution of `dmframe.port.DISTRIBUTIONS`."""
-
-    label: str
-    symbol: SX
-    distribution: str
-
-
-@final
-@dataclass(frozen=True)
-class Parameter:
-    """A gain, a true parameter or a number of the robot: `symbol` in expressions, `value` in a run."""
-
-    label: str
-    symbol: SX
-    value: np.ndarray
-    unit: str
-
-
-@final
-class Followed(NamedTuple):
-    """A goal s_d and the plant's output s that should follow it: their labels and expressions."""
-
-    desired: str
-    actual: str
-    wanted: SX
-    found: SX
 
 
 @final
@@ -100,6 +26,9 @@ class ClosedLoop:
     the measured and commanded signals; so the controller can be had alone, and trajectories left free. The methods
     replace leaves by what they stand for.
 
+    It is the one owner of the map of a sample and of the flow: runs, code, exports, analyses and proofs take them from
+    its methods, and `dmframe.diagram.fingerprint` hashes all of its fields and what the methods make of them.
+
     Parameters
     ----------
     time, period
@@ -110,6 +39,8 @@ class ClosedLoop:
         What trajectories are whole samples later, as functions of t and T.
     noises
         What each sample draws anew.
+    crossings
+        The measured and commanded signals in the leaves of their own side, in the order in which they need one another.
     paced
         The sources whose time is a controller's signal, which are no trajectories then.
     led
@@ -138,12 +69,12 @@ class ClosedLoop:
     @property
     def stepped(self) -> tuple[Variable, ...]:
         """The states that a clock moves from sample to sample: all but the plant's continuous ones. They come first."""
-        return (*self.controller, *(variable for variable in self.plant if variable.next is not None))
+        return (*self.controller, *(variable for variable in self.plant if variable.sampled))
 
     @property
     def flowing(self) -> tuple[Variable, ...]:
         """The states that move between samples, too."""
-        return tuple(variable for variable in self.plant if variable.next is None)
+        return tuple(variable for variable in self.plant if not variable.sampled)
 
     @property
     def measured(self) -> tuple[Leaf, ...]:
@@ -160,10 +91,19 @@ class ClosedLoop:
         """All states as one column, the controller's first."""
         return stack(variable.symbol for variable in self.variables)
 
+    def rates_of(self, variables: Iterable[Variable]) -> list[SX]:
+        """The rates of states in the leaves of their sides, with the corrections of projections as leaves."""
+        return [variable.own_rate for variable in variables]
+
     @cached_property
     def rate(self) -> SX:
-        """Their rates, in the leaves of their sides."""
-        return stack(variable.rate for variable in self.variables)
+        """The rates of all states, in the leaves of their sides."""
+        return stack(self.rates_of(self.variables))
+
+    @cached_property
+    def flow(self) -> SX:
+        """The rates of what flows between samples, projections acting, in the leaves of the plant."""
+        return self.projected([stack(self.rates_of(self.flowing))], joined=False)[0]
 
     @cached_property
     def p(self) -> SX:
@@ -205,11 +145,11 @@ class ClosedLoop:
         if self.ahead:
             return f"a block looks ahead at {self.ahead[0].name}, T the sampling period"
         for variable in self.variables:
-            if variable.next is not None:
+            if variable.sampled:
                 return f"{variable.label} is a sampled state"
         if self.noises:
             return f"{self.noises[0].label} is drawn anew at each sample"
-        moves = stack([*(v.rate for v in self.variables), *(signal.expression for signal in self.outputs)])
+        moves = stack([self.rate, *(signal.expression for signal in self.outputs)])
         return "a block reads the sampling period" if ca.depends_on(moves, self.period) else ""
 
     @cached_property
@@ -274,11 +214,39 @@ class ClosedLoop:
         A sampled state goes where its block says. One of the controller in continuous time is emulated by an explicit
         Euler step of length T, with the second term that its block may state, here and nowhere else.
         """
-        return stack(self._moved(v) if v.next is None else v.next for v in self.stepped)
+        return stack(self._advanced(v) for v in self.stepped)
 
-    def _moved(self, variable: Variable) -> SX:
-        rate = variable.rate if variable.second is None else variable.rate + self.period * variable.second
-        return variable.symbol + self.period * rate
+    def _advanced(self, variable: Variable) -> SX:
+        if variable.own_next is not None:
+            return variable.own_next
+        return variable.symbol + self.period * self._mean_rate(variable)
+
+    def _mean_rate(self, variable: Variable) -> SX:
+        """Of a state in continuous time, what its step on a clock moves over T: its rate, and T times what is second.
+
+        What flows between samples takes no step.
+        """
+        second = variable.own_second
+        return variable.own_rate if second is None else variable.own_rate + self.period * second
+
+    def moves_of(self, variable: Variable) -> SX:
+        """What is zero where a state rests: what a sampled one moves in a sample, else its rate.
+
+        The rate of a controller's state is that of its step on a clock, `advanced` less the state over T. It is the
+        rate of the flow where T is zero.
+        """
+        gained = variable.gained
+        return self._mean_rate(variable) if gained is None else gained
+
+    def becomes(self) -> dict[str, SX]:
+        """The sampled states one sample later, by label, each back in its set, in the leaves of their sides."""
+        whole, first, found = self.put_back(self.advanced), 0, dict[str, SX]()
+        for variable in self.stepped:
+            rows, columns = variable.symbol.shape
+            if variable.sampled:
+                found[variable.label] = ca.reshape(whole[first : first + rows * columns], rows, columns)
+            first += rows * columns
+        return found
 
     @property
     def held_over_a_sample(self) -> tuple[SX, SX]:
@@ -287,8 +255,8 @@ class ClosedLoop:
         These are the commands, the plant's sampled states, what is drawn, and the period.
         """
         leaves, commands = columns(self.commanded)
-        still = [*(v.symbol for v in self.plant if v.next is not None), self.drawn, self.period]
-        used = [symbol for symbol in still if any(ca.depends_on(v.rate, symbol) for v in self.flowing)]
+        still = [*(v.symbol for v in self.plant if v.sampled), self.drawn, self.period]
+        used = [symbol for symbol in still if any(ca.depends_on(v.own_rate, symbol) for v in self.flowing)]
         return ca.vertcat(leaves, *map(ca.vec, used)), ca.vertcat(commands, *map(ca.vec, used))
 
     def put_back(self, advanced: SX) -> SX:
@@ -296,9 +264,34 @@ class ClosedLoop:
         states = stack(variable.symbol for variable in self.stepped)
         return ca.substitute(self.held(states), states, advanced)
 
+    def mapped(self, change: Callable[[SX], SX]) -> ClosedLoop:
+        """The same with each expression that moves something or is shown changed: none is left as it was."""
+
+        def variable(item: Variable) -> Variable:
+            after = None if item.own_next is None else change(item.own_next)
+            second = None if item.own_second is None else change(item.own_second)
+            return replace(item, own_rate=change(item.own_rate), own_next=after, own_second=second)
+
+        def leaf(item: Leaf) -> Leaf:
+            return item.standing_for(change(item.expression))
+
+        return replace(
+            self,
+            controller=tuple(map(variable, self.controller)),
+            plant=tuple(map(variable, self.plant)),
+            trajectories=tuple(map(leaf, self.trajectories)),
+            ahead=tuple(map(leaf, self.ahead)),
+            crossings=tuple(map(leaf, self.crossings)),
+            projections=tuple(replace(item, nominal=change(item.nominal)) for item in self.projections),
+            outputs=tuple(replace(item, expression=change(item.expression)) for item in self.outputs),
+        )
+
     @cached_property
     def _crossed(self) -> tuple[SX, SX]:
-        return columns(self.crossings)
+        done = list[Leaf]()
+        for leaf in self.crossings:
+            done.append(leaf.standing_for(_put([leaf.expression], columns(done))[0]))
+        return columns(done)
 
     @cached_property
     def _path(self) -> tuple[SX, SX]:
@@ -318,3 +311,6 @@ def stack(items: Iterable[SX]) -> SX:
 def columns(leaves: Sequence[Leaf]) -> tuple[SX, SX]:
     """The leaves' symbols, and their expressions, each as one column."""
     return stack(leaf.symbol for leaf in leaves), stack(leaf.expression for leaf in leaves)
+
+
+__all__ = ["ClosedLoop", "Followed", "Noise", "Parameter", "Signal", "Variable", "columns", "stack"]

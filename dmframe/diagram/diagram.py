@@ -118,8 +118,10 @@ class Diagram:
 
     @cached_property
     def fingerprint(self) -> str:
-        """A hash of the closed loop's vector field and its numbers; see `dmframe.diagram.fingerprint`."""
-        return fingerprint(self.loop)
+        """The hash of the model: the closed loop, the wires, and where states start; see `fingerprint`."""
+        starts = {name: model.stated_start(self.sizes) for name, model in self.models.items()}
+        values = {name: model.values for name, model in self.models.items()}
+        return fingerprint(self.loop, {"wires": self.sources, "starts": starts, "values": values})
 
     @cached_property
     def ways(self) -> list[Way]:
@@ -198,7 +200,7 @@ def _parameters(models: Mapping[str, BlockModel], robot: Any) -> list[Parameter]
             found.append(Parameter(f"{name}.{key}", symbols, value, units[key]))
     if robot is not None:
         values = robot.values()
-        found += [Parameter(c.name, c.symbol, values[c.name], c.unit) for c in robot.constants]
+        found += [Parameter(c.name, c.symbol, values[c.name], c.unit, tuple(c.values)) for c in robot.constants]
     return found
 
 

@@ -1,53 +1,107 @@
-"""A fingerprint of the closed loop: what was proved is what ran, if both have the same."""
+"""The hash of a model: what was proved is what runs, if both have the same.
+
+The model is the one `ClosedLoop`, from which runs, code, exports, analyses and proofs take the map of a sample and the
+flow, with the wires and the starts that blocks state.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fractions import Fraction
+from typing import Any, Final
 
 import casadi as ca
+import numpy as np
 
+from dmframe.certificate import SX
 from dmframe.diagram.closed_loop import ClosedLoop, stack
 from dmframe.program import CONST, instructions
 
+SHORT: Final = 12
+"""How many digits of a hash are printed near a verdict."""
 
-def fingerprint(loop: ClosedLoop) -> str:
-    """SHA-256 of the closed loop's vector field, in hexadecimal digits.
 
-    It covers the names and sizes of the states, their rates operation by operation and constant by constant, with the
-    measured and commanded signals, the trajectories as functions of time and the laws of the projections put in, and
-    the labels and values of all parameters. It does not depend on how the graph file is laid out, on the clock, or on
-    the solver. Nothing is rounded: a constant enters as the bits of its double.
+def short(digits: str) -> str:
+    """A hash as a page for a reader has it."""
+    return digits[:SHORT]
+
+
+def fingerprint(loop: ClosedLoop, beside: Mapping[str, Any] | None = None) -> str:
+    """SHA-256 of a closed loop, in hexadecimal digits; `beside` is what else belongs to the model, by name.
+
+    It covers every field of the loop and of its parts: names, sizes, units, rates, next values, second terms,
+    trajectories and what they are later, what is drawn, measured and commanded, the sets and nominal rates of
+    projections, outputs, parameters with their values, and all flags. It covers the functions that others take from the
+    loop too: the map of a sample, the flow, what the plant is given over a sample, and the laws of projections. A field
+    of a kind that is unknown here raises `TypeError`: none is left out.
+
+    Expressions enter operation by operation; a number enters as the bits of its double. The hash does not depend on
+    the layout of the graph file, on the clock, on the solver, or on the pose in which a run starts.
+
+    It takes a few hundredths of a second for a robot of six joints, once for each diagram.
     """
+    lines, expressions = list[str](), list[SX]()
+    for line, expression in _walk("", {"loop": loop, "functions": _functions(loop), **(beside or {})}):
+        lines.append(line)
+        if expression is not None:
+            expressions.append(ca.densify(expression))
     digest = hashlib.sha256()
-    for line in _lines(loop):
+    for line in (*lines, *_instructions(stack(expressions))):
         digest.update(line.encode())
         digest.update(b"\n")
     return digest.hexdigest()
 
 
-def _lines(loop: ClosedLoop) -> list[str]:
-    """The field as text; the instructions are numbered by CasADi in the order in which it evaluates them."""
-    kinds = ((variable, "state" if variable.next is None else "sampled") for variable in loop.variables)
-    lines = [f"{kind} {variable.label} {variable.symbol.shape}" for variable, kind in kinds]
-    lines += [f"{noise.distribution} {noise.label} {noise.symbol.shape}" for noise in loop.noises]
-    for parameter in loop.parameters:
-        values = " ".join(float(value).hex() for value in parameter.value.ravel(order="F"))
-        lines.append(f"parameter {parameter.label} {parameter.symbol.shape} {values}")
-    return [*lines, *_instructions(_field(loop))]
+def _functions(loop: ClosedLoop) -> Mapping[str, Any]:
+    """What others take from the loop, in its leaves."""
+    return {
+        "sample": loop.put_back(loop.advanced),
+        "flow": loop.flow,
+        "moves": [loop.moves_of(variable) for variable in loop.variables],
+        "given": loop.held_over_a_sample,
+        "laws": [projection.law for projection in loop.projections],
+        "sets": loop.held(loop.state),
+    }
 
 
-def _field(loop: ClosedLoop) -> Any:
-    """(t, states, p, drawn, T) -> rates or next values, and where projections put their states after a finite step."""
-    held = [projection.set.held(projection.state) for projection in loop.projections]
-    moves = [variable.rate if variable.next is None else variable.next for variable in loop.variables]
-    moves += [variable.second for variable in loop.variables if variable.second is not None]
-    whole = loop.on_path(stack(loop.acting([*moves, *held])))
-    return ca.Function("field", [loop.time, loop.state, loop.p, loop.drawn, loop.period], [whole])
+def _walk(name: str, item: Any) -> Iterator[tuple[str, SX | None]]:
+    """Each part of an object as a line of text, and as an expression where it is one."""
+    match item:
+        case ca.SX():
+            yield f"{name} {item.shape}", item
+        case None | bool() | int() | str() | Fraction():
+            yield f"{name} {item!r}", None
+        case float():
+            yield f"{name} {item.hex()}", None
+        case Enum():
+            yield f"{name} {type(item).__name__} {item.name}", None
+        case np.ndarray():
+            values = " ".join(float(value).hex() for value in item.ravel(order="F"))
+            yield f"{name} {item.shape} {values}", None
+        case Mapping():
+            yield f"{name} {len(item)}", None
+            for key, value in item.items():
+                yield from _walk(f"{name}[{key!r}]", value)
+        case Set():
+            yield from _walk(name, sorted(item))
+        case Sequence():
+            yield f"{name} {len(item)}", None
+            for place, value in enumerate(item):
+                yield from _walk(f"{name}[{place}]", value)
+        case _ if is_dataclass(item):
+            yield f"{name} {type(item).__name__}", None
+            for field in fields(item):
+                yield from _walk(f"{name}.{field.name}", getattr(item, field.name))
+        case _:
+            raise TypeError(f"{name}: the hash of a model knows no {type(item).__name__}")
 
 
-def _instructions(function: Any) -> list[str]:
-    return [
-        f"{code} {read} {written} {constant.hex() if code == CONST else ''}"
-        for code, read, written, constant in instructions(function)
-    ]
+def _instructions(column: SX) -> Iterator[str]:
+    """The names of the symbols, and the operations in the order in which CasADi evaluates them."""
+    symbols = ca.symvar(column)
+    yield " ".join(symbol.name() for symbol in symbols)
+    for code, read, written, constant in instructions(ca.Function("model", [stack(symbols)], [column])):
+        yield f"{code} {read} {written} {constant.hex() if code == CONST else ''}"

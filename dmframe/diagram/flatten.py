@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-import casadi as ca
-
 from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable, columns
+from dmframe.diagram.closed_loop import ClosedLoop, Noise, Parameter, Signal, Variable
 from dmframe.diagram.resolve import Leaf, Resolver, loop_fault
 from dmframe.diagram.wiring import End, Wire
 from dmframe.port import Side
@@ -34,7 +32,7 @@ def flatten(resolver: Resolver, parameters: Sequence[Parameter]) -> ClosedLoop:
         time=resolver.time,
         period=resolver.period,
         controller=tuple(sides[Side.CONTROLLER]),
-        plant=tuple(sorted(sides[Side.PLANT], key=lambda variable: variable.next is None)),
+        plant=tuple(sorted(sides[Side.PLANT], key=lambda variable: not variable.sampled)),
         trajectories=tuple(resolver.trajectories.values()),
         ahead=tuple(resolver.ahead.values()),
         noises=tuple(Noise(".".join(end), leaf, drawn[end]) for end, leaf in resolver.drawn.items()),
@@ -82,7 +80,7 @@ def _cycle(needs: Mapping[End, Sequence[End]]) -> list[End]:
 
 
 def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
-    """Measured and commanded signals with their expressions, free of one another, in the order of need."""
+    """Measured and commanded signals with their expressions in the leaves of their sides, in the order of need."""
     waiting = dict[End, tuple[Leaf, SX]]()
     while missing := resolver.crossings.keys() - waiting.keys():  # resolving one may find another
         waiting |= {end: (resolver.crossings[end], resolver.output(*end)) for end in sorted(missing)}
@@ -97,8 +95,5 @@ def _crossings(resolver: Resolver) -> tuple[Leaf, ...]:
             break
         for end in ready:
             leaf, expression = waiting.pop(end)
-            if done:
-                leaves, meanings = columns(done)
-                expression = ca.substitute([expression], [leaves], [meanings])[0]
             done.append(leaf.standing_for(expression))
     return tuple(done)

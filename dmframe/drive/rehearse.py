@@ -88,6 +88,8 @@ class Rehearsal:
         How long the graph is to be driven [s]; of a long one the first `LONGEST` are rehearsed.
     identity
         What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
+    field_hash
+        `Diagram.fingerprint` of the diagram that was driven.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Rehearsal:
     outcomes: Sequence[Outcome]
     until: float = 0.0
     identity: Identity | None = None
+    field_hash: str = ""
 
     @property
     def whole(self) -> bool:
@@ -128,6 +131,7 @@ class Rehearsal:
         """Plain data."""
         return {
             "graph": self.name,
+            "field_hash": self.field_hash,
             "passed": self.passed,
             "sentence": self.sentence,
             "seconds": self.seconds,
@@ -229,7 +233,7 @@ def rehearsed(
         ideal = ideal or found  # the first one
         outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
     until = experiment.file.duration
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts)
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, diagram.fingerprint)
 
 
 @final

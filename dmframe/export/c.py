@@ -293,7 +293,7 @@ def files_of(experiment: Experiment, diagram: Diagram, program: Program) -> dict
 def origin(experiment: Experiment, model: str) -> dict[str, str]:
     """The files that say from what others were made; `model` is the hash of the closed loop."""
     text = resolved_text(experiment)
-    made = {**provenance(experiment, text), "field_hash": model}
+    made = provenance(experiment, text, field_hash=model)
     return {"graph.yaml": text, "provenance.json": json.dumps(made, indent=2) + "\n"}
 
 

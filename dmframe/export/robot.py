@@ -63,8 +63,8 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     parts = build_parts(loop, clock, recorded)
     commands = stack(leaf.symbol for leaf in loop.commanded)
     held, _ = loop.held_over_a_sample
-    states = [variable for variable in loop.plant if variable.next is None]
-    sampled = [variable.label for variable in loop.plant if variable.next is not None]
+    states = list(loop.flowing)
+    sampled = [variable.label for variable in loop.plant if variable.sampled]
     if sampled or loop.noises:
         what = sampled[0] if sampled else loop.noises[0].label
         raise EngineError(f"{name}: its robot has {what}, which moves in samples; export it without reality")

@@ -53,6 +53,7 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
     return {
         "dmframe": version(),
         "name": experiment.name,
+        "field_hash": diagram.fingerprint,
         "command": command(experiment, "run")._asdict(),
         "title": file.title,
         "text": resolved_text(experiment),

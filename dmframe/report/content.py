@@ -201,7 +201,7 @@ def gather(
         linear=linear_view(experiment, diagram, tell),
         model=robot_model(diagram.robot),
         summary=summary(experiment.name, verdict),
-        provenance=provenance(experiment, resolved, seed=seed, command=command),
+        provenance=provenance(experiment, resolved, field_hash=diagram.fingerprint, seed=seed, command=command),
         replay=shlex.join(command),
         resolved=resolved,
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
+from dmframe.diagram.fingerprint import short
 from dmframe.errors import DmframeError
 from dmframe.units import plain
 
@@ -139,7 +140,7 @@ def _loop(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
         at_rest, moving = (
             "not proved" if proof.radius is None else f"{proof.radius:.8f}".rstrip("0") for proof in found.proofs
         )
-        yield "proved, by interval arithmetic, to lie below", at_rest, moving
+        yield f"proved, by interval arithmetic, to lie below; {_model(found)}", at_rest, moving
 
 
 def _pole(linear: Linear, place: int) -> str:
@@ -155,11 +156,16 @@ def _periods(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     yield "linearised, moving", _bracket(periods.moving), "the same without the slope of Coulomb friction at rest"
     for name, proof in zip(("proved, at rest", "proved, moving"), found.proofs, strict=True):
         period = "none" if proof.period is None else plain(proof.period, "s", 4)
-        yield name, period, _meaning(proof)
+        yield name, period, _meaning(proof, found)
     yield "simulated", _bracket(periods.simulated), periods.simulated.meaning
 
 
-def _meaning(proof: StabilityProof) -> str:
+def _model(found: LoopAnalysis) -> str:
+    """Of what it is proved: the hash that runs of the graph store."""
+    return f"of the model {short(found.field_hash)}"
+
+
+def _meaning(proof: StabilityProof, found: LoopAnalysis) -> str:
     """What the proof says, in words."""
     if proof.period is None:
         return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
@@ -169,7 +175,8 @@ def _meaning(proof: StabilityProof) -> str:
     return (
         f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
         f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "
-        f"{proof.directions} directions{rests}. It is proved of this period; of a shorter one it is another proof"
+        f"{proof.directions} directions{rests}. It is proved {_model(found)} and of this period; a shorter one needs "
+        "another proof"
     )
 
 

@@ -347,6 +347,7 @@ def _provenance(r: Content) -> Iterator[Part]:
         wrong = () if bound is None else (", error below ", Formula(f"2^{{{bound:.0f}}}"))
         rows += [("exact test", (test, *wrong)), ("primes", Word(", ".join(said["primes"]), "long"))]
     rows.append(("graph, SHA-256", Word(made["graph_sha256"], "long")))
+    rows.append(("model, SHA-256", Word(made["field_hash"], "long")))
     if made.get("urdf"):
         rows.append(("robot", Word(f"{made['urdf']}, SHA-256 {made['urdf_sha256']}", "long")))
     versions = ", ".join(f"{name} {version}" for name, version in made["versions"].items() if version)

@@ -10,6 +10,7 @@ from typing import Any, Final
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
 from dmframe.columns import columns
+from dmframe.diagram.fingerprint import short
 from dmframe.diagram.wiring import Wire
 from dmframe.report.notation import spelled
 
@@ -20,6 +21,10 @@ WIDEST: Final = 116
 def verdict_text(name: str, verdict: Verdict) -> str:
     """The page; `name` is the graph's."""
     parts = [f"{name}: {verdict.headline}", fill(f"  {spelled(verdict.reason)}", **_wrapped())]
+    if verdict.claim is not None:
+        parts.append(
+            f"  model {short(verdict.claim.diagram.fingerprint)}: runs, exports and pages of it store this hash"
+        )
     if verdict.test is not None and verdict.test.zero:
         bound = verdict.test.log2_error_bound
         parts.append(

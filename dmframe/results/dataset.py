@@ -58,7 +58,8 @@ def table(run: Recording, experiment: Experiment | None = None, seed: int | None
     Parameters
     ----------
     experiment
-        The graph that ran: its name, its title and the SHA-256 of its resolved text become attributes.
+        The graph that ran: its name, its title, the SHA-256 of its resolved text and the hash of the model that ran
+        (`Diagram.fingerprint`) become attributes.
     seed
         Of the run's noise, where it has any.
     """
@@ -97,6 +98,7 @@ def _attributes(run: Recording, experiment: Experiment | None, seed: int | None)
     if run.drive:
         said["drive"] = json.dumps(dict(run.drive))
     if experiment is not None:
+        said["field_hash"] = run.diagram.fingerprint
         said["graph_sha256"] = hashlib.sha256(encoded(resolved_text(experiment))).hexdigest()
     if seed is not None:
         said["seed"] = seed

@@ -167,11 +167,12 @@ def _write_one(
     for name, source in companions(run.experiment).items():
         shutil.copyfile(source, place / name)
     _write_json(place / "summary.json", told)
-    made = provenance(run.experiment, text, seed=seed, command=command, now=now)
+    # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
+    field_hash = run.recording.diagram.fingerprint
+    made = provenance(run.experiment, text, field_hash=field_hash, seed=seed, command=command, now=now)
     if run.recording.drive:
         made["drive"] = dict(run.recording.drive)
-    # of the diagram that ran, not of the graph: what `verify --json` says of the same loop is the same
-    _write_json(place / "provenance.json", {**made, "field_hash": run.recording.diagram.fingerprint})
+    _write_json(place / "provenance.json", made)
     _write_signals(place / "signals.nc", run, seed)
 
 
@@ -187,11 +188,14 @@ def provenance(
     experiment: Experiment,
     text: str,
     *,
+    field_hash: str,
     seed: int | None = None,
     command: Sequence[str] | None = None,
     now: datetime | None = None,
 ) -> dict[str, Any]:
-    """What it takes to have the same run again: versions, machine, command, time, digests, seed."""
+    """What it takes to have the same run again: versions, machine, command, time, digests, seed; and the model's hash,
+    `Diagram.fingerprint`.
+    """
     source = robot_source(experiment)
     return {
         "time": (now or datetime.now(UTC)).astimezone(UTC).isoformat(timespec="seconds"),
@@ -200,6 +204,7 @@ def provenance(
         "platform": platform.platform(),
         "versions": {name: _version(name) for name in _PACKAGES},
         "graph_sha256": hashlib.sha256(encoded(text)).hexdigest(),
+        "field_hash": field_hash,
         "robot": experiment.robot.name if experiment.robot is not None else None,
         "urdf": source.urdf.name if source else None,
         "urdf_sha256": hashlib.sha256(source.urdf.read_bytes()).hexdigest() if source else None,

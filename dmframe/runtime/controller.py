@@ -206,9 +206,9 @@ def path_leaves(diagram: Diagram) -> tuple[Leaf, ...]:
 
 def _expressions(diagram: Diagram) -> list[Any]:
     """The controller's states one period later, and its commands, on the symbols of the path."""
-    loop, resolver = diagram.loop, diagram.resolver
+    loop = diagram.loop
     size = stack(variable.symbol for variable in loop.controller).numel()
-    commands = stack(resolver.output(*leaf.name.split(".")) for leaf in loop.commanded)
+    commands = stack(leaf.expression for leaf in loop.commanded)
     advanced, commands = loop.projected([loop.advanced, commands], joined=False)
     return [loop.put_back(advanced)[:size], commands]
 

@@ -189,7 +189,7 @@ def build_step(
     instants = Instants.of(loop, clock if clock is not None else solver.output, seed, jitter)
     substeps = substeps_of(None if clock is None else instants.longest, solver)
     parts = build_parts(loop, clock, recorded)
-    flowing = _seen("flowing", loop, [stack(variable.rate for variable in loop.flowing)])
+    flowing = _seen("flowing", loop, [stack(loop.rates_of(loop.flowing))])
     state, t, p = ca.MX.sym("state", loop.state.numel()), ca.MX.sym("t"), ca.MX.sym("p", loop.p.numel())
     still = ca.MX.zeros(loop.drawn.numel())
     rates = flowing(state, parts.trajectory(t, p), still, instants.period, p)
@@ -206,7 +206,7 @@ def build_parts(loop: ClosedLoop, clock: float | None, recorded: SX) -> Parts:
     else:
         stepped, (held, given) = loop.advanced, loop.held_over_a_sample
         integrated = stack(variable.symbol for variable in loop.flowing)
-        (rate,) = loop.projected([stack(variable.rate for variable in loop.flowing)], joined=False)
+        rate = loop.flow
     (rate,) = _pruned(loop, [rate])
     _, meanings = columns(loop.trajectories)
     after, given = _pruned(loop, loop.acting([stepped, given]))
@@ -234,7 +234,7 @@ def plant_step(
     held, _ = loop.held_over_a_sample
     stepped, rate, shown = _pruned(
         loop,
-        loop.projected([loop.advanced, stack(variable.rate for variable in loop.flowing), shown], joined=False),
+        [*loop.projected([loop.advanced], joined=False), loop.flow, *loop.projected([shown], joined=False)],
     )
     _, meanings = columns(loop.trajectories)
     seen = [state, loop.w, ca.vertcat(loop.drawn, commands), loop.period, loop.p]

@@ -89,7 +89,7 @@ def test_a_generated_chain_has_its_joints_and_builds_a_loop(tmp_path: Path) -> N
     diagram = load_experiment(tmp_path / "chain.yaml").diagram()
     assert diagram.robot.n == 4
     assert diagram.loop.state.numel() == 11 * 4 + 5 * 4 + 4 * 4
-    assert ca.depends_on(diagram.loop.joined([diagram.loop.plant[-1].rate])[0], diagram.loop.state)
+    assert ca.depends_on(diagram.loop.joined([diagram.loop.plant[-1].own_rate])[0], diagram.loop.state)
 
 
 @pytest.mark.parametrize("key", PEERS)

@@ -79,7 +79,7 @@ def residual(diagram: Diagram, flipped: str = "", kappa: float = KAPPA) -> tuple
         if said.consumes is not None:
             supplied = said.consumes.value
             claimed -= supplied
-    rates = [v.rate * (-1 if v.label == flipped else 1) for v in loop.variables]
+    rates = [v.own_rate * (-1 if v.label == flipped else 1) for v in loop.variables]
     V, claimed, supplied, *rates = loop.joined([V, claimed, supplied, *rates])
     rate = ca.vertcat(*(ca.vec(item) for item in rates))
     leaves = diagram.resolver.trajectories

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from dmframe.certify import claim_of
 from dmframe.certify.barriers import Tube, tubes
 from dmframe.certify.checked import Numbers
 from dmframe.certify.symbols import symbols_of
+from dmframe.diagram import Diagram
 from dmframe.robot.library import load
 
 LOWER, UPPER, SPEED, RATE, WIDTH, MARGIN = -1.0, 2.0, 1.5, 3.0, 0.05, 0.1
@@ -47,6 +49,23 @@ def tube_of(graph: dm.Graph) -> Tube | None:
     uncertain = experiment.intervals(diagram)
     numbers = Numbers(claim, uncertain)
     return next(tubes(claim, numbers, symbols_of(claim, uncertain), experiment.start), None)
+
+
+def test_no_tube_is_found_in_a_loop_whose_position_moves_otherwise_than_the_proof_says() -> None:
+    graph = joint_graph()
+    diagram = graph.experiment.diagram()
+    claim = claim_of(diagram)
+    found = [
+        next(tubes(claim_of(other), Numbers(claim, {}), symbols_of(claim, {}), graph.experiment.start), None)
+        for other in (diagram, with_plant_faster(diagram, 1.01))
+    ]
+    assert found[0] is not None
+    assert found[1] is None
+
+
+def with_plant_faster(diagram: Diagram, factor: float) -> Diagram:
+    plant = tuple(replace(v, own_rate=v.own_rate * factor) for v in diagram.loop.plant)
+    return replace(diagram, loop=replace(diagram.loop, plant=plant))
 
 
 def joint_graph(**changes: Any) -> dm.Graph:

@@ -67,7 +67,7 @@ def check_judged(found: Verification, made: Functions, p: np.ndarray) -> None:
 def flow(found: Verification) -> Any:
     """(state, t, T, p) -> the rates of what flows in the plant, from the loop's own expressions."""
     loop = found.diagram.loop
-    rates = loop.on_path(loop.acting([stack(v.rate for v in loop.flowing)])[0])
+    rates = loop.on_path(loop.acting([stack(loop.rates_of(loop.flowing))])[0])
     if loop.noises:
         rates = ca.substitute(rates, loop.drawn, 0 * loop.drawn)
     return ca.Function("flow", [loop.state, loop.time, loop.period, loop.p], [ca.densify(rates)])

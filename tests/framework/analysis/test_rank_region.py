@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -149,6 +150,21 @@ def test_what_refutes_a_radius_is_a_singular_value_below_the_one_asked_for() -> 
         singular = np.linalg.svd(J, compute_uv=False)[-1]
         assert singular < least or refuted.singular == 0  # the determinant changed its sign on the way
         assert search.witness(1e-4, least) is None
+
+
+def test_the_problem_is_that_of_the_loop_that_runs() -> None:
+    diagram, graph = packaged("theorem_3")
+    loop, found = diagram.loop, list[Any]()
+    goals = tuple(leaf.standing_for(1.01 * leaf.expression) for leaf in loop.trajectories)
+    shown = tuple(replace(item, expression=1.01 * item.expression) for item in loop.outputs)
+    for other in (loop, replace(loop, trajectories=goals), replace(loop, outputs=shown)):
+        problem = rank_problem(replace(diagram, loop=other), graph.start, "truth")
+        poses = joint_path(problem.reach, problem.start, 2.0, None, 0.05, path_tube(problem.path, 0.05)).poses
+        f = ca.Function("J", [problem.q, problem.a, problem.p], [problem.expression])
+        found.append((poses, f(problem.start, problem.centre, problem.values).full()))
+    (poses, J), (moved, _), (_, larger) = found
+    assert poses.shape != moved.shape or np.max(np.abs(poses - moved)) > 1e-4
+    np.testing.assert_allclose(larger, 1.01 * J, rtol=1e-12)
 
 
 # A two-link arm by hand: with the links' vectors p1, p2 in the plane and the angle q2 between them, J loses its rank

@@ -260,7 +260,7 @@ def field_of(diagram: Diagram) -> Callable[[np.ndarray, float], np.ndarray]:
     split = sum(variable.symbol.numel() for variable in loop.controller)
     p = _unbounded(diagram)
     periods = [PERIOD]
-    if any(variable.second is not None for variable in loop.controller):  # what a step has over T^2 is no rate
+    if any(variable.own_second is not None for variable in loop.controller):  # what a step has over T^2 is no rate
         periods.append(2 * PERIOD)
     steps = [build_step(loop, period, Solver(step=period), ca.SX(0, 1)) for period in periods]
 

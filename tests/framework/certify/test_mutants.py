@@ -144,7 +144,7 @@ def test_the_independent_look_at_dv_dt_sees_a_false_claim() -> None:
 def test_the_field_of_a_run_is_the_rate_of_every_state() -> None:
     diagram = small()[1].diagram
     loop = diagram.loop
-    joined = loop.joined([ca.vertcat(*(variable.rate for variable in loop.variables))])[0]
+    joined = loop.joined([ca.vertcat(*(variable.own_rate for variable in loop.variables))])[0]
     exact = ca.Function("F", [loop.state, loop.time, loop.p], [loop.on_path(joined)])
     rates = field_of(diagram)
     for state, t in states_of(diagram, 3, 0):

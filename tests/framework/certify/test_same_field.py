@@ -54,7 +54,7 @@ def test_a_claim_holds_the_loop_of_its_diagram_and_no_copy() -> None:
 def test_what_is_changed_in_the_loop_that_runs_changes_what_is_proved(side: str) -> None:
     honest = loop_of(load("arm2"), "joint", "PID").diagram
     variables = getattr(honest.loop, side)
-    changed = tuple(replace(v, rate=v.rate * 1.01) for v in variables)
+    changed = tuple(replace(v, own_rate=v.own_rate * 1.01) for v in variables)
     broken = replace(honest, loop=replace(honest.loop, **{side: changed}))
     (state, t), *_ = states_of(honest, 1, 5)
     size = sum(v.symbol.numel() for v in honest.loop.controller)

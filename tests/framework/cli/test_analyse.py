@@ -25,6 +25,7 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
     told = json.loads(dmframe("analyse", "arm2_joint", "--horizon", "2", "--set", "clock=2 ms", "--json").out)
     assert set(told) == {
         "graph",
+        "field_hash",
         "clock",
         "set_point",
         "at_rest",

@@ -249,7 +249,7 @@ def test_all_faults_of_one_stage_are_told_together() -> None:
 def test_a_block_whose_output_is_its_state_makes_no_loop() -> None:
     loop = Diagram.build({"gain": Gain(g=(2.0,)), "lag": Lag()}).loop
     (z,) = loop.controller
-    rate = ca.Function("rate", [loop.state, loop.p], [z.rate])
+    rate = ca.Function("rate", [loop.state, loop.p], [z.own_rate])
     assert float(rate(3.0, loop.p_values)) == pytest.approx(2 * 3 - 3)
 
 
