@@ -320,13 +320,20 @@ def at_speed(loop: ClosedLoop) -> Array:
     return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
 
 
-def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None) -> Array:
-    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen."""
-    loop = frozen(diagram).loop
+def tick_jacobian(
+    diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None, *, moving: bool = False
+) -> Array:
+    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen.
+
+    `moving`, without the slope that smooth Coulomb friction has at rest. What a block declares to be rounded is as it
+    is in the mean.
+    """
+    loop = unrounded(frozen(diagram)).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
     given = step.instants.rows(0, 1).ravel()
     given[DRAWN:] = 0.0
-    return np.asarray(step.tick.jacobian()(linear.point, given, loop.p_values, 0, 0)[0].full())
+    p = at_speed(loop) if moving else loop.p_values
+    return np.asarray(step.tick.jacobian()(linear.point, given, p, 0, 0)[0].full())
 
 
 def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:

@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
 from typing import Any, final
 
 import casadi as ca
@@ -60,7 +59,11 @@ class SplitMoves:
     y, L, R
         Their programs; L and R store what is not zero by structure, column by column.
     guards
-        Columns (x, p, T) -> numbers that are all above zero where no comparison turns out another way.
+        Columns (x, p, T) -> numbers that are all above zero where no switch turns out another way.
+    held
+        (x, p, T) -> what is held over a sample.
+    slope
+        (what flows, what is held, p) -> the plant's slope in what flows.
     kept
         Sums of states that no sample changes, and that are zero: factors by state and power of T. The first state of
         each, with factor one, is none of those that y, L and R read.
@@ -72,16 +75,9 @@ class SplitMoves:
     L: Program
     R: Program
     guards: Program
+    held: Program
+    slope: Program
     kept: Sequence[Sum] = ()
-
-    @cached_property
-    def flow(self) -> tuple[Program, Program]:
-        """What is held over a sample, of (x, p, T); and the plant's slope in what flows, of (x, held, p)."""
-        loop = self.loop
-        held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
-        x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
-        slope = ca.densify(ca.jacobian(loop.on_path(loop.flow), x))
-        return held, read(ca.Function("flow", [x, leaves, loop.p], [ca.cse(slope)]))
 
 
 def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period: Fixed) -> SplitMoves:
@@ -100,8 +96,10 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
         return read(ca.Function("moves", symbols, [ca.cse(ca.densify(value))]))
 
     program = read_moves(expression)
-    pieces, guards = chosen(program, symbols, numbers_of(program, symbols, [*map(_floats, inputs)]))
-    program = read_moves(pieces)
+    at = [*map(_floats, inputs)]
+    pieces, guards = chosen(program, symbols, numbers_of(program, symbols, at))
+    held, slope, more = _flow(loop, symbols, at)
+    program, guards = read_moves(pieces), ca.vertcat(guards, more)
     _refuse_turns(loop, pieces, guards, inputs)
     kept = [item for item in _conserved(loop, program) if abs(float(kept_value(item, *inputs[::2]))) <= LEAST]
     if kept:
@@ -125,7 +123,23 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
         return read(ca.Function(name, symbols, [ca.cse(value)]))
 
     programs = {name: program_of(name, v) for name, v in (("y", signals), ("L", L), ("R", R), ("guards", guards))}
-    return SplitMoves(loop, len(cut), kept=tuple(kept), **programs)
+    return SplitMoves(loop, len(cut), kept=tuple(kept), held=held, slope=slope, **programs)
+
+
+def _flow(loop: ClosedLoop, symbols: Sequence[SX], at: Sequence[Sequence[float]]) -> tuple[Program, Program, SX]:
+    """What is held over a sample, the plant's slope in what flows, and the guards of the first.
+
+    The guards of the second are among those of the moves, of which its rates are some.
+    """
+    held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
+    values, guards = chosen(held, symbols, numbers_of(held, symbols, at))
+    given = ca.Function("held", list(symbols), [values])(*at).full().ravel()
+    x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
+    own, point = [x, leaves, loop.p], [at[0][len(at[0]) - x.numel() :], given, at[1]]
+    flow = read(ca.Function("flow", own, [ca.densify(loop.on_path(loop.flow))]))
+    rates = chosen(flow, own, numbers_of(flow, own, point))[0]
+    slope = read(ca.Function("flow", own, [ca.cse(ca.densify(ca.jacobian(rates, x)))]))
+    return read(ca.Function("held", list(symbols), [ca.cse(values)])), slope, guards
 
 
 def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:

@@ -84,7 +84,7 @@ class LoopAnalysis:
             steps = ", ".join(f"{label} (steps of {step:.3g})" for label, step in self.averaged.items())
             note += f" What is rounded is taken as it is in the mean, the steps as fine: {steps}."
         if self.at_rest.kinks:
-            note += f" It rests where {listed(self.at_rest.kinks)} turns: the linearised numbers are those of one side."
+            note += f" It rests at an edge of {listed(self.at_rest.kinks)}: the linearised loop is that of one side."
         if self.unknown:
             note += f" No true value is known of {', '.join(self.unknown)}: they are where the set-point has them."
         return note
@@ -162,6 +162,7 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
                 "kept": proof.kept,
                 "within": proof.within,
                 "reason": proof.reason,
+                "disagrees": proof.disagrees,
             }
             for name, proof in zip(("at_rest", "moving"), analysis.proofs, strict=True)
         },

@@ -106,13 +106,16 @@ def _as_it_turns_out(node: Node, number: float, values: Sequence[SX], numbers: A
         (low, high) = (x, y) if first < last else (y, x)
         guards.append(high - low)
         return low if name == "fmin" else high
+    side, other = (1.0 if of > 0 else -1.0 for of in (first, last))
     if name in ("sign", "fabs") and apart(first, 0.0):
-        side = 1.0 if first > 0 else -1.0
         guards.append(side * x)
         return ca.SX(side) if name == "sign" else side * x
     if name == "copysign" and apart(last, 0.0):
-        guards.append(y if last > 0 else -y)
-        return APPLY[ca.OP_FABS](x) * (1.0 if last > 0 else -1.0)
+        guards.append(other * y)
+        if not apart(first, 0.0):
+            return other * APPLY[ca.OP_FABS](x)
+        guards.append(side * x)
+        return other * side * x
     if name in ("floor", "ceil", "fmod", "remainder"):
         return _step(name, x, y, first, last, guards, plain)
     if name in ("and", "or") and (x.is_constant() or y.is_constant()):
