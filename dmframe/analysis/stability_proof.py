@@ -25,7 +25,7 @@ from dmframe.analysis.enclosed import EnclosedLoop
 from dmframe.analysis.linear import Linear, tick_jacobian
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
-from dmframe.analysis.set_point import LARGE, MOST
+from dmframe.analysis.set_point import LARGE, MOST, at_rest
 from dmframe.diagram import Diagram
 from dmframe.errors import DisagreementError, DmframeError, EngineError
 from dmframe.exact.fixed import Fixed
@@ -51,6 +51,9 @@ _ROUNDING: Final = 1e-7
 
 _OTHER: Final = 1e-3
 """Two spectral radii of one loop that differ by more are those of two loops: a multiple eigenvalue parts by less."""
+
+_ELSEWHERE: Final = 1e-3
+"""An equilibrium in floats that lies farther than this from the one that is enclosed is another one."""
 
 _INTEGRATED: Final = 1e-2
 """By this share of its largest entry the tick of a run may miss the exact zero-order hold."""
@@ -200,6 +203,8 @@ def _compare(
     """
     proved = [(clock, radius)] if clock is not None and radius is not None else []
     proved += [(period, 1.0)] if period is not None else []
+    if not at_rest(linear.drift, linear.point):
+        return  # floats were asked for another point than the equilibrium: they speak of another linearised loop
     for own, bound in proved:
         found = linear.spectral_radius(own)
         if not found <= bound + _ROUNDING:
@@ -207,6 +212,8 @@ def _compare(
     if not proved:
         return
     own, _ = proved[0]
+    if not loop.at(own).within <= _ELSEWHERE:
+        raise _disagreement(own, f"the equilibrium that is enclosed lies {loop.at(own).within:.2g} from that of floats")
     found = linear.spectral_radius(own)
     if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # else floats leave out others
         seen = float(np.max(np.abs(np.linalg.eigvals(loop.transition(own).floats())), initial=0.0))
