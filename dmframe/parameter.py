@@ -45,12 +45,16 @@ PAIRS = {"box": "an interval [lower, upper]", "ball": "a ball [centre, radius]"}
 @final
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """What a parameter is: shape and unit as of a port, the sign it must have, and how it is written."""
+    """What a parameter is: shape and unit as of a port, the sign it must have, and how it is written.
+
+    `several`: its number is used for quantities of several units, each in SI's, and `unit` is that of one of them.
+    """
 
     shape: str
     unit: str
     sign: str = ""
     form: str = "diagonal"
+    several: bool = False
 
 
 def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = True) -> Any:
@@ -58,9 +62,9 @@ def Real(shape: str = "", unit: str = "", *, default: Any = ..., spread: bool = 
     return _field(Spec(shape, unit, "", "diagonal" if spread else "vector"), default)
 
 
-def Positive(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
-    """A parameter whose elements are above zero."""
-    return _field(Spec(shape, unit, "> 0"), default)
+def Positive(shape: str = "", unit: str = "", *, default: Any = ..., several: bool = False) -> Any:
+    """A parameter whose elements are above zero. `several`: its number is used for quantities of several units."""
+    return _field(Spec(shape, unit, "> 0", several=several), default)
 
 
 def PositiveDefinite(shape: str, unit: str = "") -> Any:
@@ -73,9 +77,12 @@ def NonNegative(shape: str = "", unit: str = "", *, default: Any = ...) -> Any:
     return _field(Spec(shape, unit, ">= 0"), default)
 
 
-def Interval(shape: str = "", unit: str = "", *, default: Any = None) -> Any:
-    """A box ``[lower, upper]`` for a state of this shape; left out without a default, the state is not bounded."""
-    return _field(Spec(shape, unit, "", "box"), default)
+def Interval(shape: str = "", unit: str = "", *, default: Any = None, several: bool = False) -> Any:
+    """A box ``[lower, upper]`` for a state of this shape; left out without a default, the state is not bounded.
+
+    `several`: its ends are used for quantities of several units.
+    """
+    return _field(Spec(shape, unit, "", "box", several), default)
 
 
 def Around(shape: str = "", unit: str = "") -> Any:

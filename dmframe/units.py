@@ -107,7 +107,7 @@ def plain(value: float, unit: str, digits: int = 3) -> str:
 def rate_over(unit: str) -> str:
     """The unit of a rate over a quantity: ``1/(m s)`` for m, ``1/rad`` for rad/s."""
     powers = Counter[str]()
-    powers.subtract(_factors(unit))
+    powers.subtract(factors(unit))
     powers["s"] -= 1
     above, below = (
         [f"{name}^{sign * power}" if sign * power > 1 else name for name, power in powers.items() if sign * power > 0]
@@ -177,7 +177,7 @@ def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]
     (name, power), *others = [(key, value) for key, value in apart.items() if value] or [("", 0)]
     if not dimension or others or name not in _DIVIDING or power not in (-1, -2):
         return ""
-    if any(_named(factor)[1] == {name: 1} for factor, exponent in _factors(found).items() if exponent > 0):
+    if any(_named(factor)[1] == {name: 1} for factor, exponent in factors(found).items() if exponent > 0):
         return ""  # it would cancel
     below = name if power == -1 else f"{name}^2"
     if "/" in found:
@@ -189,7 +189,7 @@ def _divided(found: str, dimension: Mapping[str, int], target: Mapping[str, int]
 def _size(unit: str) -> tuple[Fraction, dict[str, int]]:
     """The factor to base units, and their exponents."""
     scale, dimension = Fraction(1), Counter[str]()
-    for name, exponent in _factors(unit).items():
+    for name, exponent in factors(unit).items():
         factor, base = _named(name)
         scale *= factor**exponent
         for key, power in base.items():
@@ -235,19 +235,19 @@ def _table() -> tuple[dict[str, tuple[Fraction, str]], dict[str, int]]:
     return units, {"": 0} | {name: power for names, power in _PREFIXES_OF.items() for name in names.split()}
 
 
-def _factors(unit: str) -> Counter[str]:
+def factors(unit: str) -> Counter[str]:
     """Read ``N m s/rad`` as ``{N: 1, m: 1, s: 1, rad: -1}``."""
     text = unit.replace("**", "^").strip()
     tokens = [token.strip(" *·\t\n") for token in _TOKEN.findall(text)]
     readable = len(text) <= _LONGEST and not _TOKEN.sub("", text)
     waiting = [token for token in reversed(tokens) if token]
-    factors = _quotient(waiting) if readable and waiting else Counter[str]()
-    if not readable or factors is None or waiting:
+    found = _quotient(waiting) if readable and waiting else Counter[str]()
+    if not readable or found is None or waiting:
         raise UnitError(
             f"cannot read {text[:_LONGEST]!r} as a unit; write it like N m s/rad or m/s^2: "
             "spaces multiply, everything after the one slash divides"
         )
-    return factors
+    return found
 
 
 def _quotient(waiting: list[str]) -> Counter[str] | None:

@@ -65,8 +65,8 @@ class ConsistentAdaptation(AbstractBlock):
     states: ClassVar[tuple[State, ...]] = (State("a_d_hat", "p", "", bodies="floor", nominal="a_d_nominal"),)
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
-    c: Scalar = Positive("", "1/J")
-    Gamma: Scalar = Positive(default=1.0)
+    c: Scalar = Positive("", "s^2/rad^2")
+    Gamma: Scalar = Positive(default=1.0, several=True)
     floor: Scalar | None = Positive(default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

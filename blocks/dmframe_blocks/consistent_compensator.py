@@ -74,7 +74,7 @@ class ConsistentCompensator(AbstractBlock):
     truth: ClassVar[tuple[Port, ...]] = (Port("a_d", "p", ""),)
 
     c: Scalar = Positive("", "1/J")
-    Gamma: Scalar = Positive(default=1.0)
+    Gamma: Scalar = Positive(default=1.0, several=True)
     floor: Scalar | None = Positive(default=None)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:

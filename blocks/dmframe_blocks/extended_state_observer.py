@@ -39,7 +39,7 @@ class ExtendedStateObserver(AbstractBlock):
 
     Parameters
     ----------
-    bandwidth : diagonal (n,), rad/s, > 0
+    bandwidth : diagonal (n,), 1/s, > 0
         Larger takes away more of the disturbance, passes more noise, and sees more of the servo's own lag as one.
 
     Notes
@@ -61,7 +61,7 @@ class ExtendedStateObserver(AbstractBlock):
         "by no more than D, joints behind a safe_reference pass what that keeps by at most 2 D/(approach bandwidth)"
     )
 
-    bandwidth: Diagonal = Positive("n", "rad/s")
+    bandwidth: Diagonal = Positive("n", "1/s")
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) and (2)."""

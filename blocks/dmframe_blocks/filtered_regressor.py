@@ -178,9 +178,7 @@ class FilteredRegressor(AbstractBlock):
 
     def _inertial(self, u: Signals, p: Signals) -> SX:
         """Its columns for the inertial parameters."""
-        zero = ca.DM.zeros(p.robot.n)
-        moving, still = p.robot.regressor(u.q, zero, zero, u.dq), p.robot.regressor(u.q, zero, zero, zero)
-        return named("Y_p", ca.densify(moving - still))
+        return named("Y_p", ca.densify(p.robot.momentum_regressor(u.q, u.dq)))
 
     def _rest(self, u: Signals, p: Signals) -> SX:
         """Y_r of Y_r a_d = -C' dq + B dq + D phi(dq) + g, and the bias."""

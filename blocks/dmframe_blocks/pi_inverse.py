@@ -94,7 +94,7 @@ class PiInverse(AdaptingBlock):
         Port("momentum", "n", "N m s"),
     )
 
-    Lambda: Diagonal = Positive("n", "rad^2/(N^2 m^2 s)")
+    Lambda: Diagonal = Positive("n", "1/(N^2 m^2 s)")
     Lambda_I: Diagonal = Positive("n", "1/(rad^2 s)")
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)
     w_I: Diagonal = Real("n", "1/s", default=0.0)

@@ -120,7 +120,7 @@ class PidInverse(AdaptingBlock):
 
     K_c: Diagonal = Positive("n", "1/s")
     tie: Literal["velocity", "position"] = "velocity"
-    Lambda: Diagonal = Positive("n", "rad^2/(N^2 m^2 s)")
+    Lambda: Diagonal = Positive("n", "1/(N^2 m^2 s)")
     Lambda_P: Diagonal = Positive("n", "1/(rad^2 s)")
     Lambda_I: Diagonal = Positive("n", "1/(rad^2 s^3)")
     w: Diagonal = Real("n", "rad/(N m s)", default=0.0)

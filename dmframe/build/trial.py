@@ -46,18 +46,18 @@ def main() -> None:
     """Read the call from standard input, do it, and print the arrays."""
     asked = json.load(sys.stdin)
     function = getattr(ctypes.CDLL(asked["library"]), asked["function"])
-    arrays, given = list[Any](), list[Any]()
+    arrays, given = list[tuple[Any, int]](), list[Any]()
     for argument in asked["arguments"]:
         ((kind, value),) = argument.items()
         if kind == "doubles":
-            arrays.append((ctypes.c_double * max(1, len(value)))(*value))
-            given.append(arrays[-1])
+            given.append((ctypes.c_double * max(1, len(value)))(*value))  # none would have no address
+            arrays.append((given[-1], len(value)))
         elif kind == "integers":
             given.append((ctypes.c_int64 * max(1, len(value)))(*value))
         else:
             given.append({"double": ctypes.c_double, "integer": ctypes.c_int64}[kind](value))
     function(*given)
-    json.dump([list(array) for array in arrays], sys.stdout)
+    json.dump([array[:size] for array, size in arrays], sys.stdout)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,9 @@ def over_intervals(conditions: Sequence[Checked], claim: Claim, numbers: Numbers
     """The conditions as they stand over the intervals, with what was decided at the graph's own numbers alone."""
     if not numbers.open:
         return list(conditions)
-    return [*(_settled(item, numbers) for item in conditions), *_undecided(claim, numbers)]
+    known = {item.name for item in conditions}
+    more = (item for item in _undecided(claim, numbers) if item.name not in known)
+    return [*(_settled(item, numbers) for item in conditions), *more]
 
 
 def failing_of(conditions: Sequence[Checked]) -> str:
@@ -91,7 +93,7 @@ def _undecided(claim: Claim, numbers: Numbers) -> Iterator[Checked]:
         (joined,) = claim.loop.joined([ca.vec(ca.densify(read))])
         if symbols_in([joined]) & numbers.open and not (margin is not None and _positive(item, joined, numbers)):
             text = f"not decided {NEEDED}"
-            yield Checked(item.name, text, None, False, "its equations need it", "undecided", item.strict)
+            yield Checked(item.name, text, None, False, NEEDED, "undecided", item.strict)
 
 
 def _positive(item: Tacit, margin: SX, numbers: Numbers) -> bool:

@@ -99,7 +99,7 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
             at = sorted({row % truth.shape[0] for row in rows})
             yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
     if handed:
-        yield from _outside(text, ca.vertcat(*handed.values()), loop)
+        yield from outside(text, ca.vertcat(*handed.values()), loop)
 
 
 def _handed(room: SX, rows: Sequence[int], numbers: Numbers) -> dict[int, SX]:
@@ -120,7 +120,7 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
                 yield f"{projection.name}: true value inside the {projection.kind}", ca.vertcat(*handed.values())
 
 
-def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
+def outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     """A condition that fails where what a source hands out, such as a load, is outside of the set, or no number."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)
@@ -182,6 +182,9 @@ def _starts(projection: Projection, numbers: Numbers, given: Mapping[str, Any]) 
     if known and (projection.kind == "box" or not unknown):
         begin = start_expression(projection.name, numbers, given)
         margin = None if begin is None else _decidable(_room_at(projection, begin), numbers)[0]
+        rows = {row % len(start) for row in known} if projection.kind == "box" else {0}
+        if margin is not None and margin.numel() < len(rows):
+            margin = None  # where it starts depends on more than parameters, though its number does not
         least = partial(_least_room, projection, numbers, start)
         found = decided(text, shown, SOURCE, least, strict=False, margin=margin)
         yield replace(found, begun=begun_in(projection, numbers, given))
@@ -195,9 +198,11 @@ def begun_in(projection: Projection, numbers: Numbers, given: Mapping[str, Any])
 
 
 def _room_at(projection: Projection, start: SX) -> SX:
-    """The room of a start, which a run puts onto the rim where it misses that by rounding."""
-    rounding = ROUNDING * (1 + ca.mmax(ca.fabs(start)))
-    return ca.substitute(projection.set.room(projection.state), projection.state, start) + rounding
+    """The room of a start, which a run puts onto the rim where it misses that by rounding; of a box by elements."""
+    room = ca.substitute(projection.set.room(projection.state), projection.state, start)
+    sizes = 1 + ca.fabs(start)
+    own = ca.vertcat(sizes, sizes) if projection.kind == "box" else ca.mmax(sizes)
+    return room + ROUNDING * own
 
 
 def _least_room(projection: Projection, numbers: Numbers, start: Sequence[Number | None]) -> Fraction:

@@ -135,9 +135,13 @@ def verify(
     """
     clock = _Clock()
     try:
-        return _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
+        found = _verified(diagram, trials, seed, uncertain or {}, start or {}, clock)
     except NotApplicableError as error:
         return Verdict("not_applicable", error.text, build=clock.build, check=clock.check)
+    if found.outcome == "proved" and diagram.unit_faults:
+        texts = "; ".join(fault.text for fault in diagram.unit_faults)
+        return replace(found, outcome="not_applicable", reason=f"the units do not agree: {texts}")
+    return found
 
 
 @final
@@ -208,7 +212,8 @@ def _verified(
     bases = replace(bases, vectors=(*bases.vectors, *(tube.position for tube in kept)))
     closure = Closure(claim, numbers, bases, seed=seed)
     needed, given = decide(closure.conditions(), numbers)
-    conditions += needed
+    # over intervals more may be asked than at any number in them
+    conditions += [replace(item, sufficient=bool(numbers.open)) for item in needed]
     smooth = examiner.found()  # with residuals, true values, barriers and what is driven, all differentiated by now
     if smooth.faults:
         return Verdict("not_applicable", "; ".join(smooth.faults), claim, test, build=clock.build, check=clock.check)

@@ -88,6 +88,7 @@ def check(graph: OneGraph, overrides: Overrides = NOTHING, trust: Trust = False)
         raise_all(looked.faults)
     loaded = one_graph(graph, overrides, trust=trust)
     loaded.experiment.intervals(loaded.diagram)
+    loaded.experiment.check_units(loaded.diagram)
     tell(str(loaded))
 
 

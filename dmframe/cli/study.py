@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from dmframe.cli import STOPPED
 from dmframe.cli.streams import tell
@@ -22,6 +22,9 @@ from dmframe.study.results import Results
 from dmframe.study.run import default_folder
 from dmframe.study.store import polars
 from dmframe.trust import remember
+
+if TYPE_CHECKING:
+    from dmframe.study.report import Reported
 
 INCOMPLETE: Final = 1
 FILE: Final = "study.yaml"
@@ -84,8 +87,7 @@ def run(
         if last is not None:
             tell(f"{last.kept} of {last.runs} runs are kept in {place}; the same command continues", aside=True)
         return STOPPED
-    page, answer = _reported(Results(place), quiet=as_json) if report and state.complete else (None, None)
-    _tell(study, state, place, page, answer, as_json)
+    _tell(study, state, place, _reported(Results(place), quiet=as_json) if report and state.complete else None, as_json)
     return 0 if state.complete else INCOMPLETE
 
 
@@ -93,12 +95,18 @@ def report(folder: str, *, as_json: bool, trust: bool) -> int:
     """Write the report of a folder's runs anew; returns the exit status."""
     if trust:
         remember(Path(folder).expanduser())
-    page, answer = _reported(Results(folder), quiet=as_json)
-    tell(json.dumps({"answer": answer, "report": str(page)}, indent=2) if as_json else f"{answer}\nwrote {page}")
+    made = _reported(Results(folder), quiet=as_json)
+    tell(json.dumps(_answered(made), indent=2) if as_json else f"{made.answer}\nwrote {made.page}")
     return 0
 
 
-def _reported(results: Results, *, quiet: bool) -> tuple[Path, str]:
+def _answered(made: Reported | None) -> dict[str, Any]:
+    if made is None:
+        return {"answer": None, "outcome": None, "proofs": None, "report": None}
+    return {"answer": made.answer, "outcome": made.outcome, "proofs": list(made.proofs), "report": str(made.page)}
+
+
+def _reported(results: Results, *, quiet: bool) -> Reported:
     from dmframe.study.report import reported
 
     with telling(results.name, quiet=quiet) as say:
@@ -123,7 +131,7 @@ def _note(state: State, scheduler: str | None) -> str:
     return ", ".join(notes)
 
 
-def _tell(study: Study, state: State, place: Path, page: Path | None, answer: str | None, as_json: bool) -> None:
+def _tell(study: Study, state: State, place: Path, made: Reported | None, as_json: bool) -> None:
     counted = _counted(place) if state.kept else {"diverged": 0, "faults": 0}
     if as_json:
         data = {
@@ -138,8 +146,7 @@ def _tell(study: Study, state: State, place: Path, page: Path | None, answer: st
             "seconds": round(state.seconds, 3),
             "workers": state.workers,
             "out": str(place),
-            "answer": answer,
-            "report": None if page is None else str(page),
+            **_answered(made),
         }
         tell(json.dumps(data, indent=2))
         return
@@ -153,12 +160,12 @@ def _tell(study: Study, state: State, place: Path, page: Path | None, answer: st
         )
     rate = f", {state.computed / state.seconds:.3g} runs/s on {_workers(state.workers)}" if state.computed else ""
     tell(f"{study.name}: {state.kept} of {state.runs} runs; {state.computed} computed in {_time(state.seconds)}{rate}")
-    if answer is not None:
-        tell(answer)
+    if made is not None:
+        tell(made.answer)
     tell(f"diverged: {counted['diverged']}, not run for a fault: {counted['faults']}")
     tell(f"results: {place}")
-    if page is not None:
-        tell(f"report: {page}")
+    if made is not None:
+        tell(f"report: {made.page}")
 
 
 def _workers(count: int) -> str:

@@ -117,6 +117,13 @@ class Experiment:
         except DmframeError as error:
             raise placed(error, self.document) from None
 
+    def check_units(self, diagram: Diagram) -> None:
+        """Raise what disagrees in the units of the blocks' equations, certificates and conditions."""
+        try:
+            raise_all(diagram.unit_faults)
+        except DmframeError as error:
+            raise placed(error, self.document) from None
+
     def simulate(
         self,
         diagram: Diagram | None = None,

@@ -73,6 +73,19 @@ def _tool(value: Any) -> Any:
     raise ValueError(f"expected a frame's name, or 3 numbers in m, found {value!r}")
 
 
+def _tolerance(value: Any) -> Any:
+    """A positive number, or a text that is a positive quantity of some unit; the error's unit is known later."""
+    if value is None:
+        return None
+    for unit in ("m", "rad", ""):
+        try:
+            if to_unit(value, unit) > 0:
+                return value if isinstance(value, str) else float(value)
+        except DmframeError:
+            continue
+    raise ValueError(f"expected a positive error such as 2 mm or 5 mrad, found {value!r}")
+
+
 def robot_name(value: Any) -> Any:
     """A robot given by its name alone is that model, all else left to its defaults."""
     return {"model": value} if isinstance(value, str) else value
@@ -143,6 +156,9 @@ class GraphFile(Section):
     jitter: Jitter = Field(0.0, description="how much earlier or later a sample may begin, at random")
     seed: Annotated[int, BeforeValidator(seed_of)] = Field(0, ge=0, description="decides what is drawn at random")
     duration: Seconds = Field(description="simulated time")
+    tolerance: Annotated[float | str | None, BeforeValidator(_tolerance)] = Field(
+        None, description="largest error, root mean square in the last quarter, with which a rehearsal passes"
+    )
     start: dict[str, Any] = Field({}, description="start values by state, {q: [...]}, or {near: [...]}")
     solver: SolverSection = SolverSection()
     log: LogSection = LogSection()

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, final
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.block.model import BlockModel, model_block
+from dmframe.block.model import SYMBOLIC, BlockModel, model_block
 from dmframe.block.sizes import Sizes, bind_sizes, parameter_arrays
 from dmframe.block.symmetric import unique
 from dmframe.diagram.closed_loop import ClosedLoop, Parameter
@@ -27,7 +27,8 @@ from dmframe.diagram.wiring import (
     ways,
     wire_blocks,
 )
-from dmframe.errors import DmframeError, MissingError, SizeError, WiringError, raise_all
+from dmframe.dimensions import unit_faults
+from dmframe.errors import DmframeError, MissingError, SizeError, UnitError, WiringError, raise_all
 from dmframe.port import Port
 
 
@@ -122,6 +123,15 @@ class Diagram:
         starts = {name: model.stated_start(self.sizes) for name, model in self.models.items()}
         values = {name: model.values for name, model in self.models.items()}
         return fingerprint(self.loop, {"wires": self.sources, "starts": starts, "values": values})
+
+    @cached_property
+    def unit_faults(self) -> list[UnitError]:
+        """What disagrees in the units of blocks' equations, certificates and conditions; see `dmframe.dimensions`.
+
+        Of most graphs it takes some 0.1 to 0.3 s, of sampled inverses 1 s; `check` and `verify` ask for it.
+        """
+        with SYMBOLIC:
+            return unit_faults(self.models, self.sizes, self.robot)
 
     @cached_property
     def ways(self) -> list[Way]:

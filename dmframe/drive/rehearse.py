@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final, final
 
 import numpy as np
 
 from dmframe.columns import columns
 from dmframe.config.experiment import Experiment
+from dmframe.config.places import placed
 from dmframe.diagram import Diagram
+from dmframe.drive.bar import Bar, Measured, quarters
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
+from dmframe.drive.rival import Law, Rival, law_of
 from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
-from dmframe.errors import DriveError
-from dmframe.results.metrics import tracking_error
-from dmframe.runtime.driving import Plan, drive
+from dmframe.errors import DmframeError, DriveError, ValueFault
+from dmframe.results.metrics import euclidean, tracking_error
+from dmframe.runtime.driving import Driven, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
+from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain
+from dmframe.units import plain, to_unit
 
+IDEAL: Final = "the ideal robot"
 LONGEST: Final = 40.0
 """What is rehearsed of a longer graph, where nobody says otherwise [s]."""
 WORSE: Final = 3.0
@@ -64,11 +68,16 @@ class Outcome:
         Root mean square in the last quarter; None where it did not come to its end.
     why
         Why it is not borne; empty where it is.
+    rival, still
+        The error of the kinematic inverse of J under this condition, and of a robot that holds still; None where there
+        is no fair rival, or it did not come to its end.
     """
 
     condition: Condition
     error: float | None
     why: str
+    rival: float | None = None
+    still: float | None = None
 
 
 @final
@@ -90,6 +99,8 @@ class Rehearsal:
         What it is valid for; None where conditions were chosen by the caller, so that it is valid for no drive.
     field_hash
         `Diagram.fingerprint` of the diagram that was driven.
+    bar
+        What the errors were compared with.
     """
 
     name: str
@@ -101,6 +112,7 @@ class Rehearsal:
     until: float = 0.0
     identity: Identity | None = None
     field_hash: str = ""
+    bar: Bar = field(default_factory=Bar)
 
     @property
     def whole(self) -> bool:
@@ -124,7 +136,9 @@ class Rehearsal:
                 f"{self.name} may meet a robot, as far as a simulation can tell: it was tried on no hardware, and the "
                 "gate is not a safety function."
             )
-        return f"{self.name} may not meet a robot: it does not bear {failed[0].condition.about} ({failed[0].why})."
+        first, why = failed[0].condition, failed[0].why
+        told = f"it does not bear {first.about} ({why})" if first.options else f"on {IDEAL}, {why}"
+        return f"{self.name} may not meet a robot: {told}."
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -137,11 +151,16 @@ class Rehearsal:
             "seconds": self.seconds,
             "error": self.signal,
             "unit": self.unit,
+            "tolerance": self.bar.tolerance,
+            "rival": self.bar.rival or None,
+            "no_rival": self.bar.lacking or None,
             "conditions": [
                 {
                     "condition": item.condition.about,
                     "needed": item.condition.needed,
                     "rms": item.error,
+                    "rival": item.rival,
+                    "still": item.still,
                     "borne": not item.why,
                     "why": item.why,
                 }
@@ -156,20 +175,29 @@ class Rehearsal:
         rows = [
             (
                 item.condition.about,
-                "-" if item.error is None else plain(item.error, self.unit),
+                *("-" if value is None else plain(value, self.unit) for value in (item.error, item.rival)),
                 "yes" if not item.why else "NO" if item.condition.needed else "no, not asked for",
                 item.why,
             )
             for item in self.outcomes
         ]
-        head = (f"{self.name}, {plain(self.seconds, 's')}", f"|{self.signal}| RMS, last quarter", "borne", "")
-        return "\n".join([columns([head, *rows], indent="", right=(1,)), self.sentence])
+        head = (f"{self.name}, {plain(self.seconds, 's')}", f"|{self.signal}| RMS, last quarter", "rival", "borne", "")
+        table = columns([head, *rows], indent="", right=(1, 2))
+        return "\n".join([table, *self._notes(), self.sentence])
+
+    def _notes(self) -> Iterator[str]:
+        still = self.outcomes[0].still if self.outcomes else None
+        rival = self.bar.rival or f"none ({self.bar.lacking})"
+        held = f"; holding still: {plain(still, self.unit)}" if still is not None else ""
+        yield f"rival: {rival}{held}"
+        if self.bar.tolerance is not None:
+            yield f"tolerance of the graph: {plain(self.bar.tolerance, self.unit)}"
 
 
 def conditions(clock: float, duration: float, payload: float) -> list[Condition]:
     """What is tried, the ideal robot first."""
     most = plain(clock / 4, "s")
-    found = [Condition("nothing, the ideal robot", {})]
+    found = [Condition(f"nothing, {IDEAL}", {})]
     for delay in (1, 2, 3):
         late = plain(delay * clock, "s")
         about = f"{delay} sample{'s' * (delay > 1)} of delay, {late}"
@@ -223,30 +251,25 @@ def rehearsed(
     given = tried if tried is not None else conditions(clock, duration, load)
     # before the runs: a file that changes meanwhile is not what they rehearse
     parts = identity(experiment, steered_controller(experiment, diagram, engine), held, load) if tried is None else None
-    run = functools.partial(_quarters, experiment, diagram, duration, held, engine)
-    outcomes, ideal = list[Outcome](), None
+    law, lacking = law_of(experiment, diagram)
+    trial = _Trial(experiment, diagram, duration, held, engine, law)
+    outcomes, ideal, bar = list[Outcome](), None, Bar(lacking=lacking)
     signal = unit = ""
     for condition in given:
         tell(condition.about)
-        found = run(condition.options)
-        signal, unit = found.signal, found.unit
-        ideal = ideal or found  # the first one
-        outcomes.append(Outcome(condition, None if found.stopped else found.last, _why(found, ideal)))
+        found, rival = trial.measured(condition.options), trial.rival(condition.options)
+        if ideal is None:  # the first one
+            ideal, signal, unit = found, found.signal, found.unit
+            bar = Bar(_tolerance(experiment, unit), str(law) if law is not None else "", lacking)
+        why = found.stopped or bar.above(found, rival, ideal=ideal is found) or _why(found, ideal)
+        error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
+        outcomes.append(Outcome(condition, error, why, other, found.still))
     until = experiment.file.duration
-    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, diagram.fingerprint)
+    field = diagram.fingerprint
+    return Rehearsal(experiment.name, signal, unit, duration, asked, outcomes, until, parts, field, bar)
 
 
-@final
-@dataclass(frozen=True)
-class _Run:
-    signal: str
-    unit: str
-    second: float
-    last: float
-    stopped: str
-
-
-def _why(run: _Run, ideal: _Run) -> str:
+def _why(run: Measured, ideal: Measured) -> str:
     """Why a condition is not borne; empty where it is."""
     if run.stopped:
         return run.stopped
@@ -260,22 +283,64 @@ def _why(run: _Run, ideal: _Run) -> str:
     return ""
 
 
-def _quarters(
-    experiment: Experiment, diagram: Diagram, duration: float, limits: Limits, engine: Choice, options: dict[str, Any]
-) -> _Run:
-    """The error of a drive in its second and in its last quarter."""
-    steered = steered_controller(experiment, diagram, engine)
-    robot = simulated_robot(experiment, diagram, duration, engine, **options)
-    plan, gate = Plan(duration), Gate(limits, robot.period)
-    found = drive(steered, robot, gate, plan, lambda: "")
-    recording = recording_of(diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver)
-    error = tracking_error(recording) if recording is not None else None
-    if recording is None or error is None:
-        raise DriveError(f"{experiment.name}: expected a graph that follows a path, so that its error can be told")
-    squares, times = error.norm**2, recording.time / duration
-    second, last = (
-        float(np.sqrt(np.mean(squares[part]))) if part.any() else 0.0
-        for part in ((times >= 0.25) & (times < 0.5), times >= 0.75)
-    )
-    stopped = f"stopped after {plain(float(recording.time[-1]), 's')}, {found.stop}" if found.stop else ""
-    return _Run(error.signal, error.unit, second, last, stopped)
+def _tolerance(experiment: Experiment, unit: str) -> float | None:
+    """That of the graph, in the unit of its error. Raises `DmframeError` for one in another unit."""
+    given = experiment.file.tolerance
+    if given is None:
+        return None
+    try:
+        return to_unit(given, unit)
+    except DmframeError as error:
+        raise placed(ValueFault(f"tolerance: {error.text}", path=("tolerance",)), experiment.document) from None
+
+
+@final
+@dataclass(frozen=True)
+class _Trial:
+    """Drives a graph's own robot under a condition, with the graph's controller and with a rival."""
+
+    experiment: Experiment
+    diagram: Diagram
+    duration: float
+    limits: Limits
+    engine: Choice
+    law: Law | None
+
+    def measured(self, options: dict[str, Any]) -> Measured:
+        """The errors of the graph's controller."""
+        steered = steered_controller(self.experiment, self.diagram, self.engine)
+        found, robot, gate = self._driven(steered, options)
+        plan = Plan(self.duration)
+        recording = recording_of(
+            self.diagram, steered, found, robot=robot.name, plan=plan, gate=gate, solver=robot.solver
+        )
+        error = tracking_error(recording) if recording is not None else None
+        if recording is None or error is None:
+            raise DriveError(
+                f"{self.experiment.name}: expected a graph that follows a path, so that its error can be told"
+            )
+        still = recording[error.actual][0] - recording[error.desired]
+        parts = quarters(recording.time / self.duration, error.norm, euclidean(still))
+        return Measured(error.signal, error.unit, *parts, _stopped(found, float(recording.time[-1])))
+
+    def rival(self, options: dict[str, Any]) -> Measured | None:
+        """Those of the rival; None where there is no fair one."""
+        if self.law is None:
+            return None
+        robot = self.diagram.robot
+        found, _, _ = self._driven(Rival(self.law, robot.n, clock_of(self.experiment)), options)
+        journal, name = found.journal, "q" if self.law.shown is None else "x"
+        times = np.array(journal.reference)
+        shown = np.array([getattr(sample, name) for sample in journal.samples])
+        wanted = np.array([self.law.goal(t)[0].full().ravel() for t in times])
+        parts = quarters(times / self.duration, euclidean(shown - wanted), euclidean(shown[0] - wanted))
+        return Measured("", "", *parts, _stopped(found, float(times[-1])))
+
+    def _driven(self, steered: Any, options: dict[str, Any]) -> tuple[Driven, SimulatedRobot, Gate]:
+        robot = simulated_robot(self.experiment, self.diagram, self.duration, self.engine, **options)
+        gate = Gate(self.limits, robot.period)
+        return drive(steered, robot, gate, Plan(self.duration), lambda: ""), robot, gate
+
+
+def _stopped(found: Driven, time: float) -> str:
+    return f"stopped after {plain(time, 's')}, {found.stop}" if found.stop else ""

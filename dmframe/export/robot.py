@@ -13,6 +13,7 @@ from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import stack
 from dmframe.errors import EngineError, listed
 from dmframe.export.program import Member, identifier, members
+from dmframe.port import Side
 from dmframe.simulate import simulate
 from dmframe.simulate.start import start_state
 from dmframe.simulate.step import build_parts, substeps_of
@@ -29,6 +30,8 @@ class Robot:
         (x, commanded, p) -> dx.
     shown
         (x, p) -> what is measured.
+    torque
+        (x, commanded, p) -> what the motors do at the joints [N m]; None where the graph has no such number.
     substeps
         Of rk4 in a sampling period.
     states
@@ -45,6 +48,7 @@ class Robot:
     states: tuple[Member, ...]
     rate: Any
     shown: Any
+    torque: Any
 
 
 def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
@@ -89,7 +93,9 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
     run = simulate(diagram, clock, **experiment.settings)
     if run.solver.method != "rk4":
         raise EngineError(f"{name}: an exported robot takes steps of rk4, found {run.solver.method}")
-    used = symbols_in([rate, shown])
+    torque = _torque(diagram)
+    torque = None if torque is None or symbols_in([torque]) & rest - own else torque
+    used = symbols_in([rate, shown, *([] if torque is None else [torque])])
     kept = [parameter for parameter in loop.parameters if used & symbols_in([parameter.symbol])]
     p = stack(parameter.symbol for parameter in kept)
     units = {signal.label: signal.unit for signal in loop.outputs}
@@ -111,4 +117,25 @@ def robot_of(experiment: Experiment, diagram: Diagram) -> Robot:
         ),
         rate=ca.Function("rate", [x, commands, p], [rate]),
         shown=ca.Function("shown", [x, p], [shown]),
+        torque=None if torque is None else ca.Function("torque", [x, commands, p], [torque]),
     )
+
+
+def _torque(diagram: Diagram) -> Any:
+    """K u of the block that is driven by volts and has newton metres a volt; else what a block takes as torque."""
+    loop = diagram.loop
+    for label, block in diagram.blocks.items():
+        if block.side is not Side.PLANT:
+            continue
+        volts = [port for port in block.inputs if port.unit == "V" and not port.optional]
+        factors = [port for port in block.outputs if port.unit == "N m/V"]
+        torques = [port for port in block.inputs if port.unit == "N m" and not port.optional]
+        if len(volts) == len(factors) == 1:
+            found = diagram.resolver.output(label, factors[0].name) * diagram.resolver.input(label, volts[0].name)
+        elif len(torques) == 1:
+            found = diagram.resolver.input(label, torques[0].name)
+        else:
+            continue
+        (projected,) = loop.projected([found], joined=False)
+        return projected
+    return None

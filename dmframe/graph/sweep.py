@@ -74,11 +74,13 @@ def sweep(
     Returns
     -------
     xarray.Dataset
-        ``rms_final``, ``rms_by_eighth`` and ``error_most`` of the tracking error's norm; of a tool's turn from its
-        orientation, in degrees, ``turn_rms_final``, ``turn_rms_by_eighth`` and ``turn_most``; ``diverged``,
-        ``diverged_at`` [s], ``<signal>_least``, ``_most``, ``_last``, ``_rms_final``, ``<name>_crossed`` [s];
-        nan where a run never came. The extremes of a run that diverged are those until then: look at ``diverged``
-        first. Units are attributes.
+        Figures by the names that a study's table has: ``rms_1`` to ``rms_8``, ``rms_final`` and ``error_most`` of the
+        tracking error's norm; of a tool's turn from its orientation, in degrees, ``turn_1`` to ``turn_8``,
+        ``turn_final`` and ``turn_most``; ``diverged``, ``diverged_at`` [s], ``<signal>.least``, ``.most``, ``.last``,
+        ``.rms_final``, ``.crossed`` [s], and ``error_crossed``, ``turn_crossed``; nan where a run never came. The
+        extremes of a run that diverged are those until then: look at ``diverged`` first. Units are attributes. The
+        names of before, such as ``rms_by_eighth``, ``turn_rms_final`` and ``<signal>_most``, hold the same numbers, and
+        say by the attribute ``instead`` what to write in their place.
 
     Raises
     ------
@@ -228,19 +230,30 @@ def _dataset(
         )
 
     data = {"diverged": labelled(np.isfinite(found.diverged), ""), "diverged_at": labelled(found.diverged, "s")}
+    before = dict[str, tuple[str, xarray.Variable]]()  # names of versions before, with what to write instead
     for label, figures in found.signals.items():
         rows = [] if label in (ERROR, TURN) else [f"{label}_row"]
         parts = {"least": figures.least, "most": figures.most, "last": figures.last, "rms_final": figures.rms_final}
         if label in (ERROR, TURN):
-            rms, before = figures.rms_by_eighth[:, 0], "" if label == ERROR else f"{label}_"
-            data[f"{before}rms_by_eighth"] = labelled(rms, figures.unit, "eighth")
-            data[f"{before}rms_final"] = labelled(rms[:, -1], figures.unit)
+            rms, of = figures.rms_by_eighth[:, 0], "rms" if label == ERROR else label
+            data |= {f"{of}_{k + 1}": labelled(rms[:, k], figures.unit) for k in range(EIGHTHS)}
+            data[f"{of}_final"] = labelled(rms[:, -1], figures.unit)
             data[f"{label}_most"] = labelled(figures.most[:, 0], figures.unit)
+            older = "rms" if label == ERROR else f"{label}_rms"
+            before[f"{older}_by_eighth"] = f"{of}_1", labelled(rms, figures.unit, "eighth")
+            if label == TURN:
+                before[f"{older}_final"] = f"{of}_final", data[f"{of}_final"]
         else:
-            data |= {f"{label}_{name}": labelled(part, figures.unit, *rows) for name, part in parts.items()}
+            found_here = {f"{label}.{name}": labelled(part, figures.unit, *rows) for name, part in parts.items()}
+            data |= found_here
+            before |= {f"{label}_{name.removeprefix(f'{label}.')}": (name, item) for name, item in found_here.items()}
         crossed = figures.crossed[:, 0] if not rows else figures.crossed
         if np.isfinite(crossed).any():
-            data[f"{label}_crossed"] = labelled(crossed, "s", *rows)
+            data[f"{label}.crossed" if rows else f"{label}_crossed"] = labelled(crossed, "s", *rows)
+            if rows:
+                before[f"{label}_crossed"] = f"{label}.crossed", data[f"{label}.crossed"]
+    for name, (instead, item) in before.items():
+        data[name] = xarray.Variable(item.dims, item.data, {**item.attrs, "instead": instead})
     coordinates = {
         label: xarray.Variable([label if label in names else RUN], values, {"units": unit} if unit else {})
         for label, (values, unit) in axes.items()

@@ -26,7 +26,7 @@ def resolved(experiment: Experiment) -> dict[str, Any]:
     if file.robot is not None:
         data["robot"] = _robot(experiment)
     data["clock"] = "continuous" if file.clock is None else file.clock
-    data |= {key: value for key in ("jitter", "seed") if (value := getattr(file, key))}
+    data |= {key: value for key in ("jitter", "seed", "tolerance") if (value := getattr(file, key))}
     data["duration"] = file.duration
     if experiment.start:
         data["start"] = _plain(experiment.start)

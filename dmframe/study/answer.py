@@ -9,6 +9,7 @@ from typing import Final, final
 
 from dmframe.errors import listed
 from dmframe.report.parts import Bullets, Cell, Lead, Marked, Part
+from dmframe.study.drawn import Drawn
 from dmframe.study.findings import DIVERGED, Findings, Found
 from dmframe.study.numbers import count, figure, percent
 from dmframe.study.proof import HELD, Proof
@@ -75,7 +76,50 @@ class Told:
 
 
 def lead(t: Told) -> Lead:
-    """The answer in plain words."""
+    """The answer in plain words, with the verdict on the proof in its first line."""
+    of_runs, said = _lead(t), verdict_of(t)
+    if said is None or not any(each.runs for each in t.found.points):
+        return of_runs
+    words, worst = said
+    outcome = of_runs.outcome
+    if "refuted" in (outcome, worst):
+        outcome = "refuted"
+    elif outcome == "proved":
+        outcome = worst
+    runs = of_runs.headline
+    return Lead(outcome, f"{words[0].upper()}{words[1:]}; {runs[0].lower()}{runs[1:]}", of_runs.sentence)
+
+
+def verdict_of(t: Told) -> tuple[str, str] | None:
+    """What the proofs come to, in a few words, and the outcome that stands for it; None where none was decided."""
+    if not t.proofs:
+        return None
+    states = [each.state for each in t.proofs]
+    several, boxed = len(states) > 1, any(each.box.ends or each.box.unknown for each in t.proofs)
+    of, where = f" at {{}} of {len(states)} settings" if several else "", " over what was drawn" if boxed else ""
+    if refuted := states.count("refuted"):
+        return f"the proof is refuted{of.format(refuted)}", "refuted"
+    if all(each.proved for each in t.proofs):
+        restricted = dict.fromkeys(each.verdict.headline for each in t.proofs if each.verdict is not None)
+        left = "" if len(t.found.points) == len(states) else f" at the {len(states)} settings that were looked at"
+        return f"{listed(list(restricted))}{where}{left}", "proved" if not left else "open"
+    proved = states.count("proved")
+    if proved:
+        return f"proved{of.format(proved)}{where}", "open"
+    unknown = states.count("not_known")
+    if unknown == len(states):
+        return f"whether the proof holds{where} is not known", "open"
+    if _claims(t):
+        return f"the proof does not hold everywhere{where}" if boxed else "the proof does not apply", "not_applicable"
+    return "nothing is proved", "not_applicable"
+
+
+def _claims(t: Told) -> bool:
+    """Some graph claims what could be proved."""
+    return any(each.verdict is not None and each.verdict.test is not None for each in t.proofs)
+
+
+def _lead(t: Told) -> Lead:
     found, noun = t.found, t.noun
     ran = [each for each in found.points if each.runs]
     place = found.events.index(found.diverging)
@@ -241,27 +285,46 @@ def _ordinal(p: float) -> str:
 def _proof_in_short(t: Told) -> str:
     good, all_of, points = sum(each.proved for each in t.proofs), len(t.proofs), len(t.found.points)
     outside = list(dict.fromkeys(name for each in t.proofs for name in each.box.outside))
-    rest = f" Not in the box, since no parameter of the loop: {listed([f'`{name}`' for name in outside])}."
-    rest = rest * bool(outside) + f" The other {points - all_of} settings were not looked at." * (points > all_of)
+    rest = f" Not in the box, since no proof reads it: {listed([f'`{name}`' for name in outside])}."
+    rest = rest * bool(outside) + _other_loops(t)
+    rest += f" The other {points - all_of} settings were not looked at." * (points > all_of)
     where = f"over the whole box of what was drawn{_held(t.proofs)}"
     if not t.found.results.study.factors:
         of = "" if all_of == points else " that were looked at"
         return f"The graph is proved at {good} of the {all_of} settings{of}."
     if not any(each.box.ends for each in t.proofs):
         where = "at the numbers that the graphs state"
+    if refuted := sum(each.state == "refuted" for each in t.proofs):
+        of = f" at {refuted} of {all_of} settings" if all_of > 1 else ""
+        return f"The proof is refuted{of}: the derivative of V is not what the blocks claim.{rest}"
     if good == all_of:
         each_of = f", at each of {all_of} settings." if all_of > 1 else "."
         return f"The proof's conditions hold {where}{each_of}{rest}"
     if not good:
-        looked = next((each.drawn for each in t.proofs if each.drawn is not None), None)
         at = f" at `{t.proofs[0].name}`" if all_of > 1 else ""
-        most = (
-            f"; {count(int(looked.sum()))} of {count(len(looked))} {t.noun} fulfil them{at}"
-            if looked is not None
-            else ""
-        )
-        return f"The proof's conditions do not all hold {where}{most}. That is no proof of the contrary.{rest}"
+        looked = next((_counted(t, each.drawn, at) for each in t.proofs if each.drawn is not None), "")
+        if all(each.state == "not_known" for each in t.proofs):
+            return f"Whether the proof's conditions hold {where} is not known{looked}.{rest}"
+        return f"The proof's conditions do not all hold {where}{looked}. That is no proof of the contrary.{rest}"
     return f"The proof's conditions hold {where} at {good} of {all_of} settings.{rest}"
+
+
+def _counted(t: Told, drawn: Drawn, at: str) -> str:
+    """How many samples fulfil the conditions, each by itself."""
+    if not drawn.told:
+        return ""
+    number, of, unknown = int(drawn.fulfil.sum()), len(drawn.fulfil), int(drawn.unknown.sum())
+    if not unknown:
+        return f"; {count(number)} of {count(of)} {t.noun} fulfil them{at}"
+    return f"; of {count(of)} {t.noun} {count(number)} fulfil them{at}, and of {count(unknown)} that is not known"
+
+
+def _other_loops(t: Told) -> str:
+    """What is drawn and makes another loop of each sample."""
+    names = list(dict.fromkeys(name for each in t.proofs for name in each.box.unknown))
+    if not names:
+        return ""
+    return f" Each value of {listed([f'`{name}`' for name in names])} makes another loop, with a proof of its own."
 
 
 def _held(proofs: Sequence[Proof]) -> str:

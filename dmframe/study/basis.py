@@ -18,6 +18,12 @@ from dmframe.units import plain
 
 NAMED: Final = 4
 """Graphs that the page's head names."""
+BADGES: Final = {
+    "proved": ("proved", "proved"),
+    "refuted": ("refuted", "refuted"),
+    "not_applicable": ("not proved", "not_applicable"),
+    "not_known": ("not known", "open"),
+}
 SHOWN: Final = 12
 """Values of a grid quantity that are listed."""
 
@@ -58,8 +64,8 @@ def proof(t: Told) -> Iterator[Part]:
         "The conditions of the proof were decided exactly, for all values of the parameters in this box at once, "
         "between its corners too. The proof is in continuous time; the runs of this study are sampled, so that one may "
         "diverge where the proof holds. Where a condition fails somewhere in the box, it may still hold for most of "
-        "what was drawn: each of these was looked at by itself, in floating point, and a column says how many fulfil "
-        "every condition."
+        "what was drawn: each of these was looked at by itself, and a column says how many fulfil every condition. "
+        "Where nothing is known of a sample from its numbers, the first few were verified as graphs of their own."
     )
     if not t.found.results.study.factors:
         says = (
@@ -83,16 +89,17 @@ def proof(t: Told) -> Iterator[Part]:
     if outside:
         names = listed([f"`{name}`" for name in outside])
         yield Paragraph(
-            Marked(
-                f"Not in the box, for it is no parameter of the loop: {names}. Of such the proof takes the graph's own "
-                "number, and says nothing of the others."
-            ),
+            Marked(f"Not in the box, since no proof reads it: {names}."),
             note=True,
         )
+    if names_of_others := list(dict.fromkeys(name for each in t.proofs for name in each.box.unknown)):
+        names = listed([f"`{name}`" for name in names_of_others])
+        text = f"Each value of {names} makes another loop, with a proof of its own: of the box nothing is known."
+        yield Paragraph(Marked(text), note=True)
     several, looked = len(t.proofs) > 1, any(each.drawn is not None for each in t.proofs)
     rows = []
     for each in t.proofs:
-        badge = Badge("proved", "proved") if each.proved else Badge("not proved", "open")
+        badge = Badge(*BADGES[each.state])
         row: list[Cell] = [Word(each.name, "code")] if several else []
         rows.append([*row, badge, *([_fulfilled(each)] if looked else []), _conditions(each)])
     heads = (
@@ -109,19 +116,23 @@ def proof(t: Told) -> Iterator[Part]:
 def _conditions(each: Proof) -> str:
     if each.proved or each.verdict is None:
         return each.why or "every condition holds"
-    names = [
-        item.name + ("" if item.value is None else f" (its least value is {item.value:.3g})") for item in each.failing
+    if each.state == "refuted" or not each.failing:
+        return each.verdict.reason
+    failed = [
+        item.name + ("" if item.value is None else f" (its least value is {item.value:.3g})") for item in each.failed
     ]
-    return f"fails somewhere: {'; '.join(names)}" if names else each.verdict.reason
+    undecided = [item.name for item in each.failing if item not in each.failed]
+    parts = [f"fails somewhere: {'; '.join(failed)}"] * bool(failed)
+    return ". ".join([*parts, *[f"Not decided over the box: {'; '.join(undecided)}"] * bool(undecided)])
 
 
 def _fulfilled(each: Proof) -> str:
     if each.proved:
         return "all"
-    if each.drawn is None:
+    if each.drawn is None or not each.drawn.told:
         return "not known"
-    number, of = int(each.drawn.sum()), len(each.drawn)
-    return f"{count(number)} of {count(of)}"
+    number, of, unknown = int(each.drawn.fulfil.sum()), len(each.drawn.fulfil), int(each.drawn.unknown.sum())
+    return f"{count(number)} of {count(of)}" + f"; of {count(unknown)} not known" * bool(unknown)
 
 
 def what(study: Study) -> str:

@@ -15,6 +15,7 @@ from dmframe.block.model import SYMBOLIC
 from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.conditions import conditions_of
+from dmframe.certify.over import over_intervals
 from dmframe.config.experiment import Experiment
 from dmframe.config.given import node_of
 from dmframe.diagram import Diagram
@@ -73,8 +74,10 @@ class Proofs:
         with SYMBOLIC:
             claim = self._claim(study, experiment)
             box = _intervals(study, point, claim.diagram) if everywhere else {}
+            numbers = Numbers(claim, box)
             try:
-                checked, _ = conditions_of(claim, Numbers(claim, box), experiment.start)
+                checked, _ = conditions_of(claim, numbers, experiment.start)
+                checked = over_intervals(checked, claim, numbers)
             except NotApplicableError as error:
                 raise _no_claim(experiment, error.text) from None
         return [item for item in checked if not item.holds]

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from dmframe.copies import shared
 from dmframe.files import write_bytes, write_text, writing
@@ -37,7 +37,28 @@ def write_report(folder: str | Path, results: Results | None = None, *, proofs: 
     return reported(folder, results, proofs=proofs)[0]
 
 
-def reported(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> tuple[Path, str]:
+class Reported(NamedTuple):
+    """A report that was written.
+
+    Parameters
+    ----------
+    page
+        Its file.
+    answer
+        The sentence that it begins with: the verdict on the proof, and what the runs did.
+    outcome
+        Of both together: ``proved``, ``refuted``, ``not_applicable`` or ``open``.
+    proofs
+        Of each setting that was looked at: its name, and ``proved``, ``refuted``, ``not_applicable`` or ``not_known``.
+    """
+
+    page: Path
+    answer: str
+    outcome: str
+    proofs: Sequence[Mapping[str, str]]
+
+
+def reported(folder: str | Path, results: Results | None = None, *, proofs: bool = True) -> Reported:
     """Write ``report.html``, ``figures/`` and the worst runs, ``worst_1.yaml`` and so on, into a study's folder.
 
     Those of before are replaced. Nothing is run: the table is read, and the proof is decided over what was drawn.
@@ -48,11 +69,6 @@ def reported(folder: str | Path, results: Results | None = None, *, proofs: bool
         The folder's, where they are at hand.
     proofs
         Decide the proof; it takes about two seconds a grid point, of a dozen at most.
-
-    Returns
-    -------
-    tuple
-        The page, and the sentence that it begins with.
 
     Raises
     ------
@@ -76,7 +92,8 @@ def reported(folder: str | Path, results: Results | None = None, *, proofs: bool
     pictures = {Path(name).stem: content.decode() for name, content in files.items() if name.endswith(".svg")}
     write_text(page, as_html(told, pictures))
     answer = lead(told)
-    return page, f"{answer.headline}: {answer.sentence.text}".replace("`", "")
+    text = f"{answer.headline}: {answer.sentence.text}".replace("`", "")
+    return Reported(page, text, answer.outcome, [{"setting": each.name, "proof": each.state} for each in told.proofs])
 
 
 def as_html(told: Told, pictures: Mapping[str, str]) -> str:

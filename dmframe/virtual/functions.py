@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator, Mapping
-from typing import TYPE_CHECKING, Any, Final, TypeVar, final
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final, final
 
 import numpy as np
 
 from dmframe.errors import EngineError
 from dmframe.virtual.arithmetic import FUNCTIONS, Pose, six, text
+from dmframe.virtual.budget import COSTS, Allowance
 from dmframe.virtual.motion import Along, Motion, Servo, Speed, Stop, cycles, straight
-from dmframe.virtual.sockets import Sockets
+from dmframe.virtual.registers import INPUTS
+from dmframe.virtual.socket_functions import SocketFunctions, Waits, waits
 from dmframe.virtual.words import ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.program import Program
     from dmframe.virtual.robot import VirtualRobot
 
-Waits = Generator[None, None, Any]
 STEADY: Final = 1e-3
 """Of speeds [rad/s] at which the robot counts as standing."""
 
@@ -35,35 +36,40 @@ def names_of(kind: type) -> frozenset[str]:
 
 def waiting_of(kind: type) -> frozenset[str]:
     """Those that take time."""
-    return frozenset(name for name in _own(kind) if getattr(vars(kind)[name], "waits", False))
+    return frozenset(name for name in _own(kind) if getattr(getattr(kind, name), "waits", False))
 
 
 def _own(kind: type) -> frozenset[str]:
-    return frozenset(name for name in vars(kind) if not name.startswith("_") and name not in _OWN)
+    names = {name for base in kind.__mro__[:-1] for name in vars(base)}
+    return frozenset(name for name in names if not name.startswith("_") and name not in _OWN)
 
 
 _OWN: Final = frozenset(("close", "table", "cycle"))
-_F = TypeVar("_F", bound=Callable[..., Waits])
-
-
-def waits(function: _F) -> _F:
-    """Mark a function that takes time."""
-    function.waits = True  # type: ignore[attr-defined]
-    return function
 
 
 @final
-class Functions:
+class Functions(SocketFunctions):
     """The functions of one script.
 
     Names, order and defaults of arguments are those of the maker's manual; what a function does not heed is taken by
     ``*_``.
     """
 
-    def __init__(self, robot: VirtualRobot, program: Program) -> None:
+    def __init__(self, robot: VirtualRobot, program: Program, allowance: Allowance) -> None:
+        super().__init__(robot)
         self._robot, self._program = robot, program
-        self._sockets = Sockets(robot)
-        self.table: Mapping[str, Any] = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
+        found = {**FUNCTIONS, **{name: getattr(self, name) for name in _own(Functions)}}
+
+        def paid(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+            cost = COSTS.get(name, 1)
+
+            def call(*given: Any, **named: Any) -> Any:
+                allowance.spend(cost)
+                return function(*given, **named)
+
+            return call
+
+        self.table: Mapping[str, Any] = {name: paid(name, function) for name, function in found.items()}
 
     def close(self) -> None:
         """The script is over."""
@@ -205,7 +211,10 @@ class Functions:
         return list(self._robot.payload[1:])
 
     def set_payload(self, m: Any, cog: Any = (0.0, 0.0, 0.0)) -> None:
-        self._robot.payload = [float(m), *map(float, cog)]
+        mass, place = float(m), [float(part) for part in cog]
+        if len(place) != 3 or not all(map(math.isfinite, (mass, *place))):
+            raise ScriptError(f"set_payload: expected a mass and three numbers, found {m} and {len(place)} numbers")
+        self._robot.payload = [mass, *place]
 
     def get_forward_kin(self, q: Any = None, tcp: Any = None) -> Pose:
         if tcp is not None and any(six(tcp)):
@@ -214,14 +223,37 @@ class Functions:
 
     def get_inverse_kin(self, x: Any, qnear: Any = None, *_: Any) -> list[float]:
         near = self._robot.target.q if qnear is None else six(qnear)
-        return _list(self._robot.arm.inverse(six(x), near))
+        try:
+            return _list(self._robot.arm.inverse(six(x), near))
+        except EngineError as fault:  # the script goes on, and its client reads no number for an old one
+            return self._unknown(fault.text)
 
     def get_inverse_kin_has_solution(self, x: Any, qnear: Any = None, *_: Any) -> bool:
-        try:
-            self.get_inverse_kin(x, qnear)
-        except EngineError:
-            return False
-        return True
+        return math.isfinite(self.get_inverse_kin(x, qnear)[0])
+
+    # what the model does not tell: no numbers, and the script goes on
+
+    def _unknown(self, why: str) -> list[float]:
+        self._robot.tell(f"{self._program.name}: {why}; the answer is not a number")
+        return [math.nan] * 6
+
+    def get_joint_torques(self) -> list[float]:
+        return _list(self._robot.torque)
+
+    def get_tcp_force(self) -> list[float]:
+        return self._unknown("get_tcp_force: the virtual robot has no sensor of forces")
+
+    def force(self) -> float:
+        return self._unknown("force: the virtual robot has no sensor of forces")[0]
+
+    def get_joint_temp(self, j: Any) -> float:
+        return self._unknown("get_joint_temp: the virtual robot has no temperatures")[0]
+
+    def get_controller_temp(self) -> float:
+        return self._unknown("get_controller_temp: the virtual robot has no temperatures")[0]
+
+    def get_tool_current(self) -> float:
+        return self._unknown("get_tool_current: the virtual robot has no tool")[0]
 
     def is_within_safety_limits(self, x: Any) -> bool:
         arm = self._robot.arm
@@ -270,18 +302,23 @@ class Functions:
         self._write("bit", address, bool(value))
 
     def set_standard_digital_out(self, n: Any, b: Any) -> None:
-        self._robot.set_outputs(1 << int(n), int(bool(b)) << int(n))
+        self._output(n, 8, 0, b)
 
     set_digital_out = set_standard_digital_out
 
     def set_configurable_digital_out(self, n: Any, b: Any) -> None:
-        self.set_standard_digital_out(n + 8, b)
+        self._output(n, 8, 8, b)
 
     def set_tool_digital_out(self, n: Any, b: Any) -> None:
-        self.set_standard_digital_out(n + 16, b)
+        self._output(n, 2, 16, b)
+
+    def _output(self, n: Any, count: int, first: int, b: Any) -> None:
+        if isinstance(n, bool) or not isinstance(n, int | float) or not 0 <= n < count or n != int(n):
+            raise ScriptError(f"digital output: expected a number from 0 to {count - 1}, found {n}")
+        self._robot.set_outputs(1 << first + int(n), int(bool(b)) << first + int(n))
 
     def get_standard_digital_out(self, n: Any) -> bool:
-        return bool(self._robot.digital_outputs >> int(n) & 1)
+        return 0 <= n < 64 and bool(self._robot.digital_outputs >> int(n) & 1)
 
     get_digital_out = get_standard_digital_out
 
@@ -291,9 +328,13 @@ class Functions:
     get_digital_in = get_standard_digital_in
 
     def set_standard_analog_out(self, n: Any, f: Any) -> None:
+        if n not in (0, 1):
+            raise ScriptError(f"set_standard_analog_out: expected 0 or 1, found {n}")
         self._robot.analog_outputs[int(n)] = float(f)
 
     def rtde_set_watchdog(self, variable_name: Any, min_frequency: Any, action: Any = "pause") -> None:
+        if variable_name not in INPUTS:
+            raise ScriptError(f"rtde_set_watchdog: expected an input, input_int_register_0, say; found {variable_name}")
         most = cycles(1 / _positive("rtde_set_watchdog: min_frequency", min_frequency), self._robot.dt)
         self._robot.registers.written[str(variable_name)] = self._robot.cycles
         self._robot.watchdogs[str(variable_name)] = (most, str(action))
@@ -313,59 +354,6 @@ class Functions:
 
     def set_gravity(self, d: Any, *_: Any) -> None:
         """The plant has the graph's."""
-
-    # sockets to the client
-
-    @waits
-    def socket_open(self, address: Any, port: Any, socket_name: Any = "socket_0") -> Waits:
-        return self._sockets.open(str(address), int(port), str(socket_name))
-
-    def socket_close(self, socket_name: Any = "socket_0") -> None:
-        self._sockets.shut(str(socket_name))
-
-    def socket_send_string(self, str: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, text(str).encode())
-
-    def socket_send_line(self, str: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, f"{text(str)}\n".encode())
-
-    def socket_send_int(self, value: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, int(value).to_bytes(4, "big", signed=True))
-
-    def socket_send_byte(self, value: Any, socket_name: Any = "socket_0") -> bool:
-        return self._sockets.send(socket_name, bytes([int(value)]))
-
-    @waits
-    def socket_read_binary_integer(self, number: Any, socket_name: Any = "socket_0", timeout: Any = 2) -> Waits:
-        data = yield from self._sockets.read(socket_name, 4 * int(number), timeout)
-        found = [int.from_bytes(data[k : k + 4], "big", signed=True) for k in range(0, len(data), 4)]
-        return [len(found), *found] if found else [0] + [-1] * int(number)
-
-    @waits
-    def socket_read_byte_list(self, number: Any, socket_name: Any = "socket_0", timeout: Any = 2) -> Waits:
-        data = yield from self._sockets.read(socket_name, int(number), timeout)
-        return [len(data), *data] if data else [0] + [-1] * int(number)
-
-    @waits
-    def socket_read_ascii_float(self, number: Any, socket_name: Any = "socket_0", timeout: Any = 2) -> Waits:
-        data = yield from self._sockets.read_until(socket_name, b")", timeout)
-        words = data.decode("ascii", "replace").strip().strip("()").split(",")
-        try:
-            found = [float(word) for word in words] if data else []
-        except ValueError:
-            found = []
-        full = len(found) == int(number)
-        return [float(len(found)), *found] if full else [0.0] + [math.nan] * int(number)
-
-    @waits
-    def socket_read_line(self, socket_name: Any = "socket_0", timeout: Any = 2) -> Waits:
-        data = yield from self._sockets.read_until(socket_name, b"\n", timeout)
-        return data.decode("utf-8", "replace").rstrip("\r\n")
-
-    @waits
-    def socket_read_string(self, socket_name: Any = "socket_0", *_: Any, timeout: Any = 2, **__: Any) -> Waits:
-        data = yield from self._sockets.read_some(socket_name, timeout)
-        return data.decode("utf-8", "replace")
 
     def _joints(self, place: Any) -> np.ndarray:
         """Angles, or those of a pose."""

@@ -84,6 +84,14 @@ class Plant:
         self._show()
 
     @property
+    def torque(self) -> np.ndarray:
+        """What the motors do at the joints with the last command, K u [N m]; nan where the graph has no such number."""
+        if self._robot.torque is None:
+            return np.full(self.n, np.nan)
+        found: np.ndarray = self._robot.torque(self._x, self._u, self._p).full().ravel()
+        return found
+
+    @property
     def n(self) -> int:
         """The number of joints."""
         return self._u.size

@@ -84,7 +84,8 @@ def real_time(robot: VirtualRobot) -> bytes:
     count = (REAL_TIME[robot.series] - 4) // 8
     numbers = np.zeros(count)
     numbers[0] = robot.time
-    for first, values in ((1, robot.target.q), (7, robot.target.qd), (13, robot.target.qdd), (31, robot.q)):
+    target = robot.target
+    for first, values in ((1, target.q), (7, target.qd), (13, target.qdd), (25, robot.torque), (31, robot.q)):
         numbers[first : first + 6] = values
     numbers[37:43] = robot.dq
     numbers[55:61] = robot.arm.pose(robot.q)

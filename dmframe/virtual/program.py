@@ -7,10 +7,21 @@ import operator
 import traceback
 from collections.abc import Callable, Generator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final, final
+from types import GeneratorType
+from typing import TYPE_CHECKING, Any, Final, cast, final
 
 from dmframe.errors import DmframeError
 from dmframe.virtual.arithmetic import Pose
+from dmframe.virtual.budget import (
+    BESIDE,
+    COUNTED,
+    MOST_HELD,
+    MOST_THREADS,
+    RATE,
+    Allowance,
+    copied,
+    elements,
+)
 from dmframe.virtual.functions import Functions, Halted, names_of, waiting_of
 from dmframe.virtual.urscript import transpiled
 from dmframe.virtual.words import ScriptError
@@ -18,8 +29,6 @@ from dmframe.virtual.words import ScriptError
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
-MOST_TURNS: Final = 100_000
-"""Of loops and calls within a cycle: a script that waits for nothing would stop the robot's clock."""
 MOST_INTEGER: Final = (1 << 31) - 1
 FILE: Final = "<script>"
 
@@ -58,6 +67,15 @@ class Thread:
         with suppress(ValueError):  # a thread that kills itself runs on until it waits
             self._steps.close()
 
+    @property
+    def held(self) -> list[Any]:
+        """The variables of the calls that are under way."""
+        found, steps = list[Any](), cast(Any, self._steps)
+        while isinstance(steps, GeneratorType):
+            found += [] if steps.gi_frame is None else steps.gi_frame.f_locals.values()
+            steps = steps.gi_yieldfrom
+        return found
+
 
 @final
 class Program:
@@ -75,22 +93,26 @@ class Program:
         found = transpiled(text, names_of(Functions), waiting_of(Functions))
         self.name, self._lines = found.name or "a line of script", found.lines
         self.secondary = found.secondary
-        self._robot, self._functions = robot, Functions(robot, self)
+        self.words = found.words
+        refill = RATE * robot.dt
+        self._allowance = Allowance(refill * BESIDE if self.secondary else refill)
+        self._robot, self._functions = robot, Functions(robot, self, self._allowance)
         self._globals = dict[str, Any]()
-        self._turns = 0
         names: dict[str, Any] = {
             "__builtins__": {},
             "_g": self._globals,
             "_call": self._functions.table,
-            "_Pose": Pose,
+            "_pose": _pose,
+            "_list": self._allowance.sized,
             "_true": _true,
-            "_copy": _copy,
+            "_xor": _xor,
+            "_copy": self._copy,
             "_item": _item,
-            "_put": _put,
-            "_arithmetic": _arithmetic,
-            "_compare": _compare,
+            "_put": self._put,
+            "_arithmetic": self._arithmetic,
+            "_compare": self._compare,
             "_read": self._read,
-            "_turn": self._turn,
+            "_turn": self._allowance.spend,
             "_run": self._run,
             "_kill": self._kill,
             "_join": self._join,
@@ -107,7 +129,8 @@ class Program:
 
     def cycle(self) -> str | None:
         """Resume each thread once; None, or why the program is over."""
-        self._turns, place = 0, 0
+        self._allowance.cycle()
+        place = 0
         while place < len(self._threads):  # those that begin in this cycle run in it, too
             thread = self.current = self._threads[place]
             place += 1
@@ -130,6 +153,16 @@ class Program:
         self._threads = [thread for thread in self._threads if thread.alive]
         if self.mover is not None and not self.mover.alive:
             self.free(self.mover)
+        return self._counted()
+
+    def _counted(self) -> str | None:
+        """Why the script holds too much, counted where it has copied much since the last time."""
+        if self._allowance.copied < COUNTED:
+            return None
+        self._allowance.copied = 0
+        held = [*self._globals.values(), *(value for thread in self._threads for value in thread.held)]
+        if elements([value for value in held if isinstance(value, list | str)], MOST_HELD) > MOST_HELD:
+            return f"expected variables of no more than {MOST_HELD} elements in all, found more"
         return None
 
     def close(self) -> None:
@@ -164,12 +197,31 @@ class Program:
         except KeyError:
             raise ScriptError(f"{name}: expected a variable, found none of that name") from None
 
-    def _turn(self) -> None:
-        self._turns += 1
-        if self._turns > MOST_TURNS:
-            raise ScriptError(f"a loop without sync() or another wait: {MOST_TURNS} turns and calls in one cycle")
+    def _copy(self, value: Any) -> Any:
+        return copied(self._allowance.sized(value)) if isinstance(value, list | str) else value
+
+    def _put(self, values: Any, places: tuple[Any, ...], value: Any) -> None:
+        found = _item(values, places[:-1])
+        place = _whole(places[-1], found)
+        found[place] = self._copy(value)
+        if isinstance(value, list | str):  # of which the whole may have become too large
+            self._allowance.sized(values)
+
+    def _arithmetic(self, left: Any, *rest: Any) -> Any:
+        for sign, right in zip(rest[::2], rest[1::2], strict=True):
+            left = _computed(sign, left, right)
+            if isinstance(left, list):
+                self._allowance.sized(left)
+        return left
+
+    def _compare(self, sign: str, left: Any, right: Any) -> bool:
+        if isinstance(left, list | str):
+            self._allowance.sized(left)
+        return _compare(sign, left, right)
 
     def _run(self, name: str, steps: Generator[None, None, Any]) -> Thread:
+        if sum(thread.alive for thread in self._threads) >= MOST_THREADS:
+            raise ScriptError(f"run {name}: expected no more than {MOST_THREADS} threads")
         thread = Thread(name, steps)
         self._threads.append(thread)
         return thread
@@ -192,8 +244,14 @@ def _true(value: Any) -> bool:
     return value
 
 
-def _copy(value: Any) -> Any:
-    return type(value)(map(_copy, value)) if isinstance(value, list) else value
+def _xor(*values: Any) -> bool:
+    return sum(map(_true, values)) % 2 == 1
+
+
+def _pose(values: list[Any]) -> Pose:
+    if len(values) != 6 or not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+        raise ScriptError(f"p[...]: expected six numbers, found {len(values)} values")
+    return Pose(values)
 
 
 def _whole(index: Any, of: Any) -> Any:
@@ -206,27 +264,21 @@ def _whole(index: Any, of: Any) -> Any:
     return int(index)
 
 
-def _item(values: Any, index: Any) -> Any:
-    if isinstance(index, tuple):
-        return _item(_item(values, index[0]), index[1])
-    return values[_whole(index, values)]
+def _item(values: Any, places: tuple[Any, ...]) -> Any:
+    for place in places:
+        values = values[_whole(place, values)]
+    return values
 
 
-def _put(values: Any, index: Any, value: Any) -> None:
-    if isinstance(index, tuple):
-        values, index = _item(values, index[0]), index[1]
-    values[_whole(index, values)] = value
-
-
-def _arithmetic(sign: str, left: Any, right: Any) -> Any:
+def _computed(sign: str, left: Any, right: Any) -> Any:
     if isinstance(left, list) and isinstance(right, list):
         if len(left) != len(right):
             raise ScriptError(f"{sign}: expected lists of one length, found {len(left)} and {len(right)}")
-        return type(left)(_arithmetic(sign, a, b) for a, b in zip(left, right, strict=True))
+        return type(left)(_computed(sign, a, b) for a, b in zip(left, right, strict=True))
     if isinstance(left, list):
-        return type(left)(_arithmetic(sign, a, right) for a in left)
+        return type(left)(_computed(sign, a, right) for a in left)
     if isinstance(right, list):
-        return type(right)(_arithmetic(sign, left, b) for b in right)
+        return type(right)(_computed(sign, left, b) for b in right)
     for value in (left, right):
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ScriptError(f"{sign}: expected numbers, found {value!r}")

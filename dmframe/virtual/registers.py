@@ -115,6 +115,8 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
     "target_TCP_pose": ("VECTOR6D", lambda robot: robot.arm.pose(robot.target.q)),
     "actual_TCP_speed": ("VECTOR6D", lambda robot: robot.arm.jacobian(robot.q) @ robot.dq),
     "target_TCP_speed": ("VECTOR6D", lambda robot: robot.arm.jacobian(robot.target.q) @ robot.target.qd),
+    "target_moment": ("VECTOR6D", lambda robot: robot.torque),
+    "actual_current_as_torque": ("VECTOR6D", lambda robot: robot.torque),
     "robot_mode": ("INT32", lambda robot: robot.safety.robot_mode),
     "safety_mode": ("INT32", lambda robot: robot.safety.mode),
     "safety_status": ("INT32", lambda robot: robot.safety.mode),
@@ -148,7 +150,7 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
     **{
         name: ("VECTOR6D", lambda robot: _SIX)
         for name in (
-            "target_current target_moment actual_current actual_current_window joint_control_output actual_TCP_force "
+            "target_current actual_current actual_current_window joint_control_output actual_TCP_force "
             "actual_joint_voltage ft_raw_wrench"
         ).split()
     },
@@ -160,7 +162,7 @@ OUTPUTS: Final[Mapping[str, tuple[str, Value]]] = {
         ).split()
     },
 }
-"""What a client may ask for. Currents, torques, forces and temperatures are constants: the model tells none of them."""
+"""What a client may ask for. Torques are K u; currents, forces and temperatures are constants: the model has none."""
 
 
 def type_of(name: str) -> str | None:

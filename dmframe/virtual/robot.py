@@ -12,9 +12,11 @@ import numpy as np
 
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
-from dmframe.errors import EngineError, ValueFault
+from dmframe.errors import DmframeError, EngineError, ValueFault
 from dmframe.simulate.engine import Choice
 from dmframe.virtual.arm import JOINTS, Arm, arm_of
+from dmframe.virtual.behaviour import Behaviour, count
+from dmframe.virtual.budget import MOST_BESIDE
 from dmframe.virtual.motion import Motion, Stop, Target
 from dmframe.virtual.plant import Plant
 from dmframe.virtual.registers import Registers
@@ -35,6 +37,8 @@ SAFE_DECELERATION: Final = 20.0
 OVER: Final = 1.05
 """A measured speed over the limit by this factor stops the robot, for a servo overshoots what it is commanded."""
 
+MOST_TEXT: Final = 2000
+"""Characters of a message that are kept."""
 PAST: Final = 1000
 """Samples of the joints' angles that are kept for scripts."""
 
@@ -47,7 +51,7 @@ class Listener(Protocol):
 
 
 @final
-class VirtualRobot:
+class VirtualRobot(Behaviour):
     """A UR whose plant is the robot and the hidden servo of a graph.
 
     Nothing happens between calls of `advance`, each of which is one cycle of the controller: what clients wrote is
@@ -154,45 +158,14 @@ class VirtualRobot:
         return self.cycles * self.dt
 
     @property
-    def slider(self) -> float:
-        """The speed slider, by which the targets of all joints are scaled."""
-        return self._slider
-
-    @slider.setter
-    def slider(self, value: float) -> None:
-        self._slider = _share("slider", value)
-
-    @property
-    def lost(self) -> float:
-        """Share of samples that are not sent."""
-        return self._lost
-
-    @lost.setter
-    def lost(self, value: float) -> None:
-        self._lost = _share("lost", value)
-
-    @property
-    def command_delay(self) -> int:
-        """Cycles until what a client writes is taken."""
-        return self._command_delay
-
-    @command_delay.setter
-    def command_delay(self, value: int) -> None:
-        self._command_delay = _count("command_delay", value)
-
-    @property
-    def measurement_delay(self) -> int:
-        """Cycles until a sample is sent."""
-        return self._measurement_delay
-
-    @measurement_delay.setter
-    def measurement_delay(self, value: int) -> None:
-        self._measurement_delay = _count("measurement_delay", value)
-
-    @property
     def scaling(self) -> float:
         """What targets are scaled by now: the slider, or 0 while the robot is stopped."""
         return self._slider if self.safety.ready else 0.0
+
+    @property
+    def torque(self) -> np.ndarray:
+        """What the motors do at the six joints, K u [N m]; 0 at those that the graph holds."""
+        return self.arm.six(self.plant.torque)
 
     @property
     def running(self) -> bool:
@@ -241,11 +214,11 @@ class VirtualRobot:
 
     def _move(self) -> None:
         target = self.target
-        speed = np.zeros(6) if self.motion is None else self.motion.speed(target, self.dt, self._slider)
+        speed = np.zeros(6) if self.motion is None else self._speed(self.motion)
         if self.safety.ready and (fault := self.arm.refused(speed, target.q + speed * self.dt)):
             self.protective_stop(fault)
             assert self.motion is not None
-            speed = self.motion.speed(target, self.dt, self._slider)
+            speed = self._speed(self.motion)
         for k in self.arm.still:
             speed[k] = 0.0
         self.target = Target(target.q + speed * self.dt, speed, (speed - target.qd) / self.dt)
@@ -253,6 +226,17 @@ class VirtualRobot:
             self.emergency_stop("the arm's state is no longer finite")
         if isinstance(self.motion, Stop) and self.motion.done:
             self.motion = None
+
+    def _speed(self, motion: Motion) -> np.ndarray:
+        """Of the coming cycle; a motion that cannot go on ends its script, and the arm slows down."""
+        try:
+            with np.errstate(all="ignore"):  # what is not a number is a protective stop
+                return motion.speed(self.target, self.dt, self._slider)
+        except (ArithmeticError, ValueError, DmframeError) as fault:  # as where a line leaves the workspace
+            self.motion = Stop()
+            self.end_program(getattr(fault, "text", None) or f"{type(fault).__name__}: {fault}")
+            self.motion = Stop()
+            return self.motion.speed(self.target, self.dt, self._slider)
 
     def _measure(self) -> None:
         self.q = self.arm.six(self.plant.q, self.arm.held)
@@ -294,14 +278,17 @@ class VirtualRobot:
                 return
 
     def tell(self, text: str) -> None:
-        """Keep a message."""
+        """Keep a message, the beginning of a long one."""
         self.told += 1
-        self.messages.append(f"{self.time:.3f} s: {text}")
+        self.messages.append(f"{self.time:.3f} s: {text[:MOST_TEXT]}")
 
     def run_program(self, program: Program) -> None:
         """Start a script; one that runs ends, unless the new one is secondary."""
         if program.secondary:
-            self.beside.append(program)
+            if len(self.beside) < MOST_BESIDE:
+                self.beside.append(program)
+            else:
+                self.tell(f"{program.name}: not started, for {MOST_BESIDE} secondary programs run")
             return
         if self.program is not None:
             self.end_program("another program begins")
@@ -358,7 +345,7 @@ class VirtualRobot:
 
     def lose(self, samples: int) -> None:
         """Do not send the next samples."""
-        self._to_lose = _count("samples", samples)
+        self._to_lose = count("samples", samples)
 
     def load_script(self, text: str) -> None:
         """Run a script as if it had come by a socket. Raises `ScriptError` where it cannot be read."""
@@ -414,15 +401,3 @@ class VirtualRobot:
             sleep(time)
         else:
             self._servers.poll(time)
-
-
-def _share(name: str, value: float) -> float:
-    if not 0 <= value <= 1:
-        raise ValueFault(f"{name}: expected a number from 0 to 1, found {value}")
-    return float(value)
-
-
-def _count(name: str, value: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise ValueFault(f"{name}: expected a whole number, 0 or more, found {value}")
-    return value

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 HEADER: Final = 3
 MOST_RECIPES: Final = 255
 OUTPUT_RECIPE: Final = 1
+MOST_NAMES: Final = 512
+"""Of a recipe: each is computed anew in each cycle."""
 
 
 @final
@@ -166,4 +168,5 @@ class Rtde:
 
 
 def _names(message: bytes) -> list[str]:
-    return [name for name in message.decode("ascii", "replace").split(",") if name]
+    names = [name for name in message.decode("ascii", "replace").split(",") if name]
+    return names if len(names) <= MOST_NAMES else [f"of more than {MOST_NAMES} names"]

@@ -13,15 +13,21 @@ from dmframe.errors import OutputError, ValueFault
 from dmframe.virtual import dashboard, primary
 from dmframe.virtual.program import Program
 from dmframe.virtual.rtde import Rtde
-from dmframe.virtual.words import ScriptError, complete
+from dmframe.virtual.words import MOST_WORDS, Arriving, ScriptError
 
 if TYPE_CHECKING:
     from dmframe.virtual.robot import VirtualRobot
 
 MOST_WAITING: Final = 1 << 20
 """Bytes that a client may leave unread; samples that do not fit are left out."""
-MOST_TEXT: Final = 1 << 20
-"""Of a script that is not yet complete."""
+MOST_TEXT: Final = 1 << 18
+"""Of scripts that are not yet complete, or that wait to be read; a client that sends more is disconnected."""
+WORDS: Final = 20_000.0
+"""Of a client's scripts that are read in a second of the robot's time: no cycle passes meanwhile, some 10 us a word."""
+MOST_LINES: Final = 50
+"""Of the dashboard that are answered at once; the next are in the next cycle."""
+MOST_CLIENTS: Final = 64
+"""Connections at once."""
 STATES: Final = 10.0
 """State messages in a second, on the primary and secondary ports."""
 
@@ -84,13 +90,17 @@ class _DashboardClient(_Client):
 
     def received(self, data: bytes) -> bool:
         self._rest += data
-        *lines, self._rest = self._rest.split(b"\n")
+        *lines, self._rest = self._rest.split(b"\n", MOST_LINES)
         for line in lines:
             text = line.decode("utf-8", "replace")
             self.pending += f"{dashboard.answer(self._robot, text)}\n".encode()
             if text.strip().lower() == "quit":
                 return False
         return len(self._rest) < MOST_TEXT
+
+    def cycle(self, robot: VirtualRobot) -> None:
+        if b"\n" in self._rest:
+            self.received(b"")
 
 
 @final
@@ -99,20 +109,32 @@ class _ScriptClient(_Client):
 
     def __init__(self, robot: VirtualRobot, sent: Callable[[VirtualRobot], bytes], every: int, first: bytes) -> None:
         self._robot, self._sent, self._every = robot, sent, every
-        self._text, self.pending = "", bytearray(first)
+        self._arriving, self.pending = Arriving(), bytearray(first)
+        self._words, self._refill = float(MOST_WORDS), WORDS * robot.dt
 
     def received(self, data: bytes) -> bool:
-        self._text += data.decode("utf-8", "replace")
-        while count := complete(self._text):
-            text, self._text = self._text[:count], self._text[count:]
+        self._arriving.text += data.decode("utf-8", "replace")
+        self._begin()
+        if len(self._arriving.text) < MOST_TEXT:
+            return True
+        self._robot.tell(f"a client is disconnected: more than {MOST_TEXT} characters of it wait to be read")
+        return False
+
+    def _begin(self) -> None:
+        """Begin the scripts that have arrived, while there are words left for them."""
+        while self._words > 0 and (text := self._arriving.take()):
             try:
-                self._robot.run_program(Program(text, self._robot))
+                program = Program(text, self._robot)
+                self._words -= program.words
+                self._robot.run_program(program)
             except ScriptError as fault:
+                self._words -= min(MOST_WORDS, len(text))
                 self._robot.end_program("a script that cannot be read takes its place")
                 self._robot.tell(f"script: {fault.text}")
-        return len(self._text) < MOST_TEXT
 
     def cycle(self, robot: VirtualRobot) -> None:
+        self._words = min(MOST_WORDS, self._words + self._refill)
+        self._begin()
         if robot.cycles % self._every == 0 and len(self.pending) < MOST_WAITING:
             self.pending += self._sent(robot)
 
@@ -186,6 +208,10 @@ class Servers:
         try:
             made, _ = door.accept()
         except OSError:
+            return
+        if len(self._clients) >= MOST_CLIENTS:
+            self._robot.tell(f"a client is refused: {MOST_CLIENTS} are connected")
+            made.close()
             return
         made.setblocking(False)
         made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

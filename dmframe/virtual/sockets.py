@@ -19,6 +19,8 @@ OPENING: Final = 2.0
 """How long a script waits for a connection [s]."""
 MOST: Final = 16
 """Sockets of a script."""
+MOST_WAITING: Final = 1 << 16
+"""Bytes that a client may send before a script reads them."""
 
 
 @final
@@ -47,11 +49,16 @@ class Sockets:
         self.shut(name)
         if len(self._open) >= MOST:
             raise ScriptError(f"socket_open {name}: expected no more than {MOST} sockets")
+        host = "127.0.0.1" if host == "localhost" else host
+        try:
+            socket.inet_pton(socket.AF_INET, host)
+        except OSError:  # a name server that does not answer would stop the robot's clock
+            raise ScriptError(f"socket_open: expected an address such as 127.0.0.1, found {host[:40]!r}") from None
         made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         made.setblocking(False)
         try:
             state = made.connect_ex((host, port))
-        except OSError:
+        except (OSError, OverflowError):
             made.close()
             return False
         until = self._robot.time + OPENING
@@ -111,5 +118,7 @@ class Sockets:
             except ConnectionError:
                 return True
             self._rest[name] += data
+            if len(self._rest[name]) > MOST_WAITING:
+                raise ScriptError(f"socket {name}: expected no more than {MOST_WAITING} bytes that wait to be read")
             return not data
         return False

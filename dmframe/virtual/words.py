@@ -30,6 +30,11 @@ _BINARY: Final = frozenset("or and xor not = == != < > <= >= + - * / % , ^".spli
 """A line that ends with one of these goes on in the next."""
 OPENING: Final = frozenset(("def", "thread", "sec", "if", "while"))
 """What `end` closes."""
+_FUNCTIONS: Final = frozenset(("def", "thread", "sec"))
+MOST_WORDS: Final = 20_000
+"""Of a script: more would hold up the robot, and with it all its clients, by more than some tenths of a second."""
+_PIECES: Final = 4 * MOST_WORDS
+"""Words, spaces, comments and empty lines."""
 _WORDS: Final = OPENING | frozenset(
     "end elif else return break continue halt run kill join global local and or xor not True False "
     "enter_critical exit_critical pass".split()
@@ -38,8 +43,11 @@ _WORDS: Final = OPENING | frozenset(
 
 def tokens(text: str) -> list[Token]:
     """The words of a script; ends of lines where a statement may end."""
-    found, place, line, depth = list[Token](), 0, 1, 0
+    found, place, line, depth, pieces = list[Token](), 0, 1, 0, 0
     while place < len(text):
+        pieces += 1
+        if len(found) > MOST_WORDS or pieces > _PIECES:
+            raise ScriptError(f"line {line}: expected a script of no more than {MOST_WORDS} words, found a longer one")
         match = _TOKEN.match(text, place)
         if match is None:
             raise ScriptError(f"line {line}: expected URScript, found {text[place]!r}")
@@ -57,39 +65,65 @@ def tokens(text: str) -> list[Token]:
     return [*found, Token("over", "", line)]
 
 
-def assigned(words: Sequence[Token]) -> tuple[set[str], set[str], set[str]]:
-    """Of the block that begins here: assigned plainly, declared local; declared global, also within functions."""
-    plain, local, shared, depth = set[str](), set[str](), set[str](), list[str]()
+Names = tuple[set[str], set[str]]
+
+
+def scopes(words: Sequence[Token]) -> tuple[dict[int, Names], set[str]]:
+    """What each function assigns plainly, and what it declares local, by the place of its first word; -1 is the whole.
+
+    With them all names that are declared global, wherever.
+    """
+    found: dict[int, Names] = {-1: (set(), set())}
+    shared, inner, opened = set[str](), [-1], list[bool]()
     for k, token in enumerate(words[:-1]):
-        follows, inner = words[k + 1], {"def", "thread"} & set(depth)
+        follows, (plain, local) = words[k + 1], found[inner[-1]]
         if token.kind == "word" and token.text in OPENING:
-            depth.append(token.text)
-        elif token.kind == "word" and token.text == "end":
-            if not depth:
-                break
-            depth.pop()
-        elif token.text == "global" and token.kind == "word":
+            opened.append(token.text in _FUNCTIONS)
+            if opened[-1]:
+                found[k] = (set(), set())
+                inner.append(k)
+        elif token.kind == "word" and token.text == "end" and opened:
+            if opened.pop():
+                inner.pop()
+        elif token.kind == "word" and token.text == "global":
             shared.add(follows.text)
-        elif token.text == "local" and token.kind == "word" and not inner:
+        elif token.kind == "word" and token.text == "local":
             local.add(follows.text)
         first = k == 0 or words[k - 1].kind == "newline" or words[k - 1].text == ":"
-        if first and token.kind == "name" and follows.text == "=" and not inner:
+        if first and token.kind == "name" and follows.text == "=":
             plain.add(token.text)
-    return plain, local, shared
+    return found, shared
+
+
+@final
+class Arriving:
+    """A text that arrives in pieces, of which each character is looked at once: whole programs leave it."""
+
+    def __init__(self) -> None:
+        self.text = ""
+        self._place, self._depth = 0, 0
+
+    def take(self) -> str:
+        """The first program, or line by itself, that has arrived as a whole; empty where more must come."""
+        while (end := self.text.find("\n", self._place)) >= 0:
+            found = _FIRST.match(self.text, self._place, end)
+            first = found.group(1) if found else "#"
+            self._place = end + 1
+            if first.startswith("#"):
+                continue
+            self._depth += (first in OPENING) - (first == "end")
+            if self._depth <= 0:
+                whole, self.text = self.text[: self._place], self.text[self._place :]
+                self._place, self._depth = 0, 0
+                return whole
+        return ""
+
+
+_FIRST: Final = re.compile(r'\s*("[^"]*"|[A-Za-z_]\w*|\S)')
 
 
 def complete(text: str) -> int:
     """How many characters of what has arrived are a whole program, or a line by itself; 0 where more must come."""
-    depth, place = 0, 0
-    for line in text.splitlines(keepends=True):
-        if not line.endswith("\n"):
-            return 0
-        place += len(line)
-        words = re.findall(r'"[^"]*"|[A-Za-z_]\w*|#.*|\S', line)
-        first = words[0] if words else "#"
-        if first.startswith("#"):
-            continue
-        depth += (first in OPENING) - (first == "end")
-        if depth <= 0:
-            return place
-    return 0
+    arriving = Arriving()
+    arriving.text = text
+    return len(arriving.take())

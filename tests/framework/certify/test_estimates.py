@@ -30,30 +30,33 @@ Estimates = ClassVar[tuple[Adapted, ...]]
 
 
 class Drift(AbstractBlock):
-    """dx = -x + (w - theta)."""
+    """dx = -x (1/s) + (w - theta)."""
 
     side: ClassVar[Side] = Side.PLANT
-    inputs: Ports = (Port("w", "n", "m"),)
-    outputs: Ports = (Port("x", "n", "m/s", Access.MEASURED), Port("theta", "n", "m"))
+    inputs: Ports = (Port("w", "n", "m/s^2"),)
+    outputs: Ports = (Port("x", "n", "m/s", Access.MEASURED), Port("theta", "n", "m/s^2"))
     states: States = (State("x", "n", "m/s"),)
-    theta: Diagonal = Real("n", "m")
+    theta: Diagonal = Real("n", "m/s^2")
+    rate: Diagonal = Positive("n", "1/s", default=1.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations(outputs={"x": x.x, "theta": p.theta}, rates={"x": -x.x + u.w - p.theta})
+        return Equations(outputs={"x": x.x, "theta": p.theta}, rates={"x": -p.rate * x.x + u.w - p.theta})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        return Certificate(storage=(Square(x.x),), dissipation=(Square(x.x),), supply=ca.dot(x.x, u.w - p.theta))
+        return Certificate(
+            storage=(Square(x.x),), dissipation=(Square(x.x, p.rate),), supply=ca.dot(x.x, u.w - p.theta)
+        )
 
 
 class Learner(AdaptingBlock):
     """dw = -Gamma x: all that there is to state."""
 
-    inputs: Ports = (Port("x", "n", "m/s"), Port("w_nominal", "n", "m", optional=True))
-    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
-    truth: Ports = (Port("theta", "n", "m"),)
-    estimates: Estimates = (Adapted("w", "n", "m", gain="Gamma", nominal="w_nominal", ball=True),)
+    inputs: Ports = (Port("x", "n", "m/s"), Port("w_nominal", "n", "m/s^2", optional=True))
+    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
+    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    estimates: Estimates = (Adapted("w", "n", "m/s^2", gain="Gamma", nominal="w_nominal", ball=True),)
     driven_by: ClassVar[str] = "x"
-    Gamma: Diagonal = Positive("n", "1/s", default=2.0)
+    Gamma: Diagonal = Positive("n", "1/s^2", default=2.0)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"w": x.w})
@@ -68,14 +71,14 @@ class Learner(AdaptingBlock):
 class Started(Learner):
     """The same, with a start of its own."""
 
-    w: Diagonal | None = Real("n", "m", default=None)
+    w: Diagonal | None = Real("n", "m/s^2", default=None)
 
 
 class Nominal(AbstractBlock):
     """Hands out where the estimate starts."""
 
-    outputs: Ports = (Port("w_nominal", "n", "m"),)
-    at: Diagonal = Real("n", "m", default=0.3)
+    outputs: Ports = (Port("w_nominal", "n", "m/s^2"),)
+    at: Diagonal = Real("n", "m/s^2", default=0.3)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         return Equations(outputs={"w_nominal": p.at})
@@ -95,8 +98,8 @@ def proof(learner: AbstractBlock, **more: AbstractBlock) -> Verdict:
 def test_the_parameters_of_the_options_are_made_of_the_declaration() -> None:
     made = {name: (spec.shape, spec.unit, spec.form) for name, spec in specs(Learner).items()}
     assert list(made) == ["Gamma", "w_box", "w_ball", "leak", "error_leak", "dead_zone"]
-    assert made["w_box"] == ("n", "m", "box")
-    assert made["w_ball"] == ("n", "m", "ball")
+    assert made["w_box"] == ("n", "m/s^2", "box")
+    assert made["w_ball"] == ("n", "m/s^2", "ball")
     assert made["leak"] == ("", "1/s", "diagonal")
     assert made["error_leak"] == ("", "1/m", "diagonal")
     assert made["dead_zone"] == ("n", "m/s", "diagonal")
@@ -255,19 +258,19 @@ def test_a_dead_zone_of_a_law_that_is_not_linear_in_its_error_is_told() -> None:
     ("changes", "text"),
     [
         (
-            {"estimates": (Adapted("w", "n", "m", gain="Gama"),)},
+            {"estimates": (Adapted("w", "n", "m/s^2", gain="Gama"),)},
             "the gain of the estimate w is Gama, which is no parameter; did you mean Gamma?",
         ),
         (
-            {"estimates": (Adapted("w", "n", "m"),)},
+            {"estimates": (Adapted("w", "n", "m/s^2"),)},
             "the gain of the estimate w is none, which is no parameter; choose from",
         ),
         (
-            {"estimates": (Adapted("w", "n", "m", gain="Gamma", nominal="w_nom"),)},
+            {"estimates": (Adapted("w", "n", "m/s^2", gain="Gamma", nominal="w_nom"),)},
             "the estimate w starts at w_nom, which is no input; did you mean w_nominal?",
         ),
         ({"driven_by": "y"}, "is driven by y, which is no input and no output; choose from"),
-        ({"states": (State("w", "n", "m"),)}, "declares the state w twice"),
+        ({"states": (State("w", "n", "m/s^2"),)}, "declares the state w twice"),
     ],
 )
 def test_a_declaration_of_what_the_block_lacks_is_told(changes: dict[str, Any], text: str) -> None:
@@ -300,15 +303,16 @@ class Minimal(AbstractBlock):
     """dw = -Gamma x, stated with all the rest; its certificate alone says what w estimates."""
 
     inputs: Ports = (Port("x", "n", "m/s"),)
-    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
-    states: States = (State("w", "n", "m", box="w_box"), State("other_hat", "n"))
-    truth: Ports = (Port("theta", "n", "m"),)
-    Gamma: Diagonal = Positive("n", "1/s", default=2.0)
-    w_box: Box = Interval("n", "m")
+    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
+    states: States = (State("w", "n", "m/s^2", box="w_box"), State("other_hat", "n"))
+    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    Gamma: Diagonal = Positive("n", "1/s^2", default=2.0)
+    decay: Diagonal = Positive("n", "1/s", default=1.0)
+    w_box: Box = Interval("n", "m/s^2")
     says: str = "estimates"
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations(outputs={"w": x.w}, rates={"w": -p.Gamma * u.x, "other_hat": -x.other_hat})
+        return Equations(outputs={"w": x.w}, rates={"w": -p.Gamma * u.x, "other_hat": -p.decay * x.other_hat})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         told: dict[str, Any] = {
@@ -366,7 +370,7 @@ def test_every_adapting_block_says_what_its_options_are_on_its_page_and_to_an_ed
 class Seen(Drift):
     """The same, with theta measured."""
 
-    outputs: Ports = (*Drift.outputs, Port("theta_m", "n", "m", Access.MEASURED))
+    outputs: Ports = (*Drift.outputs, Port("theta_m", "n", "m/s^2", Access.MEASURED))
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         stated = super().equations(u, x, p)
@@ -376,13 +380,13 @@ class Seen(Drift):
 class Fitter(AdaptingBlock):
     """Composite adaptation, with a memory that forgets."""
 
-    inputs: Ports = (Port("x", "n", "m/s"), Port("theta_m", "n", "m"))
-    outputs: Ports = (Port("w", "n", "m", Access.COMMANDED),)
-    truth: Ports = (Port("theta", "n", "m"),)
-    estimates: Estimates = (Adapted("w", "n", "m", gain="Gamma", memory="M_w"),)
+    inputs: Ports = (Port("x", "n", "m/s"), Port("theta_m", "n", "m/s^2"))
+    outputs: Ports = (Port("w", "n", "m/s^2", Access.COMMANDED),)
+    truth: Ports = (Port("theta", "n", "m/s^2"),)
+    estimates: Estimates = (Adapted("w", "n", "m/s^2", gain="Gamma", memory="M_w"),)
     driven_by: ClassVar[str] = "x"
     Gamma: Diagonal = Positive("n", "", default=2.0)
-    R: Diagonal | None = Positive("n", "", default=None)
+    R: Diagonal | None = Positive("n", "s", default=None)
     forgetting: Scalar | None = Positive("", "1/s", default=None)
     M_w: Scalar = Real("n n", "", default=0.0)
 

@@ -11,6 +11,7 @@ import pytest
 
 import dmframe as dm
 from dmframe.drive import kept, rehearse, robots
+from dmframe.drive.bar import Measured
 from dmframe.drive.rehearse import Condition, conditions, rehearsed
 from dmframe.drive.robots import Kind
 from dmframe.errors import DriveError
@@ -63,8 +64,8 @@ def test_what_is_not_asked_for_is_told_and_hinders_nothing() -> None:
     ],
 )
 def test_an_error_that_is_too_large_or_that_grows_is_not_borne(second: float, last: float, told: str) -> None:
-    ideal = rehearse._Run("x - x_d", "m", 0.002, 0.002, "")
-    assert rehearse._why(rehearse._Run("x - x_d", "m", second, last, ""), ideal) == told
+    ideal = Measured("x - x_d", "m", 0.002, 0.002, 0.002, 0.2, "")
+    assert rehearse._why(replace(ideal, second=second, last=last), ideal) == told
 
 
 def test_steps_of_the_longest_tick_are_as_short_as_those_of_the_clocks() -> None:

@@ -26,6 +26,13 @@ def test_a_grid_has_a_dimension_a_name_and_the_figures_of_the_runs_alone() -> No
     mine = found.sel({"dynamics.Gamma": 10, "servo.K_P": 50})
     np.testing.assert_allclose(mine["rms_by_eighth"], run.error.rms_by_eighth, rtol=1e-9)
     np.testing.assert_allclose(mine["error_most"], run.error.norm.max(), rtol=1e-9)
+    for name, instead, values in (
+        ("rms_by_eighth", "rms_1", mine["rms_by_eighth"][0]),
+        ("arm.q_most", "arm.q.most", mine["arm.q_most"]),
+    ):  # by the names that a study's table has, and by those of before, which say so
+        assert found[name].attrs["instead"] == instead
+        np.testing.assert_array_equal(mine[instead], values)
+    assert "instead" not in found["rms_final"].attrs
     np.testing.assert_allclose(mine["arm.q_last"], run["arm.q"].values[-1], rtol=1e-9)
     first = run.error.times[np.argmax(run.error.norm > 1e-3)]
     assert mine["error_crossed"] == first

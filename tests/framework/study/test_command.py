@@ -109,7 +109,9 @@ def test_a_study_runs_grows_reruns_and_moves(mine: Path, tmp_path: Path, dmframe
     status, out, err = dmframe("there/study.yaml", "--workers", "1")
     assert (status, err) == (0, "")
     assert out.startswith("study: 18 of 18 runs; 18 computed in ")
-    assert "\nNone of 9 robots diverged at 2 of 2 settings: Gamma = 1 and Gamma = 10; " in out
+    assert (
+        "\nProved over what was drawn; none of 9 robots diverged at 2 of 2 settings: Gamma = 1 and Gamma = 10; " in out
+    )
     assert out.endswith(
         "diverged: 0, not run for a fault: 0\nresults: studies/study\nreport: studies/study/report.html\n"
     )

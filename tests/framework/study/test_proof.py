@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from dmframe.certify import verify
 from dmframe.study import basis
 from dmframe.study import proof as module
 from dmframe.study.answer import Told, _proof_in_short
 from dmframe.study.design import Spread
+from dmframe.study.drawn import held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
-from dmframe.study.proof import HELD, box_of, held_at, proofs_of
+from dmframe.study.proof import HELD, box_of, proofs_of
+from dmframe.study.report import reported
 from dmframe.study.varied import Factor
 
 
@@ -70,11 +75,24 @@ def test_of_what_has_no_ends_the_box_holds_what_it_says() -> None:
     assert [float(end[0]) for end in box.ends["servo.K_D"]] == [18, 22]
 
 
-def test_what_is_no_parameter_is_named() -> None:
-    found = study("start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}")
+def test_starts_are_in_the_box_and_what_no_proof_reads_is_named() -> None:
+    drawn = "start.q: {uniform: [-10 deg, 10 deg]}\nservo.K_D: {scale: [0.9, 1.1]}"
+    found = study(f"{drawn}\nclock: {{uniform: [4 ms, 8 ms]}}")
     box = box_of(of(found), found.factors)
-    assert box.outside == ("start.q",)
-    assert set(box.ends) == {"servo.K_D"}
+    assert box.outside == ("clock",)
+    assert box.unknown == ()
+    assert set(box.ends) == {"servo.K_D", "start.arm.q"}
+
+
+def test_a_start_that_a_parameter_states_is_a_start_and_the_graph_goes_before_it() -> None:
+    found = study("inverse.w_I: {scale: [1, 2]}", "arm2_joint")
+    diagram = of(found)
+    box = box_of(diagram, found.factors)
+    own = diagram.models["inverse"].values["w_I"]
+    low, high = box.ends["start.inverse.w_I"]
+    np.testing.assert_allclose([low, high], [own, 2 * own])
+    told = box_of(diagram, found.factors, {"w_I": 1.0})
+    assert told.unknown == ("inverse.w_I",)  # whose numbers nothing reads; that costs a word, and says nothing false
 
 
 def test_a_narrow_box_is_proved_and_a_wide_one_is_not() -> None:
@@ -92,12 +110,14 @@ def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
     found = study("servo.K_I: {scale: [0.9, 8]}\nservo.K_D: {scale: [0.5, 1]}", runs=40)
     (told,) = proofs_of(found, [""])
     assert told.drawn is not None
+    assert not told.drawn.unknown.any()
+    drawn = told.drawn.fulfil
     values = found.values(0, 0, 40)
     by_hand = 1.0 * values["servo.K_D"] + 60 - values["servo.K_I"] / 1.0 >= 0  # with K_c = 1 1/s, without friction
-    assert 0 < told.drawn.sum() < 40
-    assert np.array_equal(told.drawn, by_hand.ravel())
-    for sample in (int(np.argmin(told.drawn)), int(np.argmax(told.drawn))):
-        assert found.graph_of(sample).verify().proved == told.drawn[sample]
+    assert 0 < drawn.sum() < 40
+    assert np.array_equal(drawn, by_hand.ravel())
+    for sample in (int(np.argmin(drawn)), int(np.argmax(drawn))):
+        assert found.graph_of(sample).verify().proved == drawn[sample]
 
 
 def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
@@ -105,12 +125,13 @@ def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
     soft = proofs_of(study("servo.K_D: {scale: [0.5, 0.6]}", grid=grid), ["stiff", "soft"])
     assert [each.proved for each in soft] == [True, False]
     assert soft[1].drawn is not None
-    assert not soft[1].drawn.any()
+    assert not soft[1].drawn.fulfil.any()
+    assert not soft[1].drawn.unknown.any()
 
 
 def test_a_loop_without_a_claim_says_nothing_of_draws() -> None:
     found = study("servo.K_D: {scale: [0.9, 1.1]}", graph="pendulum_kinematic")
-    assert held_at(of(found), {}, found.values(0, 0, 5), 5) is None
+    assert held_at(of(found), {}, found.values(0, 0, 5), 5, verify(of(found))) is None
 
 
 def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,8 +143,8 @@ def test_only_the_first_points_are_decided(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize(
     ("sample", "says", "apart"),
     [
-        ("inverse.w_I: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
-        ("inverse.w_I: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
+        ("clock: {scale: [1, 2]}", "hold at the numbers that the graphs state", True),
+        ("clock: {scale: [1, 2]}\nservo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", True),
         ("servo.K_P: {scale: [1, 2]}", "hold over the whole box of what was drawn", False),
     ],
 )
@@ -138,6 +159,105 @@ def test_the_answer_says_what_the_box_does_not_hold(sample: str, says: str, apar
         (),
     )
     assert says in _proof_in_short(told)
-    assert ("Not in the box, since no parameter of the loop: `inverse.w_I`" in _proof_in_short(told)) == apart
+    assert ("Not in the box, since no proof reads it: `clock`" in _proof_in_short(told)) == apart
     parts = repr(list(basis.proof(told)))
-    assert ("says nothing of the others" in parts) == apart
+    assert ("no proof reads it" in parts) == apart
+
+
+LEAKY = '''"""A tank with one number."""
+
+from typing import Any, ClassVar, final
+
+from dmframe.block import AbstractBlock, Equations
+from dmframe.certificate import Certificate, Square
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, Side, State
+
+
+@final
+class Leaky(AbstractBlock):
+    """It leaks.
+
+    Parameters
+    ----------
+    rate : scalar, 1/s
+        How fast.
+    """
+
+    side: ClassVar[Side] = Side.PLANT
+    outputs: ClassVar[tuple[Port, ...]] = (Port("y"),)
+    states: ClassVar[tuple[State, ...]] = (State("x"),)
+    rate: Scalar = Positive("", "1/s", default=1.0)
+
+    def equations(self, u: Any, x: Any, p: Any) -> Equations:
+        return Equations(outputs={"y": x.x}, rates={"x": -p.rate * x.x})
+
+    def certificate(self, u: Any, x: Any, p: Any, truth: Any) -> Certificate:
+        return Certificate((Square(x.x),), (Square(x.x, DISSIPATED),))
+'''
+
+
+@pytest.fixture
+def tank(tmp_path: Path) -> Callable[[str], Study]:
+    """A study of a graph of one block with one scalar state, from what V spends."""
+
+    def made(dissipated: str) -> Study:
+        name = f"tank_{len(list(tmp_path.iterdir()))}"
+        (tmp_path / f"{name}.py").write_text(LEAKY.replace("DISSIPATED", dissipated), encoding="utf-8")
+        text = (
+            f"dmframe: 1\nclock: 10 ms\nduration: 1 s\nstart: {{x: 1}}\nblocks:\n  tank: {{type: '{name}.py:Leaky'}}\n"
+        )
+        (tmp_path / f"{name}.yaml").write_text(text, encoding="utf-8")
+        study = f"dmframe-study: 1\ngraph: {name}.yaml\nsample:\n  runs: 20\n  tank.rate: {{scale: [0.5, 2]}}\n"
+        (tmp_path / f"{name}_study.yaml").write_text(study, encoding="utf-8")
+        return load_study(tmp_path / f"{name}_study.yaml")
+
+    return made
+
+
+def test_a_graph_with_one_scalar_state_and_nothing_to_measure_runs(tank: Callable[[str], Study]) -> None:
+    rows = tank("p.rate").rows(0, 0, 20)
+    assert not any(rows["fault"])
+    assert not rows["diverged"].any()
+
+
+@pytest.mark.usefixtures("undrawn")
+@pytest.mark.parametrize(
+    ("dissipated", "begins", "outcome"),
+    [
+        ("p.rate", "Proved over what was drawn; of 20", "proved"),
+        ("2 * p.rate", "The proof is refuted; of 20", "refuted"),
+    ],
+)
+def test_the_first_line_of_a_study_is_the_verdict(
+    tank: Callable[[str], Study], tmp_path: Path, dissipated: str, begins: str, outcome: str
+) -> None:
+    results = tank(dissipated).run(tmp_path / "out", workers=1, progress=False)
+    made = reported(tmp_path / "out", results)
+    assert made.answer.startswith(begins)
+    assert made.outcome == outcome
+    page = made.page.read_text(encoding="utf-8")
+    assert begins.partition(";")[0] in page[: page.index("</title>")]
+    assert [each["proof"] for each in made.proofs] == [outcome]
+
+
+@pytest.mark.parametrize(
+    ("graph", "sample"),
+    [
+        ("torque_direct_pid", "model.nominal: {uniform: [0.7, 1.3]}"),  # where estimates start
+        ("arm2_joint", "inverse.w: {scale: [0.2, 2]}"),
+        ("arm2_joint", "start.a_d_hat: {uniform: [-30, 30], per: element}"),
+        ("pendulum", "arm.coulomb: {uniform: [0, 1]}"),  # zero in the graph, and no column of the regressor
+    ],
+)
+def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
+    found = study(sample, graph, runs=6)
+    (told,) = proofs_of(found, [""])
+    proved = [found.graph_of(sample).experiment.verify().outcome == "proved" for sample in range(3)]
+    if told.drawn is None:
+        assert told.proved
+        assert all(proved)
+        return
+    assert not told.proved
+    for sample, own in enumerate(proved):
+        assert told.drawn.unknown[sample] or told.drawn.fulfil[sample] == own

@@ -1,0 +1,123 @@
+"""Dimensions with unknowns: products, and the linear equations that sums are."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from fractions import Fraction
+from typing import Final, final
+
+from dmframe.dimensions.dimension import BASES, NUMBER, ONE, Dimension, Power, product
+
+ANYTHING: Final = 0
+"""The handle of a zero, which is of any dimension."""
+
+
+@final
+class Algebra:
+    """Dimensions by handle, whole numbers, so that each product of two is computed once.
+
+    Unknowns are found by elimination: an equation that holds one sets it, and one that holds none and is not fulfilled
+    is a contradiction.
+
+    Attributes
+    ----------
+    ignored
+        Base units whose powers are not compared.
+    """
+
+    def __init__(self) -> None:
+        self.ignored: tuple[str, ...] = ()
+        self._known: list[Dimension] = [ONE]  # of a zero, which is never looked at
+        self._handles: dict[Dimension, int] = {}
+        self._products: dict[tuple[int, int, Power], int] = {}
+        self._solved: dict[int, Dimension] = {}
+        self._resolved: dict[int, int] = {}
+        self._holding = defaultdict[int, set[int]](set)
+        self._count = 0
+        self.number = self.handle(NUMBER)
+
+    def handle(self, dimension: Dimension) -> int:
+        """The handle of a dimension."""
+        found = self._handles.get(dimension)
+        if found is None:
+            found = self._handles[dimension] = len(self._known)
+            self._known.append(dimension)
+        return found
+
+    def unknown(self) -> int:
+        """A new unknown."""
+        self._count += 1
+        return self.handle(ONE._replace(unknowns=((self._count, 1),)))
+
+    def product(self, one: int, other: int, power: Power = 1) -> int:
+        """One * other^power; zero where either is."""
+        if not one or not other:
+            return ANYTHING
+        key = (one, other, power)
+        found = self._products.get(key)
+        if found is None:
+            found = self._products[key] = self.handle(product(self._known[one], self._known[other], power))
+        return found
+
+    def same(self, one: int, other: int) -> int | None:
+        """What both are, which is learnt if it was not known; None where they contradict one another."""
+        if one == other or not other:
+            return one
+        if not one:
+            return other
+        a, b = self.of(one), self.of(other)
+        exact = a.angular and b.angular and not a.number and not b.number
+        apart = product(a, b, -1)
+        if apart.unknowns:
+            self._solve(apart, exact=exact)
+        elif any(power and self._compared(base, exact=exact) for base, power in zip(BASES, apart.powers, strict=True)):
+            return None
+        return self._sharper(one, other)
+
+    def forget(self) -> None:
+        """Unknowns are unknown again."""
+        self._solved.clear()
+        self._resolved.clear()
+        self._holding.clear()
+
+    def of(self, handle: int) -> Dimension:
+        """The dimension, with what is known of its unknowns."""
+        return self._known[self._resolve(handle)]
+
+    def _compared(self, base: str, *, exact: bool) -> bool:
+        return base not in self.ignored and (exact or base != "rad")
+
+    def _sharper(self, one: int, other: int) -> int:
+        """The one of two equal dimensions of which more is known."""
+        a, b = self.of(one), self.of(other)
+        return one if (not a.number, a.angular) >= (not b.number, b.angular) else other
+
+    def _solve(self, apart: Dimension, *, exact: bool) -> None:
+        """Set the newest unknown so that the equation holds."""
+        key, power = apart.unknowns[-1]
+        rest = apart._replace(unknowns=apart.unknowns[:-1], angular=exact, number=False)
+        value = product(ONE, rest, -power if power in (1, -1) else Fraction(-1) / power)
+        for other, known in self._solved.items():
+            for held, exponent in known.unknowns:
+                if held == key:
+                    left = tuple(pair for pair in known.unknowns if pair[0] != key)
+                    self._solved[other] = product(known._replace(unknowns=left), value, exponent)
+        self._solved[key] = value
+        for handle in self._holding.pop(key, ()):
+            self._resolved.pop(handle, None)
+
+    def _resolve(self, handle: int) -> int:
+        found = self._resolved.get(handle)
+        if found is None:
+            dimension = self._known[handle]
+            whole = dimension
+            if any(key in self._solved for key, _ in dimension.unknowns):
+                left = tuple(pair for pair in dimension.unknowns if pair[0] not in self._solved)
+                whole = dimension._replace(unknowns=left)
+                for key, exponent in dimension.unknowns:
+                    if key in self._solved:
+                        whole = product(whole, self._solved[key], exponent)
+            found = self._resolved[handle] = self.handle(whole)
+            for key, _ in whole.unknowns:
+                self._holding[key].add(handle)
+        return found

@@ -1,0 +1,245 @@
+"""The check of one block, and of all blocks of a diagram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.block.base import AbstractBlock
+from dmframe.block.model import BlockModel
+from dmframe.block.sizes import Sizes
+from dmframe.dimensions.algebra import Algebra
+from dmframe.dimensions.declared import Declared, Leaf
+from dmframe.dimensions.dimension import BASES, Dimension, counted, product, spelled
+from dmframe.dimensions.limits import with_limits
+from dmframe.dimensions.rules import Contradiction, dimensions
+from dmframe.dimensions.stated import Item, items_of
+from dmframe.dimensions.words import expression
+from dmframe.errors import UnitError
+from dmframe.parameter import specs
+from dmframe.port import ANY, Port, State
+from dmframe.program import CONST, INPUT, Program, by_code, read
+from dmframe.units import base_units
+
+
+def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[UnitError]:
+    """What disagrees in the units of each block's equations, certificate and conditions: the first of each block.
+
+    Parameters
+    ----------
+    models, sizes
+        A diagram's.
+    robot
+        Its chain, or None.
+    """
+    found = (check.fault() for check in checks_of(models, sizes, robot))
+    return [fault for fault in found if fault is not None]
+
+
+def checks_of(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[Check]:
+    """The check of each block."""
+    units = _element_units(models, robot)
+    prismatic = robot is not None and any(joint.kind == "prismatic" for joint in robot.joints)
+    return [_checked(model, sizes, units, prismatic=prismatic) for model in models.values()]
+
+
+def _checked(model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool) -> Check:
+    """The check of a block; of one that seems to disagree, with the robot's limits as quantities and not as numbers."""
+    check = Check(model, sizes, units, prismatic=prismatic)
+    if model.robot is None or check.disagreement() is None:
+        return check
+    limited = with_limits(model, sizes)
+    return check if limited is None else Check(limited, sizes, units, prismatic=prismatic)
+
+
+def _element_units(models: Mapping[str, BlockModel], robot: Any) -> dict[str, tuple[str, ...]]:
+    """The units of what letters count, as the blocks that bind the letters state them."""
+    found = dict[str, tuple[str, ...]]()
+    for model in models.values():
+        for letter, elements in model.block.elements(robot).items():
+            found.setdefault(letter, tuple(element.unit for element in elements))
+    return found
+
+
+@final
+@dataclass(frozen=True)
+class Disagreement:
+    """Where units disagree: in which statement, at which value of the program, and between which dimensions.
+
+    `operands` are the places of what disagrees inside; none where a statement as a whole has not what it must have.
+    """
+
+    item: Item
+    place: int
+    operands: tuple[int, ...]
+    found: tuple[Dimension, ...]
+
+
+_POSES: Final = frozenset(by_code({"sin": 0, "cos": 0}))
+"""What the robot's functions of a pose are made of, and what nothing else that a robot knows is made of."""
+
+
+@final
+class Check:
+    """One block's program on its own symbols, and the dimensions that its symbols have."""
+
+    def __init__(
+        self, model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool = False
+    ) -> None:
+        self.model = model
+        self._algebra = Algebra()
+        self._declared = Declared(self._algebra, model, units)
+        self._items = items_of(model, sizes, self._declared)
+        if _bare(model.block):
+            self._algebra.ignored = BASES
+            return
+        posed = model.robot is not None and not _POSES.isdisjoint(self._compiled[0].codes)
+        self._algebra.ignored = ("m", "rad") if prismatic else ("rad",) if posed else ()
+
+    @cached_property
+    def _compiled(self) -> tuple[Program, dict[int, Leaf]]:
+        column = ca.vertcat(ca.SX(0, 1), *(ca.vec(ca.densify(item.expression)) for item in self._items))
+        given = self._declared.arguments
+        known = [argument.symbols for argument in given]
+        free = ca.Function("units", known, [column], {"allow_free": True}).free_sx()
+        program = read(ca.Function("units", [*known, ca.vertcat(ca.SX(0, 1), *free)], [column]))
+        leaves = dict[int, Leaf]()
+        for place, node in enumerate(program.nodes):
+            if node.code == INPUT and node.a < len(given):
+                leaves[place] = given[node.a].leaf(node.b)
+            elif node.code == INPUT:  # what nobody declares is a symbol of the author's own
+                leaves[place] = Leaf(str(free[node.b]), self._algebra.unknown())
+        return program, leaves
+
+    @property
+    def parameters(self) -> list[str]:
+        """The parameters that anything stated depends on."""
+        return sorted({leaf.parameter for leaf in self._compiled[1].values() if leaf.parameter})
+
+    def disagreement(self, parameter: str = "", times: int | None = None) -> Disagreement | None:
+        """The first disagreement; with the dimension of a parameter multiplied by another one, if one is given."""
+        program, leaves = self._compiled
+        algebra = self._algebra
+        algebra.forget()
+        given = {
+            place: algebra.product(leaf.dimension, times)
+            if times is not None and leaf.parameter == parameter
+            else leaf.dimension
+            for place, leaf in leaves.items()
+        }
+        values, wrong = dimensions(program, algebra, given)
+        if wrong:
+            return self._inside(program, values, wrong[0])
+        places = iter(program.stored(range(len(values)))[0])
+        for item in self._items:
+            for k, place in zip(range(item.expression.numel()), places, strict=False):
+                if item.numbers and program.nodes[place].code == CONST:
+                    continue
+                if item.expected and algebra.same(item.expected[k], values[place]) is None:
+                    found = algebra.of(item.expected[k]), algebra.of(values[place])
+                    return Disagreement(item, place, (), found)
+        return None
+
+    def times(self, dimension: Dimension) -> int:
+        """The handle of a dimension, for `disagreement`."""
+        return self._algebra.handle(dimension)
+
+    def fault(self) -> UnitError | None:
+        """The first disagreement as a fault, with the one parameter whose unit would remove it."""
+        unlike = next(_unlike(self.model.block), None)
+        if unlike is not None:
+            return UnitError(f"{self.model.name}: {unlike}", path=("blocks", self.model.name))
+        found = self.disagreement()
+        if found is None:
+            return None
+        program, leaves = self._compiled
+        text = _told(found, program, {place: leaf.name for place, leaf in leaves.items()})
+        return UnitError(f"{self.model.name}: {text}{self._remedy(found, program)}", path=("blocks", self.model.name))
+
+    def _inside(self, program: Program, values: list[int], wrong: Contradiction) -> Disagreement:
+        found = tuple(self._algebra.of(values[operand]) for operand in wrong.operands)
+        return Disagreement(self._item_of(program, wrong.node), wrong.node, wrong.operands, found)
+
+    def _item_of(self, program: Program, node: int) -> Item:
+        """The first statement that needs a value."""
+        reached = [place == node for place in range(len(program.nodes))]
+        for place in range(node + 1, len(program.nodes)):
+            reached[place] = any(reached[operand] for operand in program.nodes[place].operands)
+        stored, begin = program.stored(reached)[0], 0
+        for item in self._items:
+            end = begin + item.expression.numel()
+            if any(stored[begin:end]):
+                return item
+            begin = end
+        raise AssertionError(node)  # each value is in a statement
+
+    def _remedy(self, found: Disagreement, program: Program) -> str:
+        if any(program.nodes[operand].code == CONST for operand in found.operands):
+            return "; a number that has a unit has to be a parameter"
+        fitting = list(self._fitting())
+        return f"; {fitting[0]} would agree" if len(fitting) == 1 else ""
+
+    def _fitting(self) -> Iterator[str]:
+        """Each parameter with the unit in which everything would agree, if there is one such unit."""
+        units = {name: spec.unit for name, spec in specs(type(self.model.block)).items()}
+        for parameter in self.parameters:
+            factor = self._algebra.unknown()
+            if self.disagreement(parameter, factor) is not None:
+                continue
+            other = self._algebra.of(factor)
+            if not other.unknowns:
+                whole = product(counted(units[parameter]), other._replace(angular=True, number=False))
+                yield f"{parameter} in {spelled(whole)}"
+
+
+def _bare(block: AbstractBlock) -> bool:
+    """Whether a block declares no units but those of time: its quantities are plain numbers then, time among them."""
+    items: list[Port | State] = [*block.inputs, *block.outputs, *block.states, *block.truth]
+    units = {item.unit for item in items} | {spec.unit for spec in specs(type(block)).values()}
+    return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
+
+
+def _unlike(block: AbstractBlock) -> Iterator[str]:
+    """Declarations that no equation compares: starts, boxes and balls of states, and ports that are derivatives."""
+    numbers = specs(type(block))
+    for state in block.states:
+        for name, what in ((state.name, "start"), (state.box, "box"), (state.ball, "ball")):
+            spec = numbers.get(name)
+            if spec is not None and counted(spec.unit) != counted(state.unit):
+                yield (
+                    f"expected {name}, the {what} of {state.name}, in {state.unit or 'a plain number'}, "
+                    f"found {spec.unit or 'a plain number'}"
+                )
+    ports = {port.name: port for port in (*block.inputs, *block.outputs)}
+    for port in ports.values():
+        of = ports.get(port.derivative_of)
+        if of is not None and ANY not in (of.unit, port.unit):
+            rate = product(counted(of.unit), counted("s"), -1)
+            if counted(port.unit) != rate:
+                yield (
+                    f"expected {port.name}, the derivative of {of.name}, in {spelled(rate)}, "
+                    f"found {port.unit or 'a plain number'}"
+                )
+
+
+def _told(found: Disagreement, program: Program, names: Mapping[int, str]) -> str:
+    where = expression(program, found.place, names)
+    if not found.operands:
+        expected, other = found.found
+        return f"expected {found.item.what} in {spelled(expected)}, found {spelled(other)}: {where}"
+    parts = [expression(program, operand, names) for operand in found.operands]
+    if len(parts) == 1:
+        return f"{found.item.what}: expected a plain number in {where}, found {spelled(found.found[0])}"
+    one, by = parts
+    first, second = found.found
+    apart = product(first, second, -1)
+    if first.unknowns or second.unknowns:
+        return f"{found.item.what}: {one} and {by} differ by {spelled(apart)}, and cannot be added or compared"
+    return (
+        f"{found.item.what}: expected one unit in {where}, found {spelled(first)} in {one} and {spelled(second)} "
+        f"in {by}"
+    )

@@ -1,0 +1,45 @@
+"""A block's equations once more, with the robot's limits as symbols: as numbers they have lost their units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final, final
+
+import casadi as ca
+
+from dmframe.block.model import BlockModel, Recalled, signals_of, stated_by
+from dmframe.block.sizes import Sizes
+from dmframe.certificate import SX
+
+LIMITS: Final[Mapping[str, str]] = {
+    "velocity_limits": "rad/s",
+    "effort_limits": "N m",
+    "lower_limits": "rad",
+    "upper_limits": "rad",
+}
+"""What a robot knows of its joints as plain numbers, with the units."""
+
+
+@final
+class Limited:
+    """A robot whose limits are symbols."""
+
+    def __init__(self, robot: Any) -> None:
+        self._robot, self.limits = robot, dict[str, SX]()
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in LIMITS:
+            return getattr(self._robot, name)
+        if name not in self.limits:
+            self.limits[name] = ca.SX.sym(name, self._robot.n)
+        return self.limits[name]
+
+
+def with_limits(model: BlockModel, sizes: Sizes) -> BlockModel | None:
+    """The block with such a robot; None for one whose equations read no limits."""
+    robot = Limited(model.robot)
+    parameters = {**model.parameters, **model.starts}
+    signals = signals_of(model.name, model.inputs, model.states, parameters, Recalled(robot))
+    equations = stated_by(model.name, model.block, signals, sizes)
+    return replace(model, equations=equations, robot=robot) if robot.limits else None

@@ -1,0 +1,214 @@
+"""What a block states, as expressions each with the dimension that it has to have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, final
+
+import casadi as ca
+
+from dmframe.block.base import Signals
+from dmframe.block.faults import told_by
+from dmframe.block.model import BlockModel, symbol
+from dmframe.block.sizes import Sizes
+from dmframe.certificate import (
+    SX,
+    Certificate,
+    CommonLyapunov,
+    Condition,
+    Driven,
+    Inequality,
+    LogDet,
+    SampledCertificate,
+)
+from dmframe.dimensions.declared import Declared
+from dmframe.errors import DmframeError
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One expression.
+
+    Parameters
+    ----------
+    what
+        As a message names it: ``the output tau_c``.
+    expression
+        A matrix.
+    expected
+        The dimension of each element, column by column; none where any will do, so that only its sums are checked.
+    numbers
+        Numbers that are written out are in the unit that is expected, as in a graph file.
+    """
+
+    what: str
+    expression: SX
+    expected: tuple[int, ...] = ()
+    numbers: bool = False
+
+
+def items_of(model: BlockModel, sizes: Sizes, declared: Declared) -> list[Item]:
+    """All that a block states. A method that raises, as `verify` tells, states nothing here."""
+    found = list(_equations(model, declared))
+    truth = _truth(model, sizes, declared)
+    u, x, p = model.signals()
+    block = model.block
+    try:
+        with told_by(model.name, "start()"):
+            found += _starts(model, declared, block.composed_start(u, p, truth))
+        with told_by(model.name, "certificate()"):
+            certificate = block.composed_certificate(u, x, p, truth)
+        with told_by(model.name, "conditions()"):
+            conditions = block.conditions(p, truth)
+        if isinstance(certificate, Certificate):
+            found += _certificate(certificate, declared)
+        elif isinstance(certificate, SampledCertificate):
+            found += _over_samples(certificate, declared)
+        for condition in conditions:
+            found += _condition(condition, declared)
+    except DmframeError:
+        pass
+    return found
+
+
+def _truth(model: BlockModel, sizes: Sizes, declared: Declared) -> Signals:
+    values = dict[str, SX]()
+    for port in model.block.truth:
+        try:
+            values[port.name] = symbol(f"true {port.name}", sizes.of(port.shape))
+        except KeyError:
+            continue
+        declared.add(port, values[port.name])
+    return Signals(model.name, "truth", values)
+
+
+def _equations(model: BlockModel, declared: Declared) -> Iterator[Item]:
+    block, equations, algebra = model.block, model.equations, declared.algebra
+    second = declared.unit("s")
+    for port in block.outputs:
+        if port.name in equations.outputs:
+            expression = equations.outputs[port.name]
+            yield Item(f"the output {port.name}", expression, tuple(declared.of_item(port, *expression.shape)))
+    for state in block.states:
+        kinds = (
+            ("the rate of", equations.rates, -1),
+            ("the next value of", equations.next, 0),
+            ("the second term of", equations.second, -2),
+        )
+        for what, stated, power in kinds:
+            if state.name in stated:
+                expression = stated[state.name]
+                own = declared.of_item(state, *expression.shape)
+                yield Item(
+                    f"{what} {state.name}", expression, tuple(algebra.product(each, second, power) for each in own)
+                )
+
+
+def _starts(model: BlockModel, declared: Declared, starts: Mapping[str, Any]) -> Iterator[Item]:
+    for state in model.block.states:
+        if state.name in starts:
+            expression = ca.SX(starts[state.name])
+            own = tuple(declared.of_item(state, *expression.shape))
+            yield Item(f"the start of {state.name}", expression, own, numbers=True)
+
+
+def _certificate(certificate: Certificate, declared: Declared) -> Iterator[Item]:
+    """All terms of S have one unit, and all of dS/dt that per second."""
+    algebra, second = declared.algebra, declared.unit("s")
+    energy = algebra.unknown()
+    power = algebra.product(energy, second, -1)
+    for stored in certificate.storage:
+        if isinstance(stored, LogDet):  # the logarithm of a determinant ratio, not a ratio's logarithm
+            matrix = ca.densify(ca.SX(stored.matrix - stored.true))
+            yield Item("the matrices of a storage term", matrix)
+            yield Item("the weight of a storage term", ca.SX(stored.weight), (energy,))
+        else:
+            yield Item("the storage S", ca.SX(stored.value), (energy,))
+    for terms, what in ((certificate.dissipation, "the dissipation"), (certificate.excess, "the residual")):
+        for lost in terms:
+            yield Item(what, ca.SX(lost.value), (power,))
+    yield Item("the supply rate", ca.SX(certificate.supply), (power,))
+    if certificate.consumes is not None:
+        yield Item("what it consumes of the servo level", ca.SX(certificate.consumes.value), (power,))
+    for name, value in certificate.truth.items():
+        yield Item(f"the true {name}", ca.SX(value))
+    for error in certificate.errors:
+        yield Item("an error", ca.SX(error.value))
+    yield from _consumed(certificate, declared)
+    for driven in certificate.driven:
+        yield from _driven(driven, declared)
+    for barrier in certificate.barriers:
+        position = ca.SX(barrier.position - barrier.upper) + ca.SX(barrier.margin)
+        own = tuple(algebra.unknown() for _ in range(position.numel()))
+        yield Item("the room of a barrier", position, own)
+        speeds = tuple(algebra.product(each, second, -1) for each in own)
+        yield Item("the reference of a barrier", ca.SX(barrier.reference), speeds)
+
+
+def _consumed(certificate: Certificate, declared: Declared) -> Iterator[Item]:
+    """The dissipated vectors of which what is consumed is composed."""
+    terms = list(zip(certificate.pays, certificate.dissipation, strict=False))
+    if len(terms) < 2:
+        return
+    vectors = [ca.SX(coefficient) * ca.SX(term.pieces[0]) for coefficient, term in terms]
+    yield Item("what it dominates of a cascade", sum(vectors[1:], vectors[0]))
+
+
+def _driven(driven: Driven, declared: Declared) -> Iterator[Item]:
+    """Each equation's signals have units of their own; a rate A_jk turns that of z_k into that of z_j per second."""
+    algebra, second = declared.algebra, declared.unit("s")
+    vectors = [ca.SX(vector) for vector in driven.vectors]
+    units = [[algebra.unknown() for _ in range(vector.numel())] for vector in vectors]
+    for own, vector, rates in zip(units, vectors, driven.rates, strict=True):
+        yield Item("a driven signal", vector, tuple(own))
+        for rate, other in zip(map(ca.SX, rates), units, strict=True):
+            pairs = zip(own, other, strict=False)
+            expected = [algebra.product(algebra.product(one, by, -1), second, -1) for one, by in pairs]
+            if not rate.is_zero():
+                yield Item("the rate of a driven signal", rate, tuple(expected[: rate.numel()]))
+    for own, given in zip(units, driven.inputs, strict=False):
+        column = ca.SX(given)
+        expected = [algebra.product(one, second, -1) for one in own]
+        yield Item("the input of a driven signal", column, tuple(expected[: column.numel()]))
+    for condition in driven.otherwise:
+        yield from _condition(condition, declared)
+
+
+def _condition(condition: Condition, declared: Declared) -> Iterator[Item]:
+    if isinstance(condition, Inequality):
+        yield Item(f"the condition {condition.name}", ca.SX(condition.expression))
+    elif isinstance(condition, CommonLyapunov):
+        rate = declared.unit("1/s")
+        square = declared.algebra.product(rate, rate)
+        for matrix, each in ((ca.SX(condition.a), rate), (ca.SX(condition.b), square)):
+            yield Item(f"the condition {condition.name}", matrix, (each,) * matrix.numel())
+
+
+def _over_samples(certificate: SampledCertificate, declared: Declared) -> Iterator[Item]:
+    """All terms of V have one unit; each row's answer and its goal have one."""
+    algebra, second = declared.algebra, declared.unit("s")
+    energy = algebra.unknown()
+    for terms, what in (
+        (certificate.storage, "the storage V"),
+        (certificate.decrease, "the decrease of V"),
+        (certificate.residual, "the residual of V"),
+    ):
+        for term in terms:
+            yield Item(what, ca.SX(term.value), (energy,))
+    for steps in certificate.steps:
+        error = ca.SX(steps.theta - steps.true)
+        weighed = error * error / steps.gain
+        yield Item("the storage V", weighed, (algebra.unknown(),) * weighed.numel())
+        ends = [sum(steps.parts[: j + 1]) for j in range(len(steps.parts))]
+        for h, y in steps.rows[:1]:
+            for j, (end, count) in enumerate(zip(ends, steps.parts, strict=True)):
+                part = slice(end - count, end)
+                yield Item("a row's prediction", ca.dot(h[part], steps.theta[part]) - y[j])
+                yield Item("a row's norm", steps.floor + ca.dot(h[part] * h[part], steps.gain[part]))
+    for relation in certificate.relations:
+        moved = ca.SX(relation.momentum)
+        own = tuple(algebra.unknown() for _ in range(moved.numel()))
+        yield Item("the momentum of a relation", moved, own)
+        yield Item("the rest of a relation", ca.SX(relation.rest), tuple(algebra.product(o, second, -1) for o in own))

@@ -1,0 +1,240 @@
+"""Which samples of a study fulfil the proof: by margins at each one's own numbers, or by its own graph's `verify`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import SYMBOLIC, symbols_in
+from dmframe.certify import Verdict
+from dmframe.certify.begun import START
+from dmframe.certify.claim import Claim
+from dmframe.certify.elsewhere import Elsewhere, Intervals, claims_alike, elsewhere
+from dmframe.certify.over import NEEDED, failing_of
+from dmframe.diagram import Diagram
+from dmframe.diagram.closed_loop import stack
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError, ValueFault
+from dmframe.exact.rational import evaluate
+from dmframe.robot.rational import decimal
+from dmframe.study.box import Box, label_of
+
+if TYPE_CHECKING:
+    from dmframe.study.plan import Study
+
+LOOKED: Final = 20_000
+"""Samples of which each is looked at by itself, where the proof does not hold over the whole box."""
+EDGE: Final = 1e-12
+"""Margins so near to zero, relative to the largest, are decided exactly: rounding may have turned them."""
+EXACT: Final = 200
+"""Samples of which margins are decided exactly, at most."""
+SINGLE: Final = 6
+"""Samples that are verified one by one, where margins say nothing of them."""
+SECONDS: Final = 15.0
+"""After so long no further one is begun, for each grid point."""
+
+HOLDS, FAILS, OPEN = 1, 0, -1
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Of each of the first samples: does it fulfil every condition of the proof by itself?
+
+    Parameters
+    ----------
+    fulfil
+        (n,) bool.
+    unknown
+        (n,) bool, of which it is not known.
+    verified
+        How many of them were verified as graphs of their own.
+    """
+
+    fulfil: np.ndarray
+    unknown: np.ndarray
+    verified: int = 0
+
+    @property
+    def told(self) -> bool:
+        """Something is known of some sample."""
+        return not bool(self.unknown.all())
+
+
+def drawn_of(study: Study, index: int, diagram: Diagram, box: Box, verdict: Verdict) -> Drawn:
+    """The samples of a grid point, of which the whole box is not proved."""
+    count, experiment = min(study.samples, LOOKED), study.points[index].graph.experiment
+    stated, values = experiment.intervals(diagram), study.values(index, 0, count)
+    found = None if box.unknown else held_at(diagram, experiment.start, values, count, verdict, stated)
+    found = np.full(count, OPEN) if found is None else found
+    verified, begun = 0, time.perf_counter()
+    for sample in np.flatnonzero(found == OPEN)[:SINGLE].tolist():
+        if time.perf_counter() - begun > SECONDS:
+            break
+        with suppress(DmframeError):
+            graph = study.graph_of(sample * len(study.points) + index)
+            found[sample] = HOLDS if graph.experiment.verify().outcome == "proved" else FAILS
+            verified += 1
+    return Drawn(found == HOLDS, found == OPEN, verified)
+
+
+def held_at(
+    diagram: Diagram,
+    start: Mapping[str, Any],
+    values: Mapping[str, np.ndarray],
+    count: int,
+    verdict: Verdict,
+    stated: Intervals | None = None,
+) -> np.ndarray | None:
+    """Which of `count` samples fulfil every condition, each at its own numbers: `HOLDS`, `FAILS`, or `OPEN`.
+
+    Parameters
+    ----------
+    values
+        Rows by ``block.parameter``, as `Study.values` has them.
+    verdict
+        Over the box of all these values.
+    stated
+        The graph's own intervals, over which each sample's proof is one, too.
+
+    Returns
+    -------
+    (count,) int
+        None where nothing is known of any: the claim is not proved but for its conditions, or a value makes another
+        loop.
+    """
+    claim = verdict.claim if verdict.samples is None else verdict.samples.base
+    if claim is None or not _but_for_conditions(verdict):
+        return None
+    with SYMBOLIC:
+        rows = _rows_of(diagram, claim, start, values, count)
+        if rows is None:
+            return None
+        moved = {label.removeprefix(START) for label in rows if label.startswith(START)}
+        everything = elsewhere(verdict.conditions, claim, stated or {}, moved)
+    silent = {item.checked.name for item in everything if item.tacit}
+    # what is no condition of a single graph, but was not decided over the box, is looked at again by its own margin
+    judged = [
+        item for item in everything if item.tacit or not (item.checked.source == NEEDED and item.checked.name in silent)
+    ]
+    bounded = all(bound.known for bound in verdict.bounds)
+    found = _Samples(claim, rows, count).judged(judged)
+    return found if bounded else np.where(found == HOLDS, OPEN, found)
+
+
+def _but_for_conditions(verdict: Verdict) -> bool:
+    """The identity is proved, and all was decided: what fails, if anything does, are conditions."""
+    if verdict.test is None or not verdict.test.zero or not verdict.conditions:
+        return False
+    if verdict.outcome == "proved":
+        return True
+    whole = verdict.states is not None or verdict.samples is not None
+    caught = bool(verdict.controls) and all(control.refuted for control in verdict.controls)
+    failing = failing_of(verdict.conditions)
+    return whole and caught and bool(failing) and verdict.reason == failing
+
+
+def _rows_of(
+    diagram: Diagram, claim: Claim, start: Mapping[str, Any], values: Mapping[str, np.ndarray], count: int
+) -> dict[str, np.ndarray] | None:
+    """(elements, count) of each parameter and start that moves; None where a value makes another loop or claim."""
+    shapes = {item.label: item.value.shape for item in claim.loop.parameters}
+    shapes |= {f"{START}{label}": (symbol.numel(),) for label, symbol in claim.starts.items()}
+    rows, written = dict[str, np.ndarray](), dict[str, Any]()
+    for name, column in values.items():
+        label = label_of(diagram, name, start)
+        if label not in shapes:
+            continue
+        try:
+            rows[label] = _rows(column, shapes[label], count)
+        except ValueError:  # a matrix that the loop holds in other numbers
+            return None
+        if not name.startswith(START) and name.partition(".")[0] in diagram.blocks:
+            written[name] = column[0].tolist()
+    return rows if _alone(diagram, claim, written, rows) else None
+
+
+def _alone(diagram: Diagram, claim: Claim, written: Mapping[str, Any], rows: Mapping[str, np.ndarray]) -> bool:
+    """The first sample's graph has the same claim, and no other number than those that were drawn."""
+    try:
+        changed = with_values(diagram, written)
+    except DmframeError:
+        return False
+    for new, old in zip(changed.loop.parameters, diagram.loop.parameters, strict=True):
+        if new.label in rows and new.label not in written:
+            continue  # a number of the robot, which no block has
+        wanted = rows[new.label][:, 0] if new.label in rows else old.value.ravel(order="F")
+        if not np.array_equal(new.value.ravel(order="F"), wanted):
+            return False
+    blocks = dict.fromkeys(label.partition(".")[0] for label in written)
+    return all(claims_alike(claim, changed, block) for block in blocks)
+
+
+def _rows(values: np.ndarray, shape: tuple[int, ...], count: int) -> np.ndarray:
+    """(elements, count): each sample's parameter, column by column; one number stands for all elements."""
+    if values.ndim == 1:
+        values = values.reshape(count, *(1 for _ in shape))
+    full = np.broadcast_to(values, (count, *shape))
+    return np.stack([each.ravel(order="F") for each in full], axis=1) if count else np.zeros((0, 0))
+
+
+@final
+class _Samples:
+    """The numbers of all samples, at which margins are evaluated."""
+
+    def __init__(self, claim: Claim, rows: Mapping[str, np.ndarray], count: int) -> None:
+        self._count, self._starts = count, [label for label in rows if label.startswith(START)]
+        parameters = claim.loop.parameters
+        self._symbols = [stack([item.symbol]) for item in parameters]
+        self._symbols += [claim.starts[label.removeprefix(START)] for label in self._starts]
+        fixed = {item.label: item.value.ravel(order="F")[:, None] for item in parameters}
+        self._columns = [rows[k] if k in rows else np.repeat(fixed[k], count, axis=1) for k in fixed]
+        self._columns += [rows[label] for label in self._starts]
+        labels = [item.label for item in parameters] + self._starts
+        self._moved = symbols_in(symbol for label, symbol in zip(labels, self._symbols, strict=True) if label in rows)
+
+    def judged(self, items: Sequence[Elsewhere]) -> np.ndarray:
+        """What all of them say together of each sample."""
+        found = np.full(self._count, HOLDS)
+        for item in items:
+            each = self._of(item)
+            found = np.where((found == FAILS) | (each == FAILS), FAILS, np.minimum(found, each))
+        return found
+
+    def _of(self, item: Elsewhere) -> np.ndarray:
+        if item.margin is None:
+            stays = item.reads is not None and not symbols_in([item.reads]) & self._moved
+            return np.full(self._count, OPEN if not stays else HOLDS if item.checked.holds else FAILS)
+        if item.margin.is_empty() or item.margin.is_zero():
+            return np.full(self._count, HOLDS if item.margin.is_empty() or not item.checked.strict else FAILS)
+        function = ca.Function("margin", self._symbols, [item.margin])
+        values = function.map(self._count)(*self._columns) if self._count else ca.DM(0, 0)
+        values = np.array(values).reshape(-1, self._count)
+        least = np.min(values, axis=0)
+        above = np.where(least > 0 if item.checked.strict else least >= 0, HOLDS, OPEN if item.opens else FAILS)
+        near = np.abs(least) <= EDGE * (1 + np.nanmax(np.abs(values), initial=0))
+        for place, sample in enumerate(np.flatnonzero(near).tolist()):
+            above[sample] = self._exactly(function, item, sample) if place < EXACT else OPEN
+        return above
+
+    def _exactly(self, function: Any, item: Elsewhere, sample: int) -> int:
+        """Of one sample, in the decimals that its graph would state."""
+        given = [[decimal(float(x)) for x in column[:, sample]] for column in self._columns]
+        try:
+            values = evaluate(function, given)[0]
+        except (ValueFault, ZeroDivisionError):
+            return OPEN
+        least = min(value for value in values if isinstance(value, Fraction))
+        if least > 0 if item.checked.strict else least >= 0:
+            return HOLDS
+        return OPEN if item.opens else FAILS
+
+
+__all__ = ["FAILS", "HOLDS", "OPEN", "Drawn", "drawn_of", "held_at"]
