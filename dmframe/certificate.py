@@ -16,6 +16,7 @@ from typing import Any, final
 
 import casadi as ca
 
+from dmframe.acted import Acted
 from dmframe.barrier import Barrier, soft_between, soft_min
 from dmframe.condition import SX, Assumption, CommonLyapunov, Condition, Inequality
 from dmframe.fields import check_fields
@@ -324,6 +325,8 @@ class SampledCertificate:
         What the plant's motion obeys, on which the rows of the steps rest.
     solved
         Columns that are zero because the block has solved an equation for its output.
+    acted
+        What rows hold as the command of a sample, with what of the plant it has to be: a delay that is configured.
     constants
         Free symbols of what is true and constant, and that nobody knows, such as where a servo's integrator started.
     truth
@@ -337,6 +340,7 @@ class SampledCertificate:
     kept: tuple[Kept, ...] = ()
     relations: tuple[Relation, ...] = ()
     solved: tuple[SX, ...] = ()
+    acted: tuple[Acted, ...] = ()
     constants: Mapping[str, SX] = field(default_factory=dict)
     truth: Mapping[str, SX] = field(default_factory=dict)
 
@@ -348,6 +352,7 @@ __all__ = [
     "MONOTONE",
     "SX",
     "TINY",
+    "Acted",
     "Assumption",
     "Barrier",
     "Bounded",

@@ -61,3 +61,10 @@ def body(mass: Any, r: Any, inertia: Any) -> Any:
     x, y, z = ca.vertsplit(r)
     about = ca.vertcat(y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
     return ca.vertcat(mass, mass * r, inertia + mass * about)
+
+
+@operation
+def with_body(inertia: Any, body: Any) -> Any:
+    """The inertial parameters with a body on the last link; or what weighs of them, with what weighs of it."""
+    size = body.shape[0]
+    return ca.vertcat(inertia[:-size], inertia[-size:] + body)

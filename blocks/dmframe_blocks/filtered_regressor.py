@@ -119,7 +119,7 @@ class FilteredRegressor(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """(1) to (3)."""
-        if self.bias == (self.Gamma_b is not None):
+        if self.bias == ("Gamma_b" in p):
             raise ValueFault(
                 "filtered_regressor: expected either bias: true or a Gamma_b, to take up the offset of the servo's "
                 f"integrator; found {'both' if self.bias else 'neither'}"

@@ -14,6 +14,7 @@ from dmframe.linalg import solve_spd
 from dmframe.naming import named, operation
 from dmframe.parameter import Diagonal, NonNegative, Positive, Real, Scalar, Vector
 from dmframe.port import TIME, Port, Side, State
+from dmframe_blocks._loads import with_body
 from dmframe_blocks.manipulator import Manipulator
 
 
@@ -28,6 +29,9 @@ class LoadedManipulator(AbstractBlock):
     and :math:`x = f(q)`, where a are the inertial parameters with the load that is there now: the ten of a `payload`,
     :math:`a_{load}`, and point masses. Nobody is told of it: the maker's servo goes on compensating its share of the
     gravity of the robot alone, and controllers adapt, or do not. :math:`\tau_{ext}` is what the environment does.
+
+    What the tool holds, `a_held`, is a part of the last link to a `regressor`, whose true a_d has it in there, and the
+    whole of the links to a `payload_regressor`. Both jump where the load does.
 
     Between two steps of a `payload` it stores, loses and takes up what `manipulator` does, with the mass matrix of the
     loaded robot; at each step V jumps.
@@ -115,9 +119,9 @@ class LoadedManipulator(AbstractBlock):
         if "payload" in p:
             return None
         robot, (_, a) = p.robot, self._loaded(u, p)
-        momentum = {"momentum": robot.mass_matrix(x.q, a) @ x.dq}
+        true = {"momentum": robot.mass_matrix(x.q, a) @ x.dq, "a_held": u.a_load}
         if "sigma" not in truth:
-            return Certificate(truth=momentum)
+            return Certificate(truth=true)
         sigma, B, carried = truth.sigma, self._viscous(p), p.maker_gravity * robot.gravity_torque(x.q)
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, a) - carried
         friction = B * truth.dq_ref + p.coulomb * robot.coulomb(truth.dq_ref)
@@ -125,7 +129,7 @@ class LoadedManipulator(AbstractBlock):
             storage=(Square(sigma, robot.mass_matrix(x.q, a)),),
             dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
             supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
-            truth=momentum,
+            truth=true,
         )
 
     def _loaded(self, u: Signals, p: Signals) -> tuple[SX, SX]:
@@ -148,12 +152,6 @@ def at_time(t: Any, values: Any, times: Any) -> Any:
     for k in range(values.numel()):
         now = now + (values[k] - (values[k - 1] if k else 0)) * (t >= times[k])
     return now
-
-
-@operation
-def with_body(inertia: Any, body: Any) -> Any:
-    """The inertial parameters with a body on the last link."""
-    return ca.vertcat(inertia[:-10], inertia[-10:] + body)
 
 
 @operation

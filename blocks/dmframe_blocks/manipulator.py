@@ -56,7 +56,8 @@ class Manipulator(AbstractBlock):
 
     Notes
     -----
-    `momentum` is that of the joints, by which the inverses bound their commands.
+    `momentum` is that of the joints, by which the inverses bound their commands. The tool holds nothing, `a_held`,
+    whatever a `payload` says.
 
     References
     ----------
@@ -119,9 +120,9 @@ class Manipulator(AbstractBlock):
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
         """(2) and (3); without a sliding variable, as in the torque-based framework, nothing is stored here."""
         robot = p.robot
-        momentum = {"momentum": robot.mass_matrix(x.q) @ x.dq}
+        true = {"momentum": robot.mass_matrix(x.q) @ x.dq, "a_held": ca.DM.zeros(10)}
         if "sigma" not in truth:
-            return Certificate(truth=momentum)
+            return Certificate(truth=true)
         sigma = truth.sigma
         share = 1 - p.maker_gravity
         reference = robot.inverse_dynamics(x.q, x.dq, truth.dq_ref, truth.ddq_ref, gravity_share=share)
@@ -131,7 +132,7 @@ class Manipulator(AbstractBlock):
             storage=(Square(sigma, robot.mass_matrix(x.q)),),
             dissipation=(Lemma(p.coulomb, x.dq, truth.dq_ref, robot.friction_velocity),),
             supply=ca.dot(sigma, p.K * u.u + u.tau_ext - B * sigma - reference - friction),
-            truth=momentum,
+            truth=true,
         )
 
     def _viscous(self, p: Signals) -> SX:

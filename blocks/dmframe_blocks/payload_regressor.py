@@ -57,6 +57,7 @@ class PayloadRegressor(AbstractBlock):
     )
     outputs: ClassVar[tuple[Port, ...]] = (Port("Y_d", "n p", "N m"), Port("tau_known", "n", "N m"))
     truth: ClassVar[tuple[Port, ...]] = (
+        Port("a_held", "10"),
         Port("a_load", "10"),
         Port("g_share"),
         Port("B", "n", "N m s/rad"),
@@ -85,8 +86,9 @@ class PayloadRegressor(AbstractBlock):
         return Equations({"Y_d": ca.densify(ca.horzcat(*columns)), "tau_known": known})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; the true a_d."""
-        true = [truth.a_load if "a_load" in truth else ca.DM.zeros(len(INERTIAL))]
+        """Nothing is stored; the true a_d, with what the plant says that its tool holds, else what a source does."""
+        source = next((name for name in ("a_held", "a_load") if name in truth), "")
+        true = [getattr(truth, source) if source else ca.DM.zeros(len(INERTIAL))]
         true += [truth.g_share] if self.gravity == "share" else []
         true += [truth.B] if "viscous" in self.friction else []
         true += [truth.D] if "coulomb" in self.friction else []

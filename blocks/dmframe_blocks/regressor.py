@@ -17,6 +17,7 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import INERTIAL, WEIGHING, DynamicParameters, Friction, Part
 from dmframe.robot.pseudo_inertia import natural_gain
 from dmframe_blocks._friction import columns_for
+from dmframe_blocks._loads import with_body
 
 
 @final
@@ -25,8 +26,8 @@ class Regressor(AbstractBlock):
 
     .. math::
 
-        Y_d\, a_d = M(q) \ddot q_{ref} + C(q, \dot q) \dot q_{ref} + B \dot q_{ref}
-                    + D\, \phi(\dot q_{ref}) + g(q)   \tag{1}
+        Y_d\, a_d = M(q, a_d) \ddot q_{ref} + C(q, \dot q, a_d) \dot q_{ref} + B \dot q_{ref}
+                    + D\, \phi(\dot q_{ref}) + g(q, a_d)   \tag{1}
 
     The estimates may start at the share `nominal` of the model's inertial parameters; the friction is unknown, and the
     bias starts at the gravity that the servo holds at rest.
@@ -75,6 +76,7 @@ class Regressor(AbstractBlock):
         Port("D", "n", "N m"),
         Port("tau_bias", "n", "N m"),
         Port("g_share"),
+        Port("a_held", "10"),
     )
 
     friction: tuple[Friction, ...] = ("viscous",)
@@ -134,17 +136,25 @@ class Regressor(AbstractBlock):
         return Equations(outputs=outputs)
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        """Nothing is stored; the true a_d."""
+        """Nothing is stored; the true a_d, with what the plant's tool holds as a part of the last link.
+
+        A maker's servo knows the robot's own links alone: what it compensates of their gravity is taken from that.
+        """
         a_d, names = self._parameters(p.robot.chain), {"viscous": "B", "coulomb": "D", "bias": "tau_bias"}
         true: dict[Part, SX] = {part: getattr(truth, names[part]) for part in a_d.parts if part in names}
-        true["inertial"] = p.robot.inertia
+        true["inertial"] = self._links(p, truth)
         if a_d.gravity_apart:
-            true["weighing"] = truth.g_share * heavy(p.robot.inertia)
+            own = truth.g_share * heavy(p.robot.inertia)
+            true["weighing"] = with_body(own, heavy(truth.a_held)) if "a_held" in truth else own
         return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
         """Whatever friction the plant has, the regressor has a column for it."""
         return columns_for(self.friction, truth)
+
+    def _links(self, p: Signals, truth: Signals) -> SX:
+        """The inertial parameters of all links."""
+        return with_body(p.robot.inertia, truth.a_held) if "a_held" in truth else p.robot.inertia
 
     def _parameters(self, chain: SerialChain) -> DynamicParameters:
         return DynamicParameters(chain, self.friction, self.gravity == "apart", self.bias)

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certificate import (
     SX,
+    Acted,
     Condition,
     Kept,
     Relation,
@@ -24,6 +25,7 @@ from dmframe.robot.parameters import Friction
 from dmframe.terms import clip
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
+from dmframe_blocks._loads import with_body
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
 
 _PREDICTING = 4
@@ -164,6 +166,7 @@ class SampledInverse(AbstractBlock):
         Port("dq", "n", "rad/s"),
         Port("q_c", "n", "rad"),
         Port("dq_s", "n", "rad/s"),
+        Port("a_held", "10"),
     )
     states: ClassVar[tuple[State, ...]] = (
         State("theta", "c", sampled=True),
@@ -309,7 +312,8 @@ class SampledInverse(AbstractBlock):
         w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
         k_P, k_I = truth.K_P / gain, truth.K_I / gain
         B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
-        true = averaged.row(k_P if pid else k_I, k_I, offset, w @ robot.inertia.T, w * B, w * D)
+        links = with_body(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
+        true = averaged.row(k_P if pid else k_I, k_I, offset, w @ links.T, w * B, w * D)
         estimator = self._estimator(p)
         i = truth.i - offset / k_I
         Y = robot.gravity_regressor(truth.q) - robot.kinetic_regressor(truth.q, truth.dq)
@@ -323,6 +327,7 @@ class SampledInverse(AbstractBlock):
                 *(Kept(name, item.T) for name, item in (("late_rows", new), ("late_goals", aim)) if name in kept),
             ),
             relations=(Relation(averaged.answer(moving, true), averaged.answer(rest, true) + truth.dq - truth.dq_s),),
+            acted=() if self.echoed else (Acted(u_applied, truth.dq_s, u.q, truth.q),),
             constants={"offset": offset},
         )
 

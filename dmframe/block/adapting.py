@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 from dmframe.adaptation import Estimate, Fit, Terms, adaptation
 from dmframe.block.base import AbstractBlock, Equations, Signals, owner_of, with_estimates
 from dmframe.block.names import type_name
+from dmframe.block.numberless import without_numbers
 from dmframe.certificate import SX, Certificate, SampledCertificate, TrueValue
 from dmframe.errors import BlockError, MissingError, ValueFault, nearest, raise_all
 from dmframe.linalg import metric, times
@@ -90,6 +91,9 @@ class AdaptingBlock(AbstractBlock):
     @final
     def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         """The plain equations, and the rates of the estimates."""
+        return without_numbers(self, owner_of(u))._with_rates(u, x, p)
+
+    def _with_rates(self, u: Signals, x: Signals, p: Signals) -> Equations:
         stated = self.equations(u, x, p)
         if not isinstance(stated, Equations):
             return stated
@@ -112,6 +116,9 @@ class AdaptingBlock(AbstractBlock):
     @final
     def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The plain starts, and those of the estimates."""
+        return without_numbers(self, owner_of(u))._with_nominal(u, p, truth)
+
+    def _with_nominal(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         said = self.start(u, p, truth)
         for item in self.estimates:
             if item.name in said:
@@ -126,6 +133,11 @@ class AdaptingBlock(AbstractBlock):
         self, u: Signals, x: Signals, p: Signals, truth: Signals
     ) -> Certificate | SampledCertificate | None:
         """The plain certificate, with the squares of the estimates, and with what the options spend and leave."""
+        return without_numbers(self, owner_of(u))._with_terms(u, x, p, truth)
+
+    def _with_terms(
+        self, u: Signals, x: Signals, p: Signals, truth: Signals
+    ) -> Certificate | SampledCertificate | None:
         plain = self.certificate(u, x, p, truth)
         if not isinstance(plain, Certificate):
             return plain
@@ -222,7 +234,7 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
     unit = "" if error.unit == ANY else error.unit
     return found | {
         "leak": (Scalar | None, Positive("", "1/s", default=None)),
-        "error_leak": (Scalar | None, Positive("", rate_over(unit) if unit else "", default=None)),
+        "error_leak": (Scalar | None, Positive("", "" if error.unit == ANY else rate_over(unit), default=None)),
         "dead_zone": (Diagonal | None, Positive(error.shape, unit, default=None)),
     }
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 from dmframe import notebook
 from dmframe.block.faults import parameter_faults, told_apart
 from dmframe.block.names import type_name
+from dmframe.block.numberless import unreadable, without_numbers
 from dmframe.certificate import SX, Certificate, Condition, SampledCertificate, Square
 from dmframe.errors import BlockError, DmframeError, nearest, raise_all
 from dmframe.fields import check_fields
@@ -102,6 +103,9 @@ class AbstractBlock(BaseModel):
     the methods below `u` holds the inputs, `x` the states, `p` the parameters as symbols (and ``p.robot``, the robot's
     symbolic model, where `uses_robot`; and ``p.w_0``, where the state w starts, if a parameter w says so), and `truth`
     the signals that only the analysis may see, each by its name.
+
+    The framework calls them on a copy of the block that has its options (bool, str, int) and none of its numbers: a
+    number is read as ``p.rate``, never as ``self.rate``; ``"rate" in p`` says whether it is given.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -131,6 +135,14 @@ class AbstractBlock(BaseModel):
             super().__init__(**values)
         except ValidationError as error:
             raise_all(parameter_faults(type(self), error, type_name(type(self))))
+
+    if not TYPE_CHECKING:  # to a type checker a block has what it declares
+
+        def __getattr__(self, name: str) -> Any:
+            """What is not there: of a copy without numbers, a number, which is a fault of its author."""
+            if (fault := unreadable(self, name)) is not None:
+                raise fault
+            return super().__getattr__(name)
 
     @field_validator("*", mode="before")
     @classmethod
@@ -191,18 +203,25 @@ class AbstractBlock(BaseModel):
         return ()
 
     def composed_equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        """The equations that run: those stated, and what an `AdaptingBlock` adds to them. Nobody overrides it."""
-        return self.equations(u, x, p)
+        """The equations that run: those stated, and what an `AdaptingBlock` adds to them. No block overrides it.
+
+        It is stated without the block's numbers (`dmframe.block.numberless`), as are the three below.
+        """
+        return without_numbers(self, owner_of(u)).equations(u, x, p)
 
     def composed_start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, SX]:
         """The same of the starts."""
-        return self.start(u, p, truth)
+        return without_numbers(self, owner_of(u)).start(u, p, truth)
+
+    def composed_conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        """The same of the conditions."""
+        return without_numbers(self, owner_of(p)).conditions(p, truth)
 
     def composed_certificate(
         self, u: Signals, x: Signals, p: Signals, truth: Signals
     ) -> Certificate | SampledCertificate | None:
         """The certificate that is proved: the one stated, with the squares of its estimates in its storage."""
-        stated = self.certificate(u, x, p, truth)
+        stated = without_numbers(self, owner_of(u)).certificate(u, x, p, truth)
         return with_estimates(stated, x) if isinstance(stated, Certificate) and stated.estimates else stated
 
     def evaluate(

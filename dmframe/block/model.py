@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final, final
@@ -12,6 +12,7 @@ import numpy as np
 
 from dmframe.block.base import AbstractBlock, Equations, Signals
 from dmframe.block.faults import told_by
+from dmframe.block.numberless import LARGER, SMALLER, with_other_numbers
 from dmframe.block.sizes import Sizes
 from dmframe.block.symmetric import symmetric_symbol
 from dmframe.certificate import SX
@@ -149,7 +150,11 @@ def model_block(
     with inverting() as inverted:
         equations = stated_by(name, block, signals, sizes)
     with inverting(inverted):
-        _check_steady(name, equations, stated_by(name, block, signals, sizes))
+        for factors in (LARGER, SMALLER):
+            again = stated_by(name, with_other_numbers(block, factors) or block, signals, sizes)
+            for changed in _changed(equations, again):
+                _refuse_unsteady(name, block, changed, lambda other: stated_by(name, other, signals, sizes))
+        with_other_numbers(block, ())  # what its validators keep is of its own numbers again
     for key in states.keys() & equations.outputs.keys():
         if not same_expression(equations.outputs[key], states[key]):
             raise BlockError(
@@ -219,20 +224,46 @@ _PARTS: Final = {"outputs": "output", "rates": "rate", "next": "next value", "se
 """Of `Equations`, with what each says."""
 
 
-def _check_steady(name: str, first: Equations, second: Equations) -> None:
-    """The equations are a function of their arguments: what is proved must be what runs."""
-    pairs = [(getattr(first, part), getattr(second, part)) for part in _PARTS]
-    if all(once.keys() == again.keys() for once, again in pairs) and same_expressions(
-        [once[key] for once, _ in pairs for key in once], [again[key] for once, again in pairs for key in once]
+def _changed(first: Equations, second: Equations) -> Iterator[tuple[str, str]]:
+    """What two answers of a block differ in: a part of `Equations`, and the name of what is stated there."""
+    pairs = {part: (getattr(first, part), getattr(second, part)) for part in _PARTS}
+    if all(once.keys() == again.keys() for once, again in pairs.values()) and same_expressions(
+        [once[key] for once, _ in pairs.values() for key in once],
+        [again[key] for once, again in pairs.values() for key in once],
     ):
         return
-    for kind, (once, again) in zip(_PARTS.values(), pairs, strict=True):
+    for part, (once, again) in pairs.items():
         for key in {**once, **again}:
             if key not in once or key not in again or not same_expression(once[key], again[key]):
-                raise BlockError(
-                    f"{name}: equations() state another {kind} of {key} when they are asked again; expected the same "
-                    "expression each time, from u, x and p alone"
-                )
+                yield part, key
+
+
+def _refuse_unsteady(
+    name: str, block: AbstractBlock, changed: tuple[str, str], asked: Callable[[AbstractBlock], Equations]
+) -> None:
+    """Refuse equations that are no function of their arguments: what is proved must be what runs."""
+    part, key = changed
+    what = f"{_PARTS[part]} of {key}"
+
+    def stated(factors: Sequence[float], only: str | None = None) -> Equations | None:
+        other = with_other_numbers(block, factors, only)
+        return None if other is None else asked(other)
+
+    def differs(other: Equations | None) -> bool:
+        return own is not None and other is not None and any(True for _ in _changed(own, other))
+
+    own = stated(())
+    known = specs(type(block)) if not differs(stated(())) else {}
+    found = [item for item in known if differs(stated(LARGER, item)) or differs(stated(SMALLER, item))]
+    if found:
+        raise BlockError(
+            f"{name}: equations() state another {what} where {' or '.join(found)} has another value: they depend on it "
+            f"as a Python number; expected p.{found[0]}"
+        )
+    raise BlockError(
+        f"{name}: equations() state another {what} when they are asked again; expected the same expression each time, "
+        "from u, x and p alone"
+    )
 
 
 _OTHERWISE: Final = {

@@ -10,6 +10,7 @@ import numpy as np
 
 from dmframe.block.base import AbstractBlock
 from dmframe.block.faults import told_by
+from dmframe.block.numberless import without_numbers
 from dmframe.errors import BlockError, DmframeError, MissingError, ShapeError, SizeError, UnknownNameError, ValueFault
 from dmframe.gain import Prior, Rows, check_definite
 from dmframe.parameter import PAIRS, array, specs
@@ -85,10 +86,11 @@ def bind_sizes(
 def _own(name: str, block: AbstractBlock, robot: Any) -> Mapping[str, int]:
     """The letters that a block binds by itself."""
     try:
+        bare = without_numbers(block, name)  # no sweep of a number gives a diagram of other sizes
         with told_by(name, "elements()"):
-            _check_elements(name, block.elements(robot))
+            _check_elements(name, bare.elements(robot))
         with told_by(name, "sizes()"):
-            found = block.sizes(robot)
+            found = bare.sizes(robot)
         if not isinstance(found, Mapping) or not all(
             isinstance(letter, str) and isinstance(size, int) for letter, size in found.items()
         ):

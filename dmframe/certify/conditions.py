@@ -103,7 +103,7 @@ def conditions_stated(claim: Claim) -> Iterator[tuple[str, Condition]]:
         seen = view(claim.diagram, name, claim.truths)
         try:
             with told_by(name, "conditions()"):
-                stated = block.conditions(seen.p, seen.truth)
+                stated = block.composed_conditions(seen.p, seen.truth)
         except BlockError as error:
             raise NotApplicableError(error.text) from None
         given = tuple(stated) if isinstance(stated, list) else stated

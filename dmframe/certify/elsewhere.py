@@ -119,7 +119,7 @@ def _stated_by(block: AbstractBlock, seen: View) -> tuple[list[SX], list[str]]:
             rest.append(str(item))
 
     try:
-        collect(block.conditions(seen.p, seen.truth))
+        collect(block.composed_conditions(seen.p, seen.truth))
         if type(block).certificate is not AbstractBlock.certificate:
             collect(block.composed_certificate(seen.u, seen.x, seen.p, seen.truth))
     except DmframeError as error:

@@ -99,7 +99,7 @@ def _inside(projection: Projection, truth: SX, numbers: Numbers) -> Iterator[Che
             at = sorted({row % truth.shape[0] for row in rows})
             yield Assumption(f"{text}{_at(projection, at)}: {says} decides it", SOURCE)
     if handed:
-        yield from _outside(text, ca.vertcat(*handed.values()), loop)
+        yield from outside(text, ca.vertcat(*handed.values()), loop)
 
 
 def _handed(room: SX, rows: Sequence[int], numbers: Numbers) -> dict[int, SX]:
@@ -120,7 +120,7 @@ def rooms_on_path(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
                 yield f"{projection.name}: true value inside the {projection.kind}", ca.vertcat(*handed.values())
 
 
-def _outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
+def outside(text: str, room: SX, loop: ClosedLoop) -> Iterator[Checked]:
     """A condition that fails where what a source hands out, such as a load, is outside of the set, or no number."""
     function = ca.Function("room", [loop.time, loop.p], [room])
     times = np.linspace(0.0, HORIZON, SAMPLES)

@@ -14,7 +14,9 @@ from dmframe.program import EDGES, JUMPS, KINKS, codes
 from dmframe.steps import packed_size
 
 if TYPE_CHECKING:
+    from dmframe.certify.claim import Claim
     from dmframe.certify.samples import SampledClaim, SampledPart
+    from dmframe.diagram.resolve import Leaf
 
 
 def unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
@@ -26,6 +28,7 @@ def unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
     loop = claim.base.loop
     constant = symbols_in(parameter.symbol for parameter in loop.parameters)
     constant |= symbols_in(part.constants.values())
+    constant |= symbols_in(leaf.symbol for leaf in stepping(claim.base))  # between steps, each of which begins a new V
     allowed = constant | symbols_in(own.values())
     moving = {s.element_hash(): v.label for v in loop.variables for s in ca.symvar(ca.vec(v.symbol))}
     for term in part.stored:
@@ -62,6 +65,12 @@ def unfit(claim: SampledClaim, part: SampledPart) -> Iterator[str]:
                 "the momentum of a relation holds more than what the plant moves between samples and constants: the "
                 "time, or what jumps at a sample; expected states of the plant"
             )
+
+
+def stepping(claim: Claim) -> list[Leaf]:
+    """What sources declare to be constant between steps, such as a load."""
+    resolver = claim.diagram.resolver
+    return [leaf for (block, port, _), leaf in resolver.trajectories.items() if resolver.steps(block, port)]
 
 
 def _misshapen(part: SampledPart, own: Mapping[str, SX]) -> Iterator[str]:

@@ -9,7 +9,7 @@ stand for means over a sample of what the plant's motion obeys, and that relatio
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import final
@@ -18,7 +18,17 @@ import casadi as ca
 
 from dmframe.block.faults import told_by
 from dmframe.block.model import symbols_in
-from dmframe.certificate import SX, Certificate, Kept, LeastSquaresSteps, Relation, SampledCertificate, Square, Steps
+from dmframe.certificate import (
+    SX,
+    Acted,
+    Certificate,
+    Kept,
+    LeastSquaresSteps,
+    Relation,
+    SampledCertificate,
+    Square,
+    Steps,
+)
 from dmframe.certify.claim import Claim, NotApplicableError, total
 from dmframe.certify.identity import Equality
 from dmframe.certify.sample_forms import unfit
@@ -45,6 +55,8 @@ class SampledPart:
     relations: tuple[Relation, ...]
     """Their commands are not substituted: they are free."""
     solved: tuple[SX, ...]
+    acted: tuple[Acted, ...]
+    """In the leaves of their sides: the command as the block holds it, the rest of the plant."""
     constants: Mapping[str, SX]
 
     @property
@@ -287,8 +299,13 @@ def _part(diagram: Diagram, name: str, stated: SampledCertificate) -> SampledPar
         tuple(replace(item, newest=joined([item.newest])[0], when=when(item.when)) for item in stated.kept),
         tuple(Relation(of_the_plant(item.momentum), of_the_plant(item.rest)) for item in stated.relations),
         tuple(loop.crossed([ca.vec(ca.densify(ca.SX(item)))])[0] for item in stated.solved),
+        tuple(_acted(item, of_the_plant) for item in stated.acted),
         {key: ca.SX(value) for key, value in stated.constants.items()},
     )
+
+
+def _acted(item: Acted, of_the_plant: Callable[[SX], SX]) -> Acted:
+    return Acted(ca.SX(item.held), *(of_the_plant(piece) for piece in item.pieces[1:]))
 
 
 __all__ = ["SampledClaim", "SampledPart", "certificates_over_samples", "sampled_claim_of"]

@@ -14,14 +14,17 @@ from dmframe.certificate import SX, Assumption, LeastSquaresSteps, NormalisedSte
 from dmframe.certify.checked import Checked, Numbers, decided
 from dmframe.certify.conditions import conditions_stated, decide
 from dmframe.certify.controls import Control
+from dmframe.certify.delays import decided_delays, delay_conditions
 from dmframe.certify.hypotheses import of_the_plant, undefined
 from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.memories import triangle_starts
 from dmframe.certify.over import failing_of, over_intervals
+from dmframe.certify.projections import outside
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
 from dmframe.certify.sample_domains import domains
+from dmframe.certify.sample_forms import stepping
 from dmframe.certify.sample_states import sampled_states
 from dmframe.certify.samples import SampledClaim, SampledPart, sampled_claim_of
 from dmframe.certify.statements import Statement, States
@@ -169,6 +172,7 @@ def _conditions(
     checked += dict.fromkeys(undefined(claim.base, numbers))
     for part in claim.parts:
         checked += _weights(part, numbers)
+        checked += delay_conditions(claim, part)
         for item in part.steps:
             checked += _steps(part, item, numbers)
             if isinstance(item, LeastSquaresSteps):
@@ -218,11 +222,18 @@ def _boxed(part: SampledPart, item: Steps, numbers: Numbers) -> tuple[list[Check
         checked.append(
             decided(text, "lower <= true value <= upper", lemma, _least(room[known], numbers), False, room[known])
         )
-    left = sorted({row % true.shape[0] for row in range(room.shape[0]) if row not in known})
+    loop, free = numbers.claim.loop, [row for row in range(room.shape[0]) if row not in known]
+    handed = [row for row in free if symbols_in([loop.on_path(room[row])]) <= symbols_in([loop.time, loop.p])]
+    if handed:  # what a source has decides, as far as it is sampled
+        checked += outside(text, loop.on_path(room[handed]), loop)
+    left = sorted({row % true.shape[0] for row in free})
     if left:
         width, name = (upper - lower)[left], f"{part.block}: box of {item.estimate} holds something"
         checked.append(decided(name, "lower <= upper", lemma, _least(width, numbers), False, width))
-    said = f"{text}, in {len(left)} of {true.shape[0]} elements, which are constants that nobody knows"
+    whose = (
+        "which a source or constants that nobody knows decide" if handed else "which are constants that nobody knows"
+    )
+    said = f"{text}, in {len(left)} of {true.shape[0]} elements, {whose}"
     return checked, [Assumption(said, lemma)] if left else []
 
 
@@ -237,7 +248,7 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
             yield Assumption(
                 f"{eta}, is small: it is not bounded here, and can be looked at along a run", EACH[type(item)]
             )
-        if part.relations:
+        if part.relations and not decided_delays(claim, part):
             text = (
                 f"{part.block}: the command that a row holds is what acted in its sample: a delay is as told, or echoed"
             )
@@ -254,6 +265,12 @@ def _hypotheses(claim: SampledClaim, symbols: Symbols) -> Iterator[Assumption]:
             of = listed(made) or "parameters"
             text = f"{part.block}: what V gains beside, made of {of}, is small: nothing bounds it"
             yield Assumption(text, "the identity above")
+    for leaf in stepping(claim.base):
+        if any(
+            symbols_in(map(ca.SX, term.pieces)) & symbols_in([leaf.symbol]) for p in claim.parts for term in p.stored
+        ):
+            text = f"{leaf.name} is constant: all is said of the time between its steps, each of which begins a new V"
+            yield Assumption(text, "V holds it")
     if claim.silent:
         yield Assumption(
             f"of {', '.join(claim.silent)} this proof says nothing: it holds whatever is commanded",

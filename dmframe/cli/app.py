@@ -282,6 +282,9 @@ def page(
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", callback=home, help="A file .html; GRAPH.html without it."),
     ] = None,
+    periods: Annotated[
+        bool, typer.Option(help="Look for the sampling periods up to which the loop is stable; takes seconds.")
+    ] = True,
     overrides: Overrides = NOTHING,
     trust: Trust = False,
 ) -> None:
@@ -293,7 +296,7 @@ def page(
     loaded = one_graph(graph, overrides, trust=trust)
     place = out if out is not None else Path(f"{safe_name(loaded.name)}.html")
     (check_page_place if out is not None else check_own_place)(place)
-    loaded.page().save(place)
+    loaded.page(periods=periods).save(place)
     tell(f"wrote {place}")
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import final
 
 from dmframe.block import AbstractBlock, type_name
+from dmframe.block.numberless import without_numbers
 from dmframe.block.sizes import Sizes
 from dmframe.errors import AccessError, DmframeError, ShapeError, UnitError, UnknownNameError, WiringError, nearest
 from dmframe.port import ANY, PERIOD, TIME, Access, Port, Side
@@ -82,7 +83,8 @@ def wire_blocks(
             if end in chosen:
                 sources[end] = chosen[end]
                 continue
-            found = _by_name(name, port, outputs, blocks, optional=port.optional and not block.needs(port.name))
+            optional = port.optional and not without_numbers(block, name).needs(port.name)
+            found = _by_name(name, port, outputs, blocks, optional=optional)
             if isinstance(found, DmframeError):
                 commanded = _as_the_plant(block, port, blocks, chosen)
                 if commanded is None:

@@ -62,9 +62,9 @@ def read_blocks(diagram: Diagram, *, near: bool = False) -> dict[str, ReadBlock]
 
 
 def certify(blocks: Mapping[str, ReadBlock]) -> None:
-    """Read every certificate; those that need another block's truth come after it."""
+    """Read every certificate; those that need another block's truth come after it, and those that only may, again."""
     waiting, stated = list(blocks), dict[str, Any]()
-    while waiting:
+    for _ in range(2 * len(blocks)):
         later = []
         for name in waiting:
             certificate = blocks[name].certify(stated)
@@ -72,9 +72,10 @@ def certify(blocks: Mapping[str, ReadBlock]) -> None:
                 later.append(name)
             else:
                 stated |= certificate.truth
-        if len(later) == len(waiting):
+        early = [name for name in blocks if name not in later and blocks[name].lacked(stated)]
+        if (len(later) == len(waiting) or not later) and not early:
             return
-        waiting = later
+        waiting = [*later, *early]
 
 
 def _truths(diagram: Diagram, name: str) -> dict[str, tuple[int, int]]:
@@ -160,6 +161,10 @@ class ReadBlock:
             self._read(ca.SX)
             return self.certify(stated)
         return self.certificate
+
+    def lacked(self, stated: Mapping[str, Any]) -> bool:
+        """True where a truth was not stated yet that the certificate may read, and now is."""
+        return list(self._known(stated)) != self.claimed
 
     def _known(self, stated: Mapping[str, Any]) -> Iterator[str]:
         """The truths that this diagram has, as `dmframe.diagram.view` finds them."""

@@ -284,6 +284,7 @@ class Graph:
         rehearsed: bool = True,
         engine: Choice = "auto",
         asked: Callable[[], str] = lambda: "",
+        record: Path | None = None,
     ) -> Run:
         """Drive a robot with its controller.
 
@@ -307,6 +308,8 @@ class Graph:
             Require a passed rehearsal of exactly what is driven before a real robot moves.
         asked
             Called at each sample: what asks for a stop; empty for nothing.
+        record
+            A file that takes each sample while the robot moves; the signals of a long drive are thinned out then.
 
         Raises
         ------
@@ -328,6 +331,7 @@ class Graph:
             rehearsed=rehearsed,
             engine=engine,
             asked=asked,
+            record=record,
         )
         return Run(self.experiment, recording)
 
@@ -388,10 +392,16 @@ class Graph:
 
         return Drawing(self.diagram, self.title)
 
-    def page(self) -> Page:
+    def page(self, *, periods: bool = True) -> Page:
         """Its live page: the closed loop runs in a browser, under sliders, beside its verdict.
 
         A notebook shows it; `Page.save` writes one file that needs no other and no network. The graph is proved for it.
+
+        Parameters
+        ----------
+        periods
+            Look for the sampling periods up to which the loop is stable near its set-point, two to five seconds for a
+            UR10: beyond them the page does not show a proof in continuous time as if it held for its clock.
 
         Raises
         ------
@@ -399,8 +409,13 @@ class Graph:
             A loop that cannot run in a browser: one that draws random numbers, say.
         """
         from dmframe.page import Page
+        from dmframe.page.periods import stable_periods
 
-        page = Page(self.experiment, self.diagram, self.verify().verdict)
+        verdict, found = self.verify().verdict, None
+        if periods:
+            with telling(self.name) as tell, SYMBOLIC:
+                found = stable_periods(self.diagram, self.clock, verdict, self.experiment.start, tell)
+        page = Page(self.experiment, self.diagram, verdict, found)
         _ = page.html
         return page
 

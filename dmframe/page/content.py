@@ -18,6 +18,8 @@ from dmframe.diagram.closed_loop import stack
 from dmframe.errors import ValueFault
 from dmframe.names import unicode_name
 from dmframe.page.functions import Functions, Group, Place, functions_of, place_of
+from dmframe.page.origin import origin_of
+from dmframe.page.periods import Periods
 from dmframe.page.scene import meshes_of
 from dmframe.page.sliders import sliders_of
 from dmframe.report.command import command
@@ -36,8 +38,15 @@ KAPPA = ", with any kappa above"
 """How the name of the cascade's condition ends where its value is the least kappa; a page shows that elsewhere."""
 
 
-def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> dict[str, Any]:
+def content_of(
+    experiment: Experiment, diagram: Diagram, verdict: Verdict, periods: Periods | None = None
+) -> dict[str, Any]:
     """A page's data, with the WebAssembly module in it, compressed and in base64.
+
+    Parameters
+    ----------
+    periods
+        Up to which sampling periods the loop is stable near its set-point; None where that was not computed.
 
     Raises
     ------
@@ -63,7 +72,12 @@ def content_of(experiment: Experiment, diagram: Diagram, verdict: Verdict) -> di
         "step": experiment.solver.step,
         "horizon": min(HORIZON, file.duration),
         "solver": {"plain": PLAIN_STEP, "takes": experiment.solver.takes, "stable": RK4_STABLE, "most": MOST_SUBSTEPS},
+        "periods": None if periods is None else periods.data,
+        "fingerprint": diagram.fingerprint,
+        "origin": origin_of(experiment),
         "sizes": _sizes(functions),
+        "starts": {"rows": list(functions.starts[0]), "reads": list(functions.starts[1])},
+        "operations": functions.operations,
         "p": _numbers(loop.p_values),
         "state": _numbers(state),
         "bounds": _numbers(bounds_of(diagram)),
@@ -202,7 +216,7 @@ def _verdict(name: str, verdict: Verdict, functions: Functions) -> dict[str, Any
         "uncertain": list(verdict.uncertain),
         "bounded": verdict.states is not None and not verdict.states.open and not verdict.bounds,
         "conditions": [
-            _condition(condition, place, reads)
+            {**_condition(condition, place, reads), "opens": condition.sufficient}
             for condition, place, reads in zip(functions.conditions, functions.margins, functions.reads, strict=False)
         ],
         "tacit": [

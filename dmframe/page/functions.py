@@ -12,6 +12,7 @@ import numpy as np
 from dmframe.certificate import SX
 from dmframe.certify import Verdict
 from dmframe.certify.checked import Checked
+from dmframe.certify.claim import Claim
 from dmframe.certify.elsewhere import Elsewhere, Intervals, elsewhere, least_kappa
 from dmframe.certify.true_values import estimated
 from dmframe.diagram import ClosedLoop, Diagram, Variable
@@ -71,7 +72,10 @@ class Functions:
     shown
         (state, t, T, p) -> what is drawn of an instant: `scene`, then the groups.
     judged
-        p -> the margins of `conditions`, the least kappa, and the true values of estimates.
+        (pose, T, p) -> the margins of `conditions`, the least kappa, and the true values of estimates: conditions may
+        depend on where the states start, and there a start is taken as it is said to be, inside of its box or not.
+    starts
+        The rows of the state whose starts the pose or p decides, and the elements of p that decide any of them.
     scene
         How many numbers of `shown` place the robot: 12 a joint, then 3 of the tool.
     margins
@@ -79,8 +83,10 @@ class Functions:
     tacit
         The same of what is no condition of the verdict and may fail at other numbers, with its place.
     reads
-        For each condition, and then for what is tacit, the elements of p on which it depends; None where it is judged,
-        or depends on what is not known.
+        For each condition, and then for what is tacit, the elements of (p, state at the start) on which it depends;
+        None where it is judged, or depends on what is not known.
+    operations
+        Of the computation of V; 0 where V is not drawn.
     kappa
         Where the least kappa stands; None without a cascade.
     """
@@ -99,6 +105,8 @@ class Functions:
     tacit: tuple[tuple[Elsewhere, Place | None], ...]
     reads: tuple[tuple[int, ...] | None, ...]
     kappa: int | None
+    starts: tuple[tuple[int, ...], tuple[int, ...]] = ((), ())
+    operations: int = 0
 
     @property
     def exported(self) -> tuple[Any, ...]:
@@ -135,7 +143,10 @@ def functions_of(
     loop, posed, followed = diagram.loop, _posed(diagram), goal_of(diagram.loop)
     units = {signal.label: signal.unit for signal in loop.outputs}
     claim = verdict.claim if verdict.samples is None else verdict.samples.base
-    everything = elsewhere(verdict.conditions, claim, uncertain or {})
+    said, begun = symbolic_start(diagram, start, posed)
+    known, reach = [_pose(posed), loop.period, loop.p], _reach(diagram, posed, start)
+    starts, labels = _starts(loop, _function("said", known, [said]), reach)
+    everything = elsewhere(verdict.conditions, claim, uncertain or {}, labels)
     judged, places = _margins(everything)
     count, kappa, least = len(verdict.conditions), None, None
     if verdict.outcome == "proved" and verdict.claim is not None and verdict.claim.cascaded:
@@ -159,8 +170,13 @@ def functions_of(
     turn, apart = turn_of(loop), apart_of(loop)
     if turn is not None and apart is not None:
         groups.append(add("turn", apart, TurnError.unit, turn))
+    operations = 0
     if verdict.outcome == "proved" and verdict.claim is not None:
-        groups.append(add("storage", "", "", _terms(verdict, least)))
+        stored = _terms(verdict, least)
+        operations = _function(
+            "V", [loop.state, loop.time, loop.p], [loop.on_path(loop.acting([stored])[0])]
+        ).n_instructions()
+        groups.append(add("storage", "", "", stored))
     for leaf in loop.commanded:
         if leaf.name.rpartition(".")[2].endswith("_c"):
             groups.append(add("command", leaf.name, units.get(leaf.name, ""), ca.vec(leaf.symbol)))
@@ -184,19 +200,40 @@ def functions_of(
     return Functions(
         parts=build_parts(loop, clock, ca.SX(0, 1)),
         posed=posed,
-        begin=_function("begin", [_pose(posed), loop.period, loop.p], [symbolic_start(diagram, start, posed)[1]]),
-        reach=_reach(diagram, posed, start),
+        begin=_function("begin", known, [begun]),
+        reach=reach,
         shown=_function("shown", reads, [ca.substitute(shown, loop.drawn, ca.SX.zeros(loop.drawn.numel()))]),
-        judged=_function("judged", [loop.p], [judged]),
+        judged=_function("judged", known, [_started(claim, judged, said)]),
         scene=scene.numel(),
         goal=goal,
         groups=tuple(groups),
         conditions=verdict.conditions,
         margins=places[:count],
         tacit=tuple(zip(everything[count:], places[count:], strict=True)),
-        reads=_reads(loop, everything),
+        reads=_reads(loop, claim, everything),
         kappa=kappa,
+        starts=starts,
+        operations=operations,
     )
+
+
+def _starts(loop: ClosedLoop, said: Any, reach: Any) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], set[str]]:
+    """See `Functions.starts`; and the labels of the states that these rows are of."""
+    patterns = [np.asarray(said.jac_sparsity(0, i).row()) for i in (0, 2)]
+    rows = sorted({int(row) for pattern in patterns for row in pattern})
+    read = set(said.jac_sparsity(0, 2).get_col())
+    if reach is not None:
+        read |= set(reach.jac_sparsity(0, 1).get_col())
+    owners = [variable.label for variable in loop.variables for _ in range(variable.symbol.numel())]
+    return (tuple(rows), tuple(sorted(int(place) for place in read))), {owners[row] for row in rows}
+
+
+def _started(claim: Claim | None, judged: SX, said: SX) -> SX:
+    """Margins with what is said of the start in the place of the symbols of starts."""
+    if claim is None:
+        return judged
+    names = stack(claim.starts[variable.label] for variable in claim.loop.variables)
+    return ca.substitute(judged, names, said)
 
 
 def _function(name: str, reads: Sequence[SX], gives: Sequence[SX]) -> Any:
@@ -255,8 +292,13 @@ def _margins(everything: Sequence[Elsewhere]) -> tuple[SX, tuple[Place | None, .
     return column, tuple(places)
 
 
-def _reads(loop: ClosedLoop, everything: Sequence[Elsewhere]) -> tuple[tuple[int, ...] | None, ...]:
-    at = {loop.p[k].element_hash(): k for k in range(loop.p.numel())}
+def _reads(
+    loop: ClosedLoop, claim: Claim | None, everything: Sequence[Elsewhere]
+) -> tuple[tuple[int, ...] | None, ...]:
+    """On which elements of (p, state at the start) each depends that has no margin."""
+    starts = [] if claim is None else [claim.starts[variable.label] for variable in claim.loop.variables]
+    column = ca.vertcat(loop.p, *starts)
+    at = {column[k].element_hash(): k for k in range(column.numel())}
     return tuple(
         None if item.reads is None else tuple(at[symbol.element_hash()] for symbol in ca.symvar(item.reads))
         for item in everything

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import json
 import re
 from dataclasses import dataclass
@@ -17,6 +19,7 @@ from dmframe.diagram import Diagram
 from dmframe.errors import OutputError
 from dmframe.files import check_place, expanded, is_file, write_text, writing
 from dmframe.page.content import content_of
+from dmframe.page.periods import Periods
 
 SCRIPTS: Final = ("solver.js", "verdict.js", "plot.js", "scene.js", "sliders.js", "page.js")
 """In the order in which they stand in the page."""
@@ -38,16 +41,19 @@ class Page:
         What runs.
     verdict
         What was found of it; the page judges its conditions anew wherever a slider is.
+    periods
+        Up to which sampling periods the loop is stable near its set-point; None where that was not computed.
     """
 
     experiment: Experiment
     diagram: Diagram
     verdict: Verdict
+    periods: Periods | None = None
 
     @cached_property
     def html(self) -> str:
         """The whole page, which needs no other file and no network."""
-        return assembled(content_of(self.experiment, self.diagram, self.verdict))
+        return assembled(content_of(self.experiment, self.diagram, self.verdict, self.periods))
 
     def save(self, path: str | Path) -> Path:
         """Write it. Raises `OutputError` for another ending than .html, or a file that cannot be written."""
@@ -81,17 +87,41 @@ def check_own_place(path: Path) -> None:
 
 
 def assembled(content: dict[str, Any]) -> str:
-    """The page of some data, as HTML."""
+    """The page of some data, as HTML.
+
+    Its content security policy allows one script and one style, those of the page, by their hashes, and no connection:
+    nothing that stands in a graph's texts can run or load.
+    """
     web = files("dmframe.page").joinpath("web")
     texts = {name: _bare(web.joinpath(name).read_text("utf-8")) for name in ("page.html", "page.css", *SCRIPTS)}
+    script, style = "\n".join(texts[name] for name in SCRIPTS), texts["page.css"]
     parts = {
         "TITLE": _escaped(content["title"] or content["name"]),
-        "STYLE": texts["page.css"],
+        "POLICY": policy(f"\n{script}\n", f"\n{style}\n"),
+        "STYLE": style,
         # a text of a graph must not end the script that it stands in
         "DATA": json.dumps(content, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        "SCRIPT": "\n".join(texts[name] for name in SCRIPTS),
+        "SCRIPT": script,
     }
-    return re.sub("@(TITLE|STYLE|DATA|SCRIPT)@", lambda mark: parts[mark[1]], texts["page.html"])
+    return re.sub("@(TITLE|POLICY|STYLE|DATA|SCRIPT)@", lambda mark: parts[mark[1]], texts["page.html"])
+
+
+def policy(script: str, style: str) -> str:
+    """The content security policy under which this script and this style alone act, texts between their tags."""
+    allowed = {
+        "default-src": "'none'",
+        "script-src": f"{_hash(script)} 'wasm-unsafe-eval'",
+        "style-src": _hash(style),
+        "img-src": "data:",
+        "connect-src": "'none'",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    return "; ".join(f"{name} {sources}" for name, sources in allowed.items())
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _bare(text: str) -> str:

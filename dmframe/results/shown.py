@@ -21,6 +21,7 @@ import numpy as np
 
 from dmframe.block import AdaptingBlock
 from dmframe.block.model import symbols_in
+from dmframe.block.numberless import without_numbers
 from dmframe.diagram import Diagram
 from dmframe.diagram.closed_loop import Signal
 from dmframe.diagram.view import view
@@ -134,7 +135,7 @@ def _regressor(diagram: Diagram, name: str, block: AdaptingBlock, estimate: str)
         return None
     error = ca.SX.sym("s", *diagram.sizes.matrix(ports[block.driven_by].shape))
     with reading(None):
-        directions = block.direction(seen.u, seen.x, seen.p, error)
+        directions = without_numbers(block, name).direction(seen.u, seen.x, seen.p, error)
     return -ca.jacobian(directions[estimate], error).T if estimate in directions else None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any, ClassVar, final
 
@@ -15,7 +16,7 @@ import dmframe as dm
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.along import along
-from dmframe.certify.projections import _outside
+from dmframe.certify.projections import outside
 from dmframe.config.document import read_document
 from dmframe.config.experiment import Experiment, experiment_of, load_experiment
 from dmframe.diagram import Diagram
@@ -23,6 +24,7 @@ from dmframe.errors import DmframeError
 from dmframe.port import TIME, Port, Side
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot
+from dmframe_blocks.loaded_manipulator import LoadedManipulator
 from dmframe_blocks.payload import Payload
 from dmframe_blocks.payload_regressor import PayloadRegressor
 
@@ -166,7 +168,7 @@ def test_a_load_that_the_box_of_its_estimate_does_not_hold_is_told() -> None:
 @pytest.mark.parametrize(("later", "told"), [(1.0, False), (-1e-6, True), (np.nan, True)])
 def test_what_is_no_number_is_outside_too(later: float, told: bool) -> None:
     loop = dm.load(SMALL).diagram.loop
-    found = list(_outside("dynamics.a_d_hat: true value inside the box", ca.if_else(loop.time > 60, later, 1), loop))
+    found = list(outside("dynamics.a_d_hat: true value inside the box", ca.if_else(loop.time > 60, later, 1), loop))
     assert bool(found) is told
     assert all(not item.holds and "at t = 60.005 s" in item.name for item in found)
 
@@ -272,3 +274,69 @@ def test_only_a_source_steps_and_only_a_controller_shows() -> None:
 def test_what_is_no_body_is_told(load: dict[str, Any], says: str) -> None:
     with pytest.raises(DmframeError, match=says):
         Payload(**load)
+
+
+def learning_all(load: str = "mass: [1, 0], at: [0.2, 0.6]", arm: str = "loaded_manipulator") -> dm.Graph:
+    """SMALL with columns for all links in the place of those for the load."""
+    text = SMALL.replace("payload_regressor", "regressor").replace("mass: [1, 0], at: [0.2, 0.6]", load)
+    return dm.load(text.replace("loaded_manipulator", arm))
+
+
+@pytest.mark.parametrize("gravity", ["together", "apart"])
+def test_columns_for_all_links_learn_a_load_too_and_that_is_proved_between_its_steps(gravity: str) -> None:
+    verdict = learning_all().set({"model.gravity": gravity}).verify().verdict
+    assert verdict.outcome == "proved", verdict.reason
+    (said,) = [item.text for item in verdict.assumptions if "constant: all is said of the time between" in item.text]
+    assert said.startswith("load.a_load is bounded")
+    assert said.endswith("there jumps what dynamics and arm store, and nothing else")
+
+
+def test_the_true_parameters_are_those_of_the_last_link_with_the_load_as_pinocchio_has_them() -> None:
+    graph = dm.load("ur10_payload").set(
+        {
+            "model": {"type": "regressor", "friction": ["viscous", "coulomb"], "gravity": "apart"},
+            "holds": None,
+            "baseline": {},
+        }
+        | {"dynamics": {"type": "dynamic_compensator", "Gamma": 1}}
+    )
+    claim = claim_of(graph.diagram)
+    loop, true = claim.loop, claim.truths["model"]["a_d"]
+    (true,) = loop.joined([true])
+    function = ca.Function("a_d", [loop.time, loop.p], [loop.on_path(true)])
+    for held, t in (("gripper", 10.0), ("load", 60.0), ("gripper", 100.0)):
+        found, robot = function(t, loop.p_values).full().ravel(), model(held)
+        links = np.concatenate([np.array(robot.inertias[k].toDynamicParameters()) for k in range(1, 7)])
+        assert found[:60] == pytest.approx(links, rel=1e-9, abs=1e-9)
+        weighs = found[60:84].reshape(6, 4)  # the servo carries the robot's own weight, and nothing of the load's
+        own = np.array([model().inertias[k].toDynamicParameters()[:4] for k in range(1, 7)])
+        assert weighs == pytest.approx(links.reshape(6, 10)[:, :4] - own, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["regressor", "payload_regressor"])
+def test_a_robot_that_takes_no_load_has_none_in_its_true_parameters(kind: str) -> None:
+    """A payload next to `manipulator` changes nothing, and a proof takes it for nothing."""
+    verdict = learning_all(arm="manipulator").set({"model.type": kind}).verify().verdict
+    assert verdict.outcome == "proved", verdict.reason
+    assert not any("load.a_load" in item.text for item in verdict.assumptions)
+
+
+def test_true_parameters_with_another_load_than_the_robots_are_refuted(monkeypatch: pytest.MonkeyPatch) -> None:
+    honest = LoadedManipulator.certificate
+
+    def heavier(self: Any, u: Signals, x: Signals, p: Signals, truth: Signals) -> Any:
+        stated = honest(self, u, x, p, truth)
+        return replace(stated, truth={**stated.truth, "a_held": 2 * u.a_load}) if stated else None
+
+    monkeypatch.setattr(LoadedManipulator, "certificate", heavier)
+    assert learning_all().verify().verdict.outcome == "refuted"
+
+
+def test_a_load_outside_of_the_box_of_all_links_is_found() -> None:
+    def fails(load: str) -> list[str]:
+        verdict = learning_all(load).set({"dynamics.a_d_hat_box": [-20, 20]}).verify().verdict
+        return [item.name for item in verdict.conditions if not item.holds]
+
+    assert fails("mass: [1], at: [0.2]") == []
+    (name,) = fails("mass: [30], at: [0.2]")
+    assert "true value inside the box at t = 0.2" in name

@@ -26,6 +26,8 @@ def verdict(maker: dict[str, Any] = PID, arm: dict[str, Any] | None = None, **in
     graph = sampled_arm2(**{"servo": kind, **memory, **inverse})
     graph["blocks"]["servo"] = maker
     graph["blocks"]["arm"] |= arm or {}
+    if samples := inverse.get("delay"):
+        graph["blocks"]["line"] = {"type": "transport_delay", "samples": samples}
     return verify(dm.load(graph).diagram)
 
 
@@ -45,8 +47,9 @@ def test_it_is_proved_over_samples(servo: dict[str, Any], options: dict[str, Any
     assert found.outcome == "proved", found.reason
     assert all(control.refuted for control in found.controls)
     assert found.samples is not None
-    assert found.samples.silent == ("task",)
-    assert any("a delay is as told, or echoed" in item.text for item in found.assumptions)
+    assert found.samples.silent[0] == "task"
+    (delay,) = [item for item in found.conditions if "its rows take a delay of" in item.name]
+    assert delay.holds
 
 
 def _says(found: Verdict) -> str:

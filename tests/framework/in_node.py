@@ -26,10 +26,10 @@ def content(name: str) -> dict[str, Any]:
     return content_of_graph(dm.load(name))
 
 
-def content_of_graph(graph: Graph) -> dict[str, Any]:
-    """A graph's page as data."""
-    page = graph.page()
-    return content_of(page.experiment, page.diagram, page.verdict)
+def content_of_graph(graph: Graph, *, periods: bool = False) -> dict[str, Any]:
+    """A graph's page as data; with `periods`, which take seconds, what it says of its clock."""
+    page = graph.page(periods=periods)
+    return content_of(page.experiment, page.diagram, page.verdict, page.periods)
 
 
 def asked(content: dict[str, Any], *, web: Path = WEB, **asked: Any) -> dict[str, Any]:

@@ -31,27 +31,33 @@ def check_functions(found: Verification) -> None:
     made, loop = functions(found), found.diagram.loop
     p, state = loop.p_values, start_state(found.diagram, found.experiment.start)
     check_start(found, made, state, p)
-    check_judged(found, made, p)
+    check_judged(found, made, pose_of(found, made, state), p)
     check_module(found, made, state, p)
 
 
 def check_start(found: Verification, made: Functions, state: np.ndarray, p: np.ndarray) -> None:
     """From the pose alone, the whole start follows; and a pose that is sought is on the path."""
     period = found.experiment.file.clock or found.experiment.solver.output
-    pose = np.zeros(0)
-    if made.posed is not None:
-        labels = [v.label for v in found.diagram.loop.variables]
-        sizes = [v.symbol.numel() for v in found.diagram.loop.variables]
-        at = sum(sizes[: labels.index(made.posed.label)])
-        pose = state[at : at + made.posed.symbol.numel()]
+    pose = pose_of(found, made, state)
     np.testing.assert_allclose(made.begin(pose, period, p).full().ravel(), state, rtol=1e-12, atol=1e-12)
     if made.reach is not None:
         assert np.abs(made.reach(pose, p)[0].full()).max() < 1e-8
 
 
-def check_judged(found: Verification, made: Functions, p: np.ndarray) -> None:
+def pose_of(found: Verification, made: Functions, state: np.ndarray) -> np.ndarray:
+    """The pose in a state."""
+    if made.posed is None:
+        return np.zeros(0)
+    labels = [v.label for v in found.diagram.loop.variables]
+    sizes = [v.symbol.numel() for v in found.diagram.loop.variables]
+    at = sum(sizes[: labels.index(made.posed.label)])
+    return state[at : at + made.posed.symbol.numel()]
+
+
+def check_judged(found: Verification, made: Functions, pose: np.ndarray, p: np.ndarray) -> None:
     """Each condition's least margin is the value that was decided exactly."""
-    judged, verdict = made.judged(p).full().ravel(), found.verdict
+    period = found.experiment.file.clock or found.experiment.solver.output
+    judged, verdict = made.judged(pose, period, p).full().ravel(), found.verdict
     for condition, place in zip(made.conditions, made.margins, strict=True):
         if place is None:  # a search finds its Lyapunov matrix: the page says that it judged the file's numbers alone
             assert "stays exponentially stable" in condition.name

@@ -35,25 +35,46 @@ function simulate(quick) {
   const took = performance.now() - begun;
   if (run.work > 2000) perMs = run.work / Math.max(took, 1);
   if (run.short) run.notices.push(quick ? `while it is moved, the first ${plain(run.short, "s")} are run` : `so short are the steps that only ${plain(run.short, "s")} are run`);
-  run.judged = loop.judged(p);
-  run.spread = loop.spread(p);
+  run.judged = loop.judged(p, run.start, run.tick);
+  run.spread = loop.spread(p, run.start, run.tick);
+  run.climb = climb(p);
   time = Math.min(time, run.times.at(-1));
   tell(p);
   lines();
   curves(quick);
-  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}.`;
+  if (!quick) find("foot").textContent = `${plain(run.times.at(-1), "s")} of simulated time took ${plain(took / 1000, "s")}: ${run.substeps} step${run.substeps > 1 ? "s" : ""} of rk4 in each tick of ${plain(run.tick, "s")}. dmframe ${content.dmframe}, model ${content.fingerprint.slice(0, 16)}.`;
+}
+
+// How far V rose in the run; null where there is no V. What rounding explains is looked at here and there.
+function climb(p) {
+  const group = content.groups.find(({ kind }) => kind === "storage"), last = run.kept - 1;
+  if (!group || last < 1) return null;
+  const rows = Array.from({ length: group.size }, (_, k) => column(group.of, group.at + k));
+  const V = run.times.map((_, k) => rows.reduce((sum, values) => sum + values[k], 0));
+  const looked = [0, 1, 2, 3, 4, 5, 6, 7, 8].map((k) => loop.wrong(run, Math.round((k * last) / 8), p, run.tick, group));
+  const wrong = V.map((_, k) => Math.max(looked[Math.floor((8 * k) / last)], looked[Math.ceil((8 * k) / last)]));
+  return climbOf(V, wrong);
+}
+
+// What the title says of the clock follows it.
+function entitle() {
+  const file = content.clock === null ? "" : plain(content.clock, "s"), now = plain(run.tick, "s");
+  const title = content.title || content.name, parts = file ? title.split(new RegExp(`(?<![\\d.])${file.replace(".", "\\.")}(?![\\w])`)) : [title];
+  const moved = sliders.state.clock, said = moved ? (parts.length > 1 ? parts.join(now) : `${title}, sampled at ${now}`) : title;
+  if (document.title !== said) document.title = document.querySelector("h1").textContent = said;
 }
 
 // What is proved where the sliders stand, and what became of the run.
 function tell(p) {
-  const verdict = judgement(content, run.judged, sliders.state, run.spread);
+  const verdict = judgement(content, run.judged, sliders.state, run.spread, run);
+  entitle();
   find("verdict").className = verdict.state + (content.verdict.headline === "proved" ? "" : " partly");
   set("headline", verdict.headline);
   set("says", verdict.says.join(" "));
   const notices = [...run.notices, ...sliders.notices].map((notice) => `${notice.charAt(0).toUpperCase()}${notice.slice(1)}.`), wild = run.divergence;
   if (wild) {
     notices.unshift(`${wild.says}; the run ends there.`);
-    if (verdict.state === "proved") notices.push(content.verdict.sampled ? "The proof does not say that the robot stays near its path." : `The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
+    if (verdict.state === "clock") notices.push(content.verdict.sampled ? "The proof does not say that the robot stays near its path." : `The proof is in continuous time, and ${content.clock === null ? "the integrator's steps are too long for these numbers" : `this clock ticks every ${plain(run.tick, "s")}`}.`);
   }
   set("notice", notices.join(" "));
   find("notice").hidden = !notices.length;
@@ -65,7 +86,7 @@ function tell(p) {
   find("conditions").replaceChildren(...verdict.rows.map(({ name, how, margin, holds }) =>
     make("tr", { class: holds ? "yes" : holds === null ? "open" : "no" },
       ...[name, margin === null ? "" : figure(margin), holds ? (how === "sampled" ? "sampled, not proved" : "holds") : holds === null ? "not decided here" : "fails"].map((text) => make("td", {}, text)))));
-  run.proved = verdict.state === "proved";
+  run.proved = verdict.state === "proved" || verdict.state === "clock";
 }
 
 // A text is only set anew when it is another: who listens to the page would hear it again.
@@ -127,7 +148,7 @@ function curves(quick) {
     if (group.kind === "storage") {
       const total = run.times.map((_, k) => rows.reduce((sum, { values }) => sum + values[k], 0));
       shown = plot.whole ? [{ name: "V", colour: 0, wide: true, values: total }] : rows.filter(({ values }) => values.some((value) => value > 0));
-      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? "the sum of what all blocks store" : "");
+      plot.say(!run.proved ? "proves nothing at these values" : plot.whole ? `the sum of what all blocks store${run.climb?.rises ? `; it rose at ${run.climb.rises} of ${run.climb.steps} instants` : ""}` : "");
     }
     if (group.kind === "command" && measured(group)) {
       const { label } = measured(group);
@@ -248,6 +269,9 @@ find("about").textContent = "Point at a number to read what it does; a double cl
 find("conditions").closest("details").hidden = !content.verdict.conditions.length;
 find("assumptions").closest("details").hidden = !content.verdict.assumptions.length;
 find("assumptions").append(...content.verdict.assumptions.map((text) => make("li", {}, text)));
+find("origin").hidden = !content.origin;
+find("from").textContent = content.origin ? `${content.origin.robot}: ${content.origin.text}` : "";
+find("licences").textContent = (content.origin?.licences ?? []).map(({ name, text }) => `${name}\n\n${text}`).join("\n\n");
 find("view").hidden = find("transport").hidden = !content.robot;
 find("play").onclick = () => play(!playing);
 find("scrub").oninput = () => { time = Number(find("scrub").value); play(false); };

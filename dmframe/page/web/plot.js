@@ -47,7 +47,8 @@ class Plot {
   list() {
     this.legend.replaceChildren(...this.curves.map((curve) => {
       if (curve.silent) return "";
-      curve.key = make("i", { class: curve.dash ? "dash" : curve.wide ? "wide" : "", style: `--key:var(--c${curve.colour})` });
+      curve.key = make("i", { class: curve.dash ? "dash" : curve.wide ? "wide" : "" });
+      curve.key.style.setProperty("--key", `var(--c${curve.colour})`); // the page's policy allows no attribute of style
       return make("li", { class: curve.faint ? "faint" : "" }, curve.key, make("span", {}, ...nice(curve.name)), make("b", {}));
     }));
     this.readings = [...this.legend.querySelectorAll("b")];

@@ -116,11 +116,14 @@ class Sliders {
   get tick() { return Number((this.content.tick * (this.moved.get("clock") ?? 1)).toPrecision(6)); }
   get shift() { return this.content.pose && this.content.pose.names.map((_, k) => this.moved.get(`start[${k}]`) ?? 0); }
 
-  // Whether numbers of the loop have moved and which, and whether its start or its clock has.
+  // Whether numbers of the loop have moved and which, and whether its start or its clock has. A start that follows from
+  // numbers that were moved has moved with them; starts are counted behind the numbers.
   get state() {
-    const ofRun = (label) => label === "clock" || label.startsWith("start["), labels = [...this.moved.keys()];
-    const at = new Set(this.content.sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
-    return { p: labels.some((label) => !ofRun(label)), at, run: labels.some(ofRun) };
+    const ofStart = (label) => label.startsWith("start["), labels = [...this.moved.keys()], { sliders, starts, p } = this.content;
+    const at = new Set(sliders.filter(({ label }) => this.moved.has(label)).flatMap(({ at, size }) => Array.from({ length: size }, (_, k) => at + k)));
+    const start = labels.some(ofStart) || starts.reads.some((place) => at.has(place)), clock = this.moved.has("clock");
+    if (start) for (const row of starts.rows) at.add(p.length + row);
+    return { p: labels.some((label) => label !== "clock" && !ofStart(label)), at, start, clock, run: clock || labels.some(ofStart) };
   }
 
   // Where all of them stand, given the numbers and the pose at the start.

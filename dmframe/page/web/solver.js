@@ -74,21 +74,60 @@ export class Loop {
     if (lacking > 0) memory.grow(Math.ceil(lacking / 65536));
   }
 
-  // Margins of conditions, the least kappa and true values of estimates, at the numbers p.
-  judged(p) {
+  // Margins of conditions, the least kappa and true values of estimates, at the numbers p and from a pose.
+  judged(p, pose = this.pose, tick = this.content.tick) {
     this.view("p", p.length).set(p);
-    this.exports.judged(this.places.p, this.places.judged);
+    this.view("pose", pose.length).set(pose);
+    this.view("T", 1)[0] = tick;
+    this.exports.judged(this.places.pose, this.places.T, this.places.p, this.places.judged);
     return this.view("judged", this.content.sizes.judged).slice();
   }
 
+  // The file's pose at the start.
+  get pose() {
+    const { pose, state } = this.content;
+    return pose ? state.slice(pose.at, pose.at + pose.size) : [];
+  }
+
   // By how much these move with numbers that are off by sixteen roundings: a margin below that has no sure sign.
-  spread(p) {
-    const here = this.judged(p), most = new Float64Array(here.length);
+  spread(p, pose = this.pose, tick = this.content.tick) {
+    const here = this.judged(p, pose, tick), most = new Float64Array(here.length);
     for (let turn = 1; turn <= 4; turn++) {
-      const beside = this.judged(p.map((value, k) => value * (1 + Math.sign(Math.sin(turn * (k + 0.5) * 2.4)) * 2 ** -48)));
+      const off = (value, k) => value * (1 + Math.sign(Math.sin(turn * (k + 0.5) * 2.4)) * 2 ** -48);
+      const beside = this.judged(p.map(off), pose.map(off), tick);
       beside.forEach((value, k) => (most[k] = Math.max(most[k], Math.abs(value - here[k]))));
     }
     return most;
+  }
+
+  // The state from which a run begins, and the pose in it.
+  begun(p, shift, tick) {
+    const { q, notice } = this.posed(p, shift);
+    this.view("p", p.length).set(p);
+    this.view("pose", q.length).set(q);
+    this.view("T", 1)[0] = tick;
+    this.exports.begin(this.places.pose, this.places.T, this.places.p, this.places.state);
+    return { q, notice, state: this.view("state", this.states).slice() };
+  }
+
+  // How far V, the sum of `size` numbers that are drawn from `at` on, may be wrong by rounding, at instant k of a run:
+  // n eps (V + sum |dV/dz| |z|), for n operations that round and states z that do, to first order.
+  wrong({ log, every }, k, p, tick, { at, size }) {
+    const { exports, places, states, content } = this, part = 2 ** -20, x = log.slice(k * states, (k + 1) * states);
+    this.view("p", p.length).set(p);
+    this.view("T", 1)[0] = tick;
+    this.view("t", 1)[0] = k * every * tick;
+    const stored = (place) => {
+      const state = this.view("beside", states);
+      state.set(x);
+      if (place !== null) state[place] *= 1 + part;
+      exports.shown(places.beside, places.t, places.T, places.p, places.shown);
+      return this.view("shown", content.sizes.shown).subarray(at, at + size).reduce((sum, value) => sum + value, 0);
+    };
+    const V = stored(null);
+    let read = Math.abs(V);
+    for (let place = 0; place < states; place++) if (x[place]) read += Math.abs(stored(place) - V) / part;
+    return content.operations * Number.EPSILON * read;
   }
 
   // The pose at the start: the file's, put onto the path where it is sought there, then shifted.
@@ -171,14 +210,9 @@ export class Loop {
   // than `most` work only the begin is run, up to `short`. Found: the kept instants' times, their states in `log`, and
   // in `drawn` what is drawn of them.
   simulate({ p, shift = null, tick = this.content.tick, horizon = this.content.horizon, most = MOST_WORK }) {
-    const { content, exports, places } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
-    const { q, notice } = this.posed(p, shift);
+    const { content } = this, ticks = Math.max(1, Math.round(horizon / tick)), notices = [];
+    const { q, notice, state: start } = this.begun(p, shift, tick);
     if (notice) notices.push(notice);
-    this.view("p", p.length).set(p);
-    this.view("pose", q.length).set(q);
-    this.view("T", 1)[0] = tick;
-    exports.begin(places.pose, places.T, places.p, places.state);
-    const start = this.view("state", this.states).slice();
 
     const plainly = steps(tick, content.step ?? content.solver.plain, content.solver.most);
     let substeps = plainly;

@@ -56,6 +56,7 @@ class Modelling(AbstractBlock):
     )
     k: Scalar = Real(default=2.0)
     share: Scalar = Real(default=1.0)
+    whole: bool = True
     W: ClassVar[int] = 4
 
     def sizes(self, robot: Any) -> dict[str, int]:
@@ -63,7 +64,7 @@ class Modelling(AbstractBlock):
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
         v = -p.k * u.y - ca.sum1(x.ring) / self.W
-        aim = x.aim + (u.T if self.share == 1 else p.share * u.T) * x.sent
+        aim = x.aim + (u.T if self.whole else p.share * u.T) * x.sent
         return Equations(
             outputs={"v": v},
             next={"aim": aim, "sent": v, "z": x.z + u.T * (u.y - x.aim), "ring": ca.vertcat(u.y, x.ring[:-1])},
@@ -122,7 +123,7 @@ def test_a_model_of_the_target_differs_from_it_by_what_no_sample_changes() -> No
 
 
 def test_a_model_that_counts_wrongly_is_not_taken_for_one_that_is_right() -> None:
-    found = proof(loop(Modelling(share=1.0001)))
+    found = proof(loop(Modelling(share=1.0001, whole=False)))
     assert found.kept == 0
     assert found.radius is None
 

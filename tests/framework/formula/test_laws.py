@@ -204,7 +204,7 @@ def spring(*how):
 
 
 def test_equations_that_answer_differently_the_second_time_are_told_with_file_and_line():
-    answers = chain([1, 1], repeat(-1))  # a diagram is built on the first two
+    answers = chain([1, 1, 1], repeat(-1))  # a diagram is built on the first three
     diagram = spring(lambda x, p: next(answers) * p.k * x.q)
     with pytest.raises(BlockError, match=r"spring: test_laws\.py:\d+: the output f is not the same when equations\(\)"):
         printed(diagram, "spring")

@@ -1,11 +1,11 @@
 // What the tests ask of a page's scripts, in Node: one JSON document in, a list of answers out.
 import { readFileSync } from "node:fs";
 
-const { web, content, runs = [], judged = [], quantities = [] } = JSON.parse(readFileSync(0, "utf-8"));
+const { web, content, runs = [], judged = [], climbs = [], quantities = [] } = JSON.parse(readFileSync(0, "utf-8"));
 const { loaded, plain } = await import(`${web}/solver.js`);
-const { judgement } = await import(`${web}/verdict.js`);
+const { climbOf, judgement } = await import(`${web}/verdict.js`);
 
-const loop = content.module ? await loaded(content) : null;
+const loop = content?.module ? await loaded(content) : null;
 const answers = [];
 for (const { p = content.p, ...asked } of runs) {
   const run = loop.simulate({ p, ...asked });
@@ -19,8 +19,10 @@ for (const { p = content.p, ...asked } of runs) {
     speed: loop.speed(run.log.subarray(0, loop.states), run.tick),
   });
 }
-for (const { p = null, margins = null, moved: { at, ...moved } } of judged) {
-  const found = p ? loop.judged(p) : Float64Array.from(margins, (value) => value ?? NaN);
-  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved, p ? loop.spread(p) : null));
+for (const { p = null, margins = null, shift = null, run = {}, moved: { at, ...moved } } of judged) {
+  const pose = p ? loop.posed(p, shift).q : null;
+  const found = p ? loop.judged(p, pose) : Float64Array.from(margins, (value) => value ?? NaN);
+  answers.push(judgement(content, found, at ? { ...moved, at: new Set(at) } : moved, p ? loop.spread(p, pose) : null, run));
 }
+for (const { V, wrong } of climbs) answers.push(climbOf(V, wrong));
 process.stdout.write(JSON.stringify({ answers, plain: quantities.map((pair) => plain(...pair)) }));

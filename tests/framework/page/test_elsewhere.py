@@ -37,14 +37,17 @@ def uncertain() -> Any:
     return graph, content_of_graph(graph)
 
 
-def judged(data: Mapping[str, Any], moved: Mapping[str, float]) -> dict[str, Any]:
-    """What a page says with these numbers moved."""
+def judged(data: Mapping[str, Any], moved: Mapping[str, float], shift: list[float] | None = None) -> dict[str, Any]:
+    """What a page says with these numbers moved, and its start."""
     p = list(data["p"])
     places = {slider["label"]: slider["at"] for slider in data["sliders"]}
     for label, value in moved.items():
         p[places[label]] = value
     at = [places[label] for label in moved]
-    question = {"p": p, "moved": {"p": bool(moved), "at": at, "run": False}}
+    start = bool(shift) or any(place in data["starts"]["reads"] for place in at)
+    at += [len(p) + row for row in data["starts"]["rows"]] * start
+    said = {"p": bool(moved), "at": at, "start": start, "run": bool(shift)}
+    question = {"p": p, "shift": shift, "moved": said}
     (answer,) = asked(dict(data), judged=[question])["answers"]
     found: dict[str, Any] = answer
     return found
@@ -196,6 +199,7 @@ class Reader(AbstractBlock):
     states: ClassVar[tuple[State, ...]] = (State("x"),)
     k: Scalar = Positive("", "", default=2.0)
     few: Scalar = Positive("", "", default=2.0)
+    numeric: bool = False
 
     @model_validator(mode="after")
     def _small(self) -> Reader:
@@ -210,16 +214,19 @@ class Reader(AbstractBlock):
         return Certificate((Square(x.x),), (Square(x.x, p.few * p.k),))
 
     def conditions(self, p: Any, truth: Any) -> tuple[Inequality, ...]:
-        return (Inequality("k < 3", 3 - ca.SX(float(self.k)), "nobody"),)
+        return (Inequality("k < 3", 3 - (ca.SX(float(self.k)) if self.numeric else p.k), "here"),)
 
 
-def test_a_slider_moves_no_number_that_a_claim_reads_as_such_and_reaches_none_that_is_refused() -> None:
+def test_no_claim_reads_a_number_as_such_and_a_slider_reaches_none_that_is_refused() -> None:
     diagram = Diagram.build({"toy": Reader()})
     assert verify(Diagram.build({"toy": Reader(k=4.0)})).outcome == "not_applicable"
-    (slider,) = sliders_of(diagram, verify(diagram))
-    assert slider.label == "toy.few"
-    assert 2 * slider.most < 5
-    assert slider.most > 1.5
+    refused = verify(Diagram.build({"toy": Reader(numeric=True)}))
+    assert refused.outcome == "not_applicable"
+    assert "toy: its methods read the number k from self" in refused.reason
+    sliders = {slider.label: slider for slider in sliders_of(diagram, verify(diagram))}
+    assert sliders.keys() == {"toy.k", "toy.few"}
+    assert 2 * sliders["toy.few"].most < 5
+    assert sliders["toy.few"].most > 1.5
 
 
 def test_a_number_is_written_as_its_block_was_given_it() -> None:
@@ -280,3 +287,44 @@ def test_a_margin_that_rounding_may_have_turned_is_not_decided() -> None:
     at, past = (judged(content("pendulum"), values) for values in (edge, beyond))
     assert (at["state"], past["state"]) == ("undecided", "fails")
     assert "are too close to the edge for this page: inverse: M̄ ≥ 0" in " ".join(at["says"])
+
+
+@pytest.mark.parametrize("nominal", [1.1, 7.64])
+def test_a_number_that_moves_a_start_out_of_its_box_takes_the_proof_away(nominal: float) -> None:
+    """What starts at a share of the truth starts elsewhere at another share, though no start was moved by itself."""
+    graph = dm.load("torque_direct_pid")
+    page, verdict = (
+        judged(content("torque_direct_pid"), {"model.nominal": nominal}),
+        graph.set({"model.nominal": nominal}),
+    )
+    assert (page["state"] == "proved") is verdict.verify().proved is (nominal < 2)
+
+
+def test_a_load_beyond_the_box_of_its_estimate_is_not_green() -> None:
+    data = content("ur10_payload")
+    masses = next(slider for slider in data["sliders"] if slider["label"] == "load.mass")
+    p = [4 * value if 0 <= k - masses["at"] < masses["size"] else value for k, value in enumerate(data["p"])]
+    at = list(range(masses["at"], masses["at"] + masses["size"]))
+    (answer,) = asked(dict(data), judged=[{"p": p, "moved": {"p": True, "at": at, "run": False}}])["answers"]
+    assert answer["state"] in ("fails", "undecided")
+    assert not dm.load("ur10_payload").set({"load.mass": [1.2, 17.2, 1.2]}).verify().proved
+
+
+def test_what_the_files_start_decided_is_open_where_the_start_has_moved() -> None:
+    known = {"how": "exact", "value": 1.0, "holds": True, "strict": True, "opens": False}
+    row = {"name": "starts inside", "at": None, "size": None, "reads": [2], **known}
+    verdict = {"outcome": "proved", "headline": "proved", "reason": "the identity", "kappa": None, "conclusions": []}
+    data = {"verdict": {**verdict, "conditions": [row]}, "clock": None}
+    moves = [{"p": False, "start": True, "at": at, "run": True} for at in ([2], [3])]
+    (moved, other) = asked(data, judged=[{"margins": [], "moved": move} for move in moves])["answers"]
+    assert (moved["state"], other["state"]) == ("undecided", "proved")
+
+
+@pytest.mark.parametrize("shift", [[0.5, -0.5], [0.1, 0.1]])
+def test_a_start_that_was_moved_is_judged_as_verify_judges_it(shift: list[float]) -> None:
+    graph, data = dm.load("torque_direct_pid"), content("torque_direct_pid")
+    pose = data["pose"]
+    first = data["state"][pose["at"] : pose["at"] + pose["size"]]
+    start = [a + b for a, b in zip(first, shift, strict=True)]
+    page = judged(data, {}, shift)
+    assert (page["state"] == "proved") <= graph.set({"start.q": start}).verify().proved

@@ -78,7 +78,7 @@ def test_margins_at_other_numbers_are_judged_as_verify_judges_them():
     made, holding = functions(graph.verify()), list[bool]()
     for K_c in (graph.blocks["inverse"].K_c, 0.01):
         other = graph.set({"inverse.K_c": K_c})
-        judged = made.judged(other.diagram.loop.p_values).full().ravel()
+        judged = made.judged(0.3, 0.01, other.diagram.loop.p_values).full().ravel()
         decided = {condition.name: condition.holds for condition in other.verify().conditions}
         for condition, place in zip(made.conditions, made.margins, strict=True):
             least = judged[place[0] : sum(place)].min() if place[1] else 0.0

@@ -18,11 +18,12 @@ from in_node import content
 import dmframe as dm
 from dmframe import notebook
 from dmframe.cli.graphs import graphs_of
-from dmframe.page.page import assembled
+from dmframe.page.page import assembled, policy
 from dmframe.results import Run
 from dmframe.simulate.start import start_state
 
 HEADLINE = "document.getElementById('headline').textContent"
+PROVED = "Proved in continuous time"
 SAYS = "document.getElementById('says').textContent"
 K_C = "move-inverse.K_c"
 OVERHANG = "document.documentElement.scrollWidth - document.documentElement.clientWidth"
@@ -31,14 +32,14 @@ OVERHANG = "document.documentElement.scrollWidth - document.documentElement.clie
 def judges_truly(tab: Browser, page: Path) -> None:
     """Open the page, break a condition by hand, and come back."""
     tab.opened(page)
-    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == "Proved"
+    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == PROVED
     assert "All 28 conditions hold" in tab.value(SAYS)
     tab.dragged(K_C, 0.5, 0.02)
     tab.until("document.getElementById('command').textContent.includes('inverse.K_c=[0.0')")
     assert "does not apply" in tab.value(HEADLINE)
     assert "M̄ ≥ 0" in tab.value(SAYS)
     tab.value("document.getElementById('reset').click()")
-    assert tab.until(f"{HEADLINE} === 'Proved'")
+    assert tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.said == []
 
 
@@ -55,9 +56,21 @@ def tab(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
         yield found
 
 
+def resealed(html: str) -> str:
+    """A page that a test has changed, with the policy for what it is now."""
+    script, style = (re.findall(f"<{tag}>(.*?)</{tag[:6].strip()}>", html, re.DOTALL) for tag in TAGS)
+    if not script or not style:
+        return html
+    meta = '<meta http-equiv="Content-Security-Policy" content="'
+    return re.sub(re.escape(meta) + 'default-src[^"]*', lambda _: meta + policy(script[-1], style[0]), html, count=1)
+
+
+TAGS = ('script type="module"', "style")
+
+
 def saved(folder: Path, html: str) -> Path:
     page = folder / "page.html"
-    page.write_text(html, "utf-8")
+    page.write_text(resealed(html), "utf-8")
     return page
 
 
@@ -91,14 +104,14 @@ def places_under_the_pointer(tab: Browser, page: Path, size: tuple[int, int]) ->
     """Where a slider stands while it is dragged to where the verdict is shorter, and to where it is longer."""
     tab.sized(*size)
     tab.opened(page)
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     tab.value("document.documentElement.style.overflowAnchor = 'none'")  # else a browser may scroll along
     tab.value(WATCH)
     tab.held(K_C, 0.5, 0.02)
     tab.until(f"{HEADLINE}.includes('does not apply')")
     tab.value(FRAME)
     tab.mouse("moves", *tab.spot(K_C, 0.6))
-    tab.until(f"{HEADLINE} === 'Proved at these values'")
+    tab.until(f"{HEADLINE} === 'Proved at these values in continuous time'")
     tab.let_go()
     tops: list[float] = tab.value(FRAME)
     tab.sized(None)
@@ -151,9 +164,11 @@ def test_the_command_that_a_page_shows_gives_the_same_numbers(tab: Browser, tmp_
 
 def with_its_run(html: str) -> str:
     """The page, whose run the test may ask for; a page keeps it for itself."""
-    end = "\n</script>\n</body>"
-    assert html.count(end) == 1
-    return html.replace(end, f"\nglobalThis.simulated = () => run;{end}")
+    assert html.count(END) == 1
+    return html.replace(END, f"\nglobalThis.simulated = () => run;{END}")
+
+
+END = "\n</script>\n</body>"
 
 
 SIMULATED = "[simulated().kept, simulated().every, Array.from(simulated().log)]"
@@ -250,9 +265,9 @@ def test_the_command_on_a_baselines_page_runs_the_baseline(tab: Browser, tmp_pat
 def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_path: Path) -> None:
     told = "<script>addEventListener('message', (event) => (document.title = event.data))</script>"
     says = f"setInterval(() => parent.postMessage({HEADLINE}, '*'), 50)"
-    inside = assembled(content("arm2_joint")).replace("</body>", f"<script>{says}</script></body>")
+    inside = resealed(assembled(content("arm2_joint")).replace(END, f"\n{says}{END}"))
     tab.opened(saved(tmp_path, f"<!doctype html>{told}{notebook.framed(inside, 'live', 800)}"))
-    tab.until("document.title === 'Proved'")
+    tab.until(f"document.title === '{PROVED}'")
     assert tab.said == []
 
 
@@ -260,7 +275,7 @@ def test_a_page_runs_inside_a_notebook_which_it_cannot_reach(tab: Browser, tmp_p
 def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, tmp_path: Path) -> None:
     page, now = saved(tmp_path, assembled(content("arm2_joint"))), "Number(document.getElementById('scrub').value)"
     tab.opened(page)
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.value("document.getElementById('play').ariaLabel") == "Play"
     assert tab.value(now) == 0
     tab.value("document.getElementById('play').click()")
@@ -277,7 +292,7 @@ def test_a_page_plays_by_itself_unless_its_reader_wants_no_motion(tab: Browser, 
 def test_a_page_fits_a_phone_and_its_controls_have_names(tab: Browser, tmp_path: Path) -> None:
     tab.sized(360, 740)
     tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     assert (tab.value("innerWidth"), tab.value(OVERHANG)) == (360, 0)
     controls = "[...document.querySelectorAll('input, button, select')]"
     nameless = f"{controls}.filter((e) => !e.ariaLabel && !e.labels?.length && !e.textContent)"
@@ -302,18 +317,18 @@ def test_what_an_address_says_and_a_page_cannot_set_is_told(tab: Browser, tmp_pa
     tab.opened(page, "#task.alpha_bar=1.5&other.K=5&clock=1e9&%ZZ&at=2")
     assert tab.until(notice) == "What the address says cannot be set here: other.K=5, clock=1e9."
     tab.opened(page, "#texts")
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.value(notice) == ""
     assert tab.said == []
 
 
 def test_a_page_whose_scripts_are_not_allowed_says_so(tab: Browser, tmp_path: Path) -> None:
     html = assembled(content("arm2_joint"))
-    for policy, headline, says in [
+    for allowed, headline, says in [
         ("'none'", "Loading", "scripts are switched off or not allowed"),
         ("'unsafe-inline'", "This browser cannot run the page", "WebAssembly"),
     ]:
-        meta = f'<meta http-equiv="Content-Security-Policy" content="script-src {policy}">'
+        meta = f'<meta http-equiv="Content-Security-Policy" content="script-src {allowed}">'
         tab.opened(saved(tmp_path, html.replace("<head>", f"<head>{meta}")))
         assert tab.until(f"{HEADLINE} === {headline!r} && {SAYS}.includes({says!r})")
 
@@ -326,7 +341,7 @@ def test_a_title_is_text_and_breaks(tab: Browser, tmp_path: Path, title: str) ->
     data = {**content("arm2_joint"), "title": title}
     tab.sized(320, 640)
     tab.opened(saved(tmp_path, assembled(data)))
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     assert tab.value("document.querySelector('h1').textContent") == title
     assert tab.value(OVERHANG) == 0
     tab.sized(None)
@@ -336,7 +351,7 @@ def test_a_title_is_text_and_breaks(tab: Browser, tmp_path: Path, title: str) ->
 def test_a_robot_is_still_drawn_when_the_browser_takes_the_card_away(tab: Browser, tmp_path: Path) -> None:
     canvas = "document.getElementById('robot')"
     tab.opened(saved(tmp_path, assembled(content("arm2_joint"))))
-    tab.until(f"{HEADLINE} === 'Proved'")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
     lost = f"{canvas}.getContext('webgl2')?.getExtension('WEBGL_lose_context').loseContext()"
     tab.value(f"{lost}; new Promise((done) => setTimeout(done, 200))")
     pixels = f"{canvas}.getContext('2d')?.getImageData(0, 0, {canvas}.width, {canvas}.height).data"
@@ -367,4 +382,42 @@ def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser
     tab.opened(saved(tmp_path, dm.load(text, name="path").page().html))
     assert "nothing to draw" in tab.until("document.getElementById('first').textContent")
     assert tab.value(COMMAND).startswith("dmframe run path.yaml --set duration=1 ")
+    assert tab.said == []
+
+
+@IN_ONE
+def test_on_a_slow_clock_the_banner_is_not_green_and_the_title_follows(tab: Browser, tmp_path: Path) -> None:
+    data = {**content("ur10_fast"), "periods": {"rest": 0.0421, "moving": 0.0159, "reason": ""}}
+    tab.opened(saved(tmp_path, assembled(data)), "#clock=16")
+    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == f"{PROVED}; a clock of 128 ms is too slow"
+    assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its fall", tab.value(SAYS))
+    assert "sampled at 128 ms" in tab.value("document.title")
+    assert "sampled at 128 ms" in tab.value("document.querySelector('h1').textContent")
+    tone = "getComputedStyle(document.getElementById('headline')).color"
+    slow = tab.value(tone)
+    tab.value("document.getElementById('reset').click()")
+    tab.until(f"{HEADLINE} === '{PROVED}'")
+    assert tab.value(tone) != slow
+    assert "sampled at 8 ms" in tab.value("document.title")
+    assert tab.said == []
+
+
+@IN_ONE
+def test_nothing_but_the_pages_own_script_runs_or_connects(tab: Browser, tmp_path: Path) -> None:
+    html = assembled(content("arm2_joint"))
+    page = tmp_path / "page.html"
+    page.write_text(html.replace("<main>", "<script>window.bad = 1</script><main>"), "utf-8")
+    tab.opened(page)
+    tab.until(f"{HEADLINE} === '{PROVED}'")
+    assert tab.value("window.bad === undefined")
+    assert any("Content Security Policy" in text for text in tab.said)
+    assert tab.value("fetch('data:,x').then(() => 'connected', () => 'refused')") == "refused"
+
+
+@IN_ONE
+def test_a_page_shows_origin_and_licences(tab: Browser, tmp_path: Path) -> None:
+    tab.opened(saved(tmp_path, assembled(content("ur10_fast"))))
+    tab.until(f"{HEADLINE} === '{PROVED}'")
+    assert "Licence: BSD" in tab.value("document.getElementById('from').textContent")
+    assert "Redistribution" in tab.value("document.getElementById('licences').textContent")
     assert tab.said == []

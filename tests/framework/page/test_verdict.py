@@ -35,7 +35,7 @@ def test_at_the_files_numbers_a_page_judges_as_verify_does(name: str) -> None:
     data = content(name)
     (found,) = said(data, {"p": data["p"], "moved": FILE})
     assert found["state"] == "proved"
-    assert found["headline"] == "Proved"
+    assert found["headline"] == "Proved in continuous time"
     assert "It follows that" in found["says"][-1]
     for row, condition in zip(found["rows"], data["verdict"]["conditions"], strict=True):
         assert row["holds"] is condition["holds"], row["name"]
@@ -105,7 +105,7 @@ def test_conclusions_are_of_the_files_numbers() -> None:
     here, moved, clock = said(stated({}), *({**margins(1.0), "moved": where} for where in (FILE, MOVED, CLOCK)))
     assert here["says"][-1] == "It follows that x goes to zero."
     assert "not decided" in moved["says"][-1]
-    assert moved["headline"] == "Proved at these values"
+    assert moved["headline"] == "Proved at these values in continuous time"
     assert "continuous time" in clock["says"][-1]
 
 

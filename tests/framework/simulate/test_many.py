@@ -14,7 +14,7 @@ from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config.experiment import load_experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.values import with_values
-from dmframe.errors import DmframeError, NeedsDiagramError, UnknownNameError, ValueFault
+from dmframe.errors import DmframeError, UnknownNameError, ValueFault
 from dmframe.parameter import Diagonal, Gain, Positive, PositiveDefinite, Real, Scalar
 from dmframe.port import Port, Side, State
 from dmframe.results.metrics import tracking_error
@@ -137,7 +137,7 @@ def test_no_threads_are_too_few() -> None:
 
 
 class Plain(AbstractBlock):
-    """dx = -k x from x = c, with k and c read as numbers, and as symbols."""
+    """dx = -k x from x = c, with k or c read as a number where `numeric` names it."""
 
     side: ClassVar[Side] = Side.PLANT
     outputs: ClassVar[tuple[Port, ...]] = (Port("x", "n"),)
@@ -146,23 +146,23 @@ class Plain(AbstractBlock):
     c: Scalar = Real(default=1.0)
     honest: Scalar = Real(default=1.0)
     size: Diagonal = Real("n", default=(1.0, 1.0))
+    numeric: str = ""
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations(outputs={"x": x.x}, rates={"x": -self.k * p.honest * x.x})
+        k = self.k if self.numeric == "k" else p.k
+        return Equations(outputs={"x": x.x}, rates={"x": -k * p.honest * x.x})
 
     def start(self, u: Signals, p: Signals, truth: Signals) -> dict[str, Any]:
-        return {"x": self.c * p.size}
+        return {"x": (self.c if self.numeric == "c" else p.c) * p.size}
 
 
 @pytest.mark.parametrize("name", ["k", "c"])
-def test_a_number_that_a_block_reads_as_such_takes_a_diagram_of_its_own(name: str) -> None:
+def test_a_number_that_a_block_reads_as_such_is_refused_and_a_symbol_serves_all_values(name: str) -> None:
+    with pytest.raises(DmframeError, match=f"plant: its methods read the number {name} from self"):
+        simulate(Diagram.build({"plant": Plain(numeric=name)}), 0.1)
     diagram = Diagram.build({"plant": Plain()})
-    same, fault = simulate_many(diagram, [{f"plant.{name}": 1.0}, {f"plant.{name}": 5.0}], 0.1)
-    assert isinstance(same, Recording)
-    assert isinstance(fault, NeedsDiagramError)
-    assert f"plant: its equations or its start read {name} as a number, so that other values need" in str(fault)
-    honest = with_values(diagram, {"plant.honest": 5.0})
-    alone = Diagram.build({"plant": Plain(honest=5.0)})
+    honest = with_values(diagram, {"plant.honest": 5.0, f"plant.{name}": 3.0})
+    alone = Diagram.build({"plant": Plain(honest=5.0, **{name: 3.0})})
     np.testing.assert_array_equal(simulate(honest, 0.1)["plant.x"], simulate(alone, 0.1)["plant.x"])
 
 

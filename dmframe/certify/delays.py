@@ -1,0 +1,139 @@
+"""Whether a delay that a block is given is the plant's: commands and measurements are followed through their memories.
+
+What a block holds as the command of a sample is traced back, sample by sample, through its sampled states to the
+command that it gave; what the plant applies, through the plant's sampled states to the command that it was given; and
+what is measured, to the position. So no block needs to be known by name. The cost is a look at a few columns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.acted import Acted
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.certify.checked import Checked
+from dmframe.certify.samples import SampledClaim, SampledPart
+from dmframe.diagram.closed_loop import ClosedLoop, Variable, stack
+from dmframe.errors import listed
+
+MOST: Final = 10
+"""Samples up to which a memory is followed; one that holds a value for ever has no end."""
+
+POINTS: Final = 3
+NEAR: Final = 1e-9
+"""Of two numbers that are one expression, relative to it; other commands differ at random points."""
+
+SOURCE: Final = "the means over a sample"
+
+
+@final
+@dataclass(frozen=True)
+class Late:
+    """By how many samples a signal may be late, and the blocks through whose memories it passed."""
+
+    by: tuple[int, ...]
+    through: tuple[str, ...]
+
+    @property
+    def words(self) -> str:
+        """``1 (line)``."""
+        more = "and more" if len(self.by) == MOST else ""
+        counted = (
+            f"{self.by[0]} to {self.by[-1]} {more}".strip() if len(self.by) > 2 else listed(list(map(str, self.by)))
+        )
+        return f"{counted} ({listed(list(self.through))})" if self.through else counted
+
+
+def delay_conditions(claim: SampledClaim, part: SampledPart) -> Iterator[Checked]:
+    """For each command that rows hold, whether it is the one that acted; nothing where that is not decided."""
+    for item in part.acted:
+        taken, command, measured = _taken(claim, item), _of_command(claim, item), _of_position(claim, item)
+        if taken is None or command is None or measured is None:
+            continue
+        text = (
+            f"{part.block}: its rows take a delay of {taken} samples, and the plant delays commands by "
+            f"{command.words} and measurements by {measured.words}"
+        )
+        wrong = max(abs(taken - there - back) for there in command.by for back in measured.by)
+        expression = "what rows take = from the command to the robot + from the robot back"
+        yield Checked(text, expression, -float(wrong), not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
+
+
+def decided_delays(claim: SampledClaim, part: SampledPart) -> bool:
+    """True where nothing is left to assume of a block's delays."""
+    return bool(part.acted) and len(list(delay_conditions(claim, part))) == len(part.acted)
+
+
+def _taken(claim: SampledClaim, item: Acted) -> int | None:
+    """How many samples before the one that is over the command was given that the block holds for it."""
+    loop = claim.base.loop
+    own, column = _memories(loop, loop.controller), ca.vertsplit(item.held)
+    traced = 0
+    while traced < MOST and all(row.is_symbolic() and row.element_hash() in own for row in column):
+        column, traced = [own[row.element_hash()][0] for row in column], traced + 1
+    (given,) = loop.joined([ca.vertcat(*column)])
+    commands = [leaf.expression for leaf in loop.commanded if leaf.symbol.shape == given.shape]
+    same = traced and any(_same(given, loop.joined([command])[0], loop.p, loop.p_values) for command in commands)
+    return traced - 1 if same else None
+
+
+def _of_command(claim: SampledClaim, item: Acted) -> Late | None:
+    """By how many samples what the plant applies is behind what it was commanded."""
+    return _late(claim, item.command, symbols_in(leaf.symbol for leaf in claim.base.loop.commanded))
+
+
+def _of_position(claim: SampledClaim, item: Acted) -> Late | None:
+    """By how many samples what is measured is behind the position."""
+    if not all(row.is_symbolic() for row in ca.vertsplit(ca.SX(item.position))):
+        return None
+    return _late(claim, item.seen, symbols_in([item.position]))
+
+
+def _late(claim: SampledClaim, expression: SX, wanted: set[int]) -> Late | None:
+    loop = claim.base.loop
+    memories = _memories(loop, loop.plant)
+
+    def leaves(expression: SX) -> list[SX]:
+        """At the graph's numbers: a share of 0 takes nothing of the sample before."""
+        return list(ca.symvar(ca.substitute(expression, loop.p, ca.DM(loop.p_values))))
+
+    found, through, here = list[int](), dict[str, None](), leaves(expression)
+    for lag in range(MOST):
+        if any(symbol.element_hash() in wanted for symbol in here):
+            found.append(lag)
+        held = [memories[symbol.element_hash()] for symbol in here if symbol.element_hash() in memories]
+        if not held:
+            break
+        through |= dict.fromkeys(block for _, block in held)
+        here = leaves(ca.vertcat(*(then for then, _ in held)))
+    return Late(tuple(found), tuple(through)) if found else None
+
+
+def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:
+    """What each element of sampled states becomes, and its block, by the identity of the element's symbol."""
+    found, wanted, start = dict[int, tuple[SX, str]](), {state.label for state in states if state.sampled}, 0
+    for variable in loop.stepped:
+        elements = ca.vertsplit(ca.vec(variable.symbol))
+        if variable.label in wanted:
+            then = ca.vertsplit(loop.advanced[start : start + len(elements)])
+            found |= {x.element_hash(): (row, variable.block) for x, row in zip(elements, then, strict=True)}
+        start += len(elements)
+    return found
+
+
+def _same(one: SX, other: SX, parameters: SX, values: np.ndarray) -> bool:
+    """True for one expression, at random points with the graph's own parameters; a command is a copy of another."""
+    known = symbols_in([parameters])
+    leaves = stack(leaf for leaf in ca.symvar(one - other) if leaf.element_hash() not in known)
+    function, rng = ca.Function("same", [leaves, parameters], [one, other]), np.random.default_rng(0)
+    for _ in range(POINTS):
+        first, second = (found.full() for found in function(rng.uniform(0.1, 0.5, leaves.numel()), values))
+        if not np.all(np.abs(first - second) <= NEAR * np.maximum(np.abs(first), np.abs(second))):
+            return False
+    return True

@@ -1,0 +1,238 @@
+"""Equations are stated without a block's numbers: a number on `self` would be a constant of one value in all runs."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from dmframe.block import AbstractBlock, AdaptingBlock, Equations, Signals
+from dmframe.block.numberless import LARGER, SMALLER, with_other_numbers
+from dmframe.catalogue import block_types
+from dmframe.certificate import Certificate, Condition, Inequality, Square, TrueValue
+from dmframe.certify import verify
+from dmframe.diagram import Diagram
+from dmframe.errors import DmframeError
+from dmframe.parameter import Box, Diagonal, Interval, NonNegative, Positive, Real, Scalar, specs
+from dmframe.port import Adapted, Element, Port, State
+from dmframe.simulate import simulate
+
+Ports = ClassVar[tuple[Port, ...]]
+States = ClassVar[tuple[State, ...]]
+KEPT: dict[str, Any] = {}
+
+
+class Falling(AbstractBlock):
+    """y' = -rate y, in the way that a test chooses to find a number, and asks for it where the test says."""
+
+    outputs: Ports = (Port("seen"),)
+    states: States = (State("y"), State("z", "n"))
+    rate: Scalar = Positive(default=2.0)
+    gains: Diagonal = Real("n", default=(1.0, 2.0))
+    y: Scalar = Real(default=1.0)
+    y_box: Box = Interval()
+    twice: bool = False
+    where: str = ""
+    way: ClassVar[Callable[[Any], Any]] = staticmethod(lambda self: 0)
+    _rate: float = 0.0
+
+    def model_post_init(self, context: Any, /) -> None:
+        self._rate = self.rate
+        KEPT["rate"], KEPT["block"] = self.rate, self
+        type(self).way(self) if self.where == "cache" else None
+
+    @property
+    def steep(self) -> bool:
+        return self.rate > 5
+
+    @cached_property
+    def sign(self) -> int:
+        return -1 if self.rate > 5 else 1
+
+    def helped(self) -> float:
+        return float(self.rate)
+
+    def asked(self, method: str) -> None:
+        if self.where in (method, "cache"):
+            type(self).way(self)
+
+    def sizes(self, robot: Any) -> Mapping[str, int]:
+        self.asked("sizes")
+        return {}
+
+    def elements(self, robot: Any) -> Mapping[str, Sequence[Element]]:
+        self.asked("elements")
+        return {}
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        self.asked("equations")
+        rate = 2 * p.rate if self.twice else p.rate
+        return Equations({"seen": x.y}, {"y": -rate * x.y, "z": -p.gains * x.z})
+
+    def start(self, u: Signals, p: Signals, truth: Signals) -> Mapping[str, Any]:
+        self.asked("start")
+        return {"z": p.gains}
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        self.asked("certificate")
+        return Certificate(storage=(Square(x.y),), dissipation=(Square(x.y, p.rate),))
+
+    def conditions(self, p: Signals, truth: Signals) -> Sequence[Condition]:
+        self.asked("conditions")
+        return (Inequality("rate > 0", p.rate, "here"),)
+
+
+WAYS: dict[str, Callable[[Any], Any]] = {
+    "attribute": lambda self: self.rate,
+    "number": lambda self: float(self.rate),
+    "getattr": lambda self: getattr(self, "rate", 1.0),
+    "hasattr": lambda self: hasattr(self, "rate"),
+    "array": lambda self: np.asarray(self.gains)[0],
+    "length": lambda self: len(self.gains),
+    "none": lambda self: self.y_box is None,
+    "start": lambda self: self.y,
+    "dict": lambda self: self.__dict__["rate"],
+    "vars": lambda self: vars(self)["rate"],
+    "object": lambda self: object.__getattribute__(self, "rate"),
+    "dump": lambda self: self.model_dump()["rate"],
+    "json": lambda self: self.model_dump(mode="json")["rate"],
+    "items": lambda self: dict(self)["rate"],
+    "copy": lambda self: copy.copy(self).rate,
+    "model_copy": lambda self: self.model_copy().rate,
+    "private": lambda self: self._rate,
+    "private dict": lambda self: self.__pydantic_private__["_rate"],
+    "property": lambda self: self.steep,
+    "cached": lambda self: self.sign,
+    "helper": lambda self: self.helped(),
+}
+METHODS = ["equations", "start", "certificate", "conditions", "sizes", "elements"]
+
+
+def made(way: Callable[[Any], Any], where: str, **options: Any) -> Diagram:
+    kind = type("Falling", (Falling,), {"way": staticmethod(way), "__module__": __name__, "__annotations__": {}})
+    return Diagram.build({"falling": kind(where=where, **options)})
+
+
+def stated(diagram: Diagram) -> str:
+    """What all that asks a block for its methods says: nothing, where all is well."""
+    simulate(diagram, 0.1, clock=0.1)
+    return verify(diagram, trials=1).reason
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_no_way_to_a_number_is_left_in_equations(way: str) -> None:
+    with pytest.raises(DmframeError) as caught:
+        made(WAYS[way], "equations")
+    assert str(caught.value).startswith("falling: ")
+    with pytest.raises(DmframeError):  # nor what was kept when the block was made, with its numbers
+        made(WAYS[way], "cache") if way in ("cached", "private") else made(WAYS[way], "equations", twice=True)
+
+
+@pytest.mark.parametrize("where", METHODS)
+def test_the_message_names_block_parameter_and_the_right_way(where: str) -> None:
+    try:
+        found = stated(made(WAYS["attribute"], where))
+    except DmframeError as error:
+        found = str(error)
+    assert "falling: its methods read the number rate from self, where it would be a constant; expected p.rate" in found
+
+
+def test_what_reads_options_and_symbols_alone_is_as_before() -> None:
+    for twice, rate in ((False, 2.0), (True, 4.0)):
+        diagram = made(lambda self: self.twice, "equations", twice=twice)
+        assert verify(diagram, trials=1).outcome == ("proved" if not twice else "refuted")
+        run = simulate(diagram, 1.0, clock=0.1)
+        np.testing.assert_allclose(run["falling.y"].ravel(), (1 - 0.1 * rate) ** np.arange(11), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "way", [lambda self: KEPT["rate"], lambda self: KEPT["block"].rate], ids=["a global number", "a global block"]
+)
+def test_a_number_found_elsewhere_is_found_by_other_numbers(way: Callable[[Any], float]) -> None:
+    class Global(Falling):
+        """With a sign that a number outside of p decides."""
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            sign = 1 if way(self) < 5 else -1
+            return Equations({"seen": x.y}, {"y": -sign * p.rate * x.y, "z": -x.z})
+
+    text = (
+        "falling: equations\\(\\) state another rate of y where rate has another value: they depend on it as a Python"
+    )
+    for rate in (2.0, 0.01, 4.9, 7.0, 4000.0):
+        with pytest.raises(DmframeError, match=text):
+            Diagram.build({"falling": Global(rate=rate)})
+
+
+class Learning(AdaptingBlock):
+    """a_hat' = direction, with a number read in the method that a test names."""
+
+    inputs: Ports = (Port("s"),)
+    outputs: Ports = (Port("v"),)
+    estimates: ClassVar[tuple[Adapted, ...]] = (Adapted("a_hat", "", "", "Gamma"),)
+    driven_by: ClassVar[str] = "s"
+    Gamma: Diagonal = Positive(default=2.0)
+    floor: Scalar = NonNegative(default=0.0)
+    where: str = ""
+
+    def asked(self, method: str) -> float:
+        return self.floor if self.where == method else 0.0
+
+    def direction(self, u: Signals, x: Signals, p: Signals, error: Any, /) -> Mapping[str, Any]:
+        return {"a_hat": error + self.asked("direction")}
+
+    def nominal(self, u: Signals, p: Signals) -> Mapping[str, Any]:
+        return {"a_hat": ca.SX(1 + self.asked("nominal"))}
+
+    def error(self, u: Signals, x: Signals, p: Signals) -> Any:
+        return u.s + self.asked("error")
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        return Equations({"v": x.a_hat + self.asked("equations")})
+
+    def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
+        return Certificate(estimates={"a_hat": TrueValue(ca.SX(0), 1 / p.Gamma)})
+
+
+@pytest.mark.parametrize("where", ["direction", "nominal", "error", "equations"])
+def test_a_block_that_adapts_states_its_directions_without_numbers_too(where: str) -> None:
+    blocks = {"falling": made(WAYS["attribute"], "").blocks["falling"]}
+    wires = {"learning.s": "falling.seen"}
+    assert Diagram.build({**blocks, "learning": Learning()}, wires).loop.controller
+    with pytest.raises(DmframeError, match=r"learning: its methods read the number floor from self"):
+        stated(Diagram.build({**blocks, "learning": Learning(where=where)}, wires))
+
+
+def test_whether_a_number_is_given_is_asked_of_p() -> None:
+    class Boxed(Falling):
+        """Faster without a box."""
+
+        def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+            factor = 1 if "y_box" in p else 2
+            return Equations({"seen": x.y}, {"y": -factor * p.rate * x.y, "z": 0 * x.z})
+
+    for box, end in ((None, 0.6), ((-1.0, 1.0), 0.8)):
+        run = simulate(Diagram.build({"falling": Boxed(y_box=box)}), 0.1, clock=0.1)
+        assert float(run["falling.y"][-1, 0]) == pytest.approx(end)
+
+
+def test_most_packaged_blocks_take_other_numbers() -> None:
+    kinds = {name: kind for name, kind in block_types().items() if specs(kind)}
+    taken = 0
+    for kind in kinds.values():
+        try:
+            block = kind()
+        except DmframeError:  # without defaults for all
+            continue
+        numbers = [key for key in specs(kind) if getattr(block, key) is not None]
+        for factors in (LARGER, SMALLER) if numbers else ():
+            other = with_other_numbers(block, factors)
+            assert other is not None, kind
+            assert any(getattr(other, key) != getattr(block, key) for key in numbers)
+            taken += 1
+    assert taken > 10
