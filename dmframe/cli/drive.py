@@ -17,7 +17,7 @@ from dmframe.errors import DmframeError, DriveError, ValueFault
 from dmframe.graph import Graph
 from dmframe.graph.arguments import seconds as time_of
 from dmframe.results.folder import drawing, write_data
-from dmframe.results.place import complete
+from dmframe.results.place import SAMPLES, complete
 from dmframe.results.run import table_of
 from dmframe.units import shorten, to_unit
 
@@ -65,6 +65,7 @@ def drive_graph(
                     shadow=shadow,
                     rehearsed=rehearsed,
                     asked=lambda: _named(came[0]) if came else "",
+                    record=place.folder / SAMPLES,
                 )
             except DriveError as error:  # nothing was recorded
                 if not came:

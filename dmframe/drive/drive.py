@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from dmframe.diagram import Diagram
 from dmframe.drive.identity import identity
 from dmframe.drive.kept import refusal
 from dmframe.drive.limits import own_limits
-from dmframe.drive.record import recording_of
+from dmframe.drive.record import drive_data, recording_of
 from dmframe.drive.robots import Options, clock_of, kind_of, usual_payload
 from dmframe.errors import DriveError
 from dmframe.runtime.controller import Controller
 from dmframe.runtime.driving import Plan, drive
 from dmframe.runtime.gate import Gate, Limits
+from dmframe.runtime.journal import Spool
 from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording
 from dmframe.simulate.engine import Choice
@@ -47,6 +49,7 @@ def driven(
     rehearsed: bool = True,
     engine: Choice = "auto",
     asked: Callable[[], str] = lambda: "",
+    record: Path | None = None,
 ) -> Recording:
     """Drive a robot with a graph's controller, and return what was recorded.
 
@@ -68,6 +71,9 @@ def driven(
         Require a passed rehearsal of exactly what is driven before a real robot moves.
     asked
         Called at each sample: what asks for a stop; empty for nothing.
+    record
+        A file to which samples are written while the robot moves, so that memory stays bounded; the signals of a long
+        drive are thinned out then. Without it they are held in memory.
 
     Raises
     ------
@@ -93,8 +99,19 @@ def driven(
     )
     plan = Plan(duration, start, RAMP * kind.real if ramp is None else ramp, shadow)
     gate = Gate(held, driver.period)
-    found = drive(steered, driver, gate, plan, asked)
-    recording = recording_of(diagram, steered, found, robot=robot, plan=plan, gate=gate, solver=experiment.solver)
+    about: dict[str, Any] = {"graph": experiment.name, "field_hash": diagram.fingerprint, "command": steered.label}
+    about |= {"engine": steered.controller.engine, "drive": drive_data(robot, plan, gate)}
+    found = drive(steered, driver, gate, plan, asked, None if record is None else Spool(record, about))
+    recording = recording_of(
+        diagram,
+        steered,
+        found,
+        robot=robot,
+        plan=plan,
+        gate=gate,
+        solver=experiment.solver,
+        thinned=record is not None,
+    )
     if recording is None:
         raise DriveError(f"{robot}: the robot was stopped before its first command: {found.stop}")
     return recording

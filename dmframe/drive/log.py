@@ -12,6 +12,8 @@ from typing import Any, Final, final
 import numpy as np
 
 from dmframe.errors import MissingError
+from dmframe.results.place import SAMPLES
+from dmframe.runtime.journal import read_samples
 from dmframe.seal import SEAL, faults, folder_of, seal_of
 
 SIGNALS: Final = "signals.nc"
@@ -43,8 +45,13 @@ class Log:
     notices: tuple[str, ...]
 
 
-def read_log(path: Path, needed: Sequence[str], known: Sequence[str]) -> Log:
+def read_log(path: Path, needed: Sequence[str], known: Sequence[str], fields: Mapping[str, str]) -> Log:
     """Read the `needed` signals, and the `known` ones that are there.
+
+    Parameters
+    ----------
+    fields
+        For each signal of the robot the field of a sample, ``{"arm.q": "q"}``.
 
     Raises
     ------
@@ -52,12 +59,33 @@ def read_log(path: Path, needed: Sequence[str], known: Sequence[str]) -> Log:
         There is no such file, it lacks what is needed, or a file of its folder is not what was written.
     """
     file = path / SIGNALS if path.is_dir() else path
+    samples = file if file.suffix == ".bin" else file.with_name(SAMPLES)
+    if samples.is_file():  # of a long drive, or of one that did not come to its end
+        return _from_samples(samples, needed, fields)
     try:
         content = file.read_bytes()
     except OSError:
         raise MissingError(f"expected a folder of results, or its {SIGNALS}, found none", location=str(path)) from None
     notices = _checked(file)
     return _parsed(content, file, needed, known, notices)
+
+
+def _from_samples(file: Path, needed: Sequence[str], fields: Mapping[str, str]) -> Log:
+    """The record as it was written while the robot moved."""
+    notices = _checked(file)
+    try:
+        head, columns = read_samples(file)
+        own, drive, engine = str(head["command"]), dict(head["drive"]), str(head["engine"])
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None
+    values = {label: columns[name] for label, name in fields.items() if name in columns}
+    values |= {name.partition(":")[2]: rows for name, rows in columns.items() if name.startswith("state:")}
+    values |= {"time": columns["reference"][:, 0], own: columns["command"], "robot.sent": columns["sent"]}
+    values |= {f"robot.{name}": columns[name] for name in ("time", "scale", "missed")}
+    if lacking := [name for name in needed if name not in values]:
+        text = f"expected a record with {lacking[0]}, which this controller needs, found none"
+        raise MissingError(text, location=str(file))
+    return Log(values, drive, engine, list(values), notices)
 
 
 def _checked(file: Path) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import casadi as ca
 import numpy as np
@@ -13,11 +13,20 @@ from dmframe.diagram.closed_loop import Signal, stack
 from dmframe.port import Side
 from dmframe.runtime.driving import Driven, Plan
 from dmframe.runtime.gate import Gate
+from dmframe.runtime.journal import SHOWN, Journal
 from dmframe.runtime.signals import TOLD
 from dmframe.runtime.steered import Steered
 from dmframe.simulate import Recording, Solver
 from dmframe.simulate.run import Beside, moving_outputs
 from dmframe.units import plain
+
+MOST_BYTES: Final = 48 * 2**20
+"""What the signals of a drive may take in memory, where all samples lie in a file."""
+CHUNK: Final = 4096
+"""Rows whose signals are computed together."""
+THINNED: Final = (
+    "signals and figures hold one of {every} samples; samples.bin holds all {count}, and is what replay compares"
+)
 
 
 def recording_of(
@@ -29,46 +38,46 @@ def recording_of(
     plan: Plan,
     gate: Gate,
     solver: Solver,
+    thinned: bool = False,
 ) -> Recording | None:
     """What was recorded; None where not one sample was.
 
     Time is the controller's own; the robot's stands beside it. Hidden signals, such as its torques, a robot does not
     tell, and they are not there. Signals of the controller that are not states are computed from what it was given.
+
+    Parameters
+    ----------
+    thinned
+        Of a long drive take one of so many samples that the signals fit into `MOST_BYTES`.
     """
     journal = driven.journal
-    count = len(journal.commands)
-    if not count:
+    if not len(journal):
         return None
-    states = {label: np.array([row[label] for row in journal.states[:count]]) for label in journal.states[0]}
-    samples = journal.samples[:count]
-    measured = {
-        label: np.array([getattr(sample, name) for sample in samples]) for label, name in steered.fields.items()
-    }
-    commands = {steered.label: np.array(journal.commands)}
-    time, scale = np.array(journal.reference[:count]), np.array(journal.scale[:count])
-    missed = np.array([sample.missed for sample in samples], dtype=float)
+    every = _every(diagram, journal) if thinned else 1
+    found = journal.parts(every)
+    states = {label: found[f"state:{label}"] for label in steered.controller.states}
+    shown = {name: found[name] for name in SHOWN if journal.columns.widths[name]}
+    measured = {label: shown[name] for label, name in steered.fields.items()}
+    commands = {steered.label: found["command"]}
+    time, scale, missed, answer, age = (
+        np.ascontiguousarray(found[name][:, 0]) for name in ("reference", "scale", "missed", "answer", "age")
+    )
     period = steered.controller.clock * (1 + missed) * scale
     known = plain_signals(diagram)
-    told = {
-        label: np.array([getattr(sample, name) for sample in samples])
-        for label, name in known.items()
-        if label not in measured and getattr(samples[0], name) is not None
-    }
+    told = {label: shown[name] for label, name in known.items() if label not in measured and name in shown}
     seen = _velocities_scaled(measured, steered, scale)
     outputs = {**_computed(diagram, states, seen, time, period), **told, **measured, **commands}
     hidden = {variable.label for variable in diagram.loop.controller if not variable.recorded}
-    answer = np.full(count, np.nan)
-    answer[: len(journal.answer)] = journal.answer[:count]
     beside = {
-        "robot.time": Beside(np.array(journal.time[:count])[:, None], "", "s", "time of the robot's clock"),
+        "robot.time": Beside(found["time"], "", "s", "time of the robot's clock"),
         "robot.scale": Beside(scale[:, None], "", "", "how fast the controller's time ran by it"),
         "robot.missed": Beside(missed[:, None], "", "", "samples lost before this one"),
-        "robot.sent": Beside(np.array(journal.sent[:count]), "n", "rad/s", "what the gate let through"),
+        "robot.sent": Beside(found["sent"], "n", "rad/s", "what the gate let through"),
         "robot.answer": Beside(answer[:, None], "", "s", "from the sample to the command, on this computer"),
     }
-    ages = [sample.age for sample in samples]
-    if all(age is not None for age in ages):
-        beside["robot.age"] = Beside(np.array(ages, dtype=float)[:, None], "", "s", "age of the command last taken")
+    if np.isfinite(age).all():
+        beside["robot.age"] = Beside(age[:, None], "", "s", "age of the command last taken")
+    more = (THINNED.format(every=every, count=len(journal)),) if every > 1 else ()
     return Recording(
         diagram=diagram,
         clock=steered.controller.clock,
@@ -81,11 +90,26 @@ def recording_of(
         interrupted=driven.stop is not None,
         wall_time=driven.wall_time,
         engine=steered.controller.engine,
-        notices=_notices(driven, robot, plan.shadow, answer, missed, beside),
+        notices=(*_notices(driven, robot, plan.shadow, answer, missed, beside), *more),
         beside=beside,
-        drive={"robot": robot, "shadow": plan.shadow, "ramp": repr(plan.ramp)}
-        | {"period": repr(gate.period), "limits": gate.limits.data},
+        drive={**drive_data(robot, plan, gate), "every": every},
     )
+
+
+def drive_data(robot: str, plan: Plan, gate: Gate) -> dict[str, Any]:
+    """How a robot is driven, as JSON can hold it; with it a replay asks the same gate again."""
+    return {
+        "robot": robot,
+        "shadow": plan.shadow,
+        "ramp": repr(plan.ramp),
+        "period": repr(gate.period),
+        "limits": gate.limits.data,
+    }
+
+
+def _every(diagram: Diagram, journal: Journal) -> int:
+    width = journal.columns.width + sum(int(signal.expression.numel()) for signal in diagram.loop.outputs)
+    return max(1, -(-len(journal) * width * 8 // MOST_BYTES))
 
 
 def _velocities_scaled(measured: dict[str, np.ndarray], steered: Steered, scale: np.ndarray) -> dict[str, np.ndarray]:
@@ -119,14 +143,22 @@ def _computed(
         f = ca.Function("outputs", [z, given, loop.time, loop.period, loop.p], [column])
         rows = [np.zeros((len(time), 0)), *(states[variable.label] for variable in loop.controller)]
         inputs = [np.zeros((len(time), 0)), *(measured[leaf.name] for leaf in loop.measured)]
-        p = np.repeat(loop.p_values[:, None], len(time), axis=1)
-        found = f.map(len(time))(np.hstack(rows).T, np.hstack(inputs).T, time[None], period[None], p).full().T
+        z, given = np.hstack(rows).T, np.hstack(inputs).T
+        parts_of = [slice(first, min(first + CHUNK, len(time))) for first in range(0, len(time), CHUNK)]
+        found = np.concatenate([_mapped(f, z, given, time, period, loop.p_values, part) for part in parts_of])
     parts, first = dict[str, np.ndarray](), 0
     for signal in own:
         size = signal.expression.numel()
         parts[signal.label] = np.ascontiguousarray(found[:, first : first + size])
         first += size
     return parts
+
+
+def _mapped(f: Any, z: Any, given: Any, time: Any, period: Any, p: np.ndarray, part: slice) -> np.ndarray:
+    """Rows of a function, of some instants."""
+    count = part.stop - part.start
+    whole = np.repeat(p[:, None], count, axis=1)
+    return np.asarray(f.map(count)(z[:, part], given[:, part], time[None, part], period[None, part], whole).full().T)
 
 
 def _without(own: list[Signal], loop: Any, plant: Any) -> tuple[list[Signal], Any]:

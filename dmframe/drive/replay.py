@@ -181,12 +181,13 @@ def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engin
     steered = steered_controller(experiment, diagram, engine)
     own, states = plain_signals(diagram), {item.label: item for item in diagram.loop.controller}
     known = ["robot.time", SENT, *_USUAL, *own, *states]
-    held = read_log(Path(log), [*steered.fields, steered.label], known)
+    fields = {**own, **steered.fields}
+    held = read_log(Path(log), [*steered.fields, steered.label], known, fields)
     expected = {**steered.controller.measured, steered.label: steered.command}
     count = held.values["time"].size
     _check_sizes(held.values, expected, count, str(log))
     kept = [label for label in states if label in held.values]
-    now, refused, notice = _computed(steered, held, {**own, **steered.fields}, kept, str(log))
+    now, refused, notice = _computed(steered, held, fields, kept, str(log))
     units = {steered.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
     compared = {
         label: Compared(_rows(held.values[label], rows.shape, label, str(log)), rows, units[label])

@@ -284,6 +284,7 @@ class Graph:
         rehearsed: bool = True,
         engine: Choice = "auto",
         asked: Callable[[], str] = lambda: "",
+        record: Path | None = None,
     ) -> Run:
         """Drive a robot with its controller.
 
@@ -307,6 +308,8 @@ class Graph:
             Require a passed rehearsal of exactly what is driven before a real robot moves.
         asked
             Called at each sample: what asks for a stop; empty for nothing.
+        record
+            A file that takes each sample while the robot moves; the signals of a long drive are thinned out then.
 
         Raises
         ------
@@ -328,6 +331,7 @@ class Graph:
             rehearsed=rehearsed,
             engine=engine,
             asked=asked,
+            record=record,
         )
         return Run(self.experiment, recording)
 

@@ -21,7 +21,7 @@ from dmframe.files import encoded, told_apart, write_bytes, writing
 from dmframe.plotting import FORMATS, checked_formats
 from dmframe.results import figures
 from dmframe.results.dataset import netcdf
-from dmframe.results.place import Place, built, clear_figures, complete, reserved
+from dmframe.results.place import SAMPLES, Place, built, clear_figures, complete, reserved
 from dmframe.results.ran import Ran
 from dmframe.results.resolved import companions, resolved_text, robot_source
 from dmframe.results.summary import summary_of
@@ -108,6 +108,8 @@ def write_data(
             _write_one(own, run, told, seed, command, now)
     with writing(place.path, "folder"):
         clear_figures(place.folder)
+        if all(run.recording.drive.get("every", 1) == 1 for run in runs):  # signals.nc holds every sample
+            (place.folder / SAMPLES).unlink(missing_ok=True)
     return summaries
 
 

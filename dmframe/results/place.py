@@ -16,7 +16,9 @@ from dmframe.files import hidden_name, is_hidden, sync, sync_below, write_text, 
 from dmframe.plotting import FORMATS
 from dmframe.seal import SEAL, BrokenSeal, FolderSeal, digest_of, seal_of
 
-FILES: Final = ("graph.yaml", "provenance.json", SEAL, "signals.nc", "summary.json")
+SAMPLES: Final = "samples.bin"
+"""Every sample of a drive: while it lasts, and of a long one for good."""
+FILES: Final = ("graph.yaml", "provenance.json", SAMPLES, SEAL, "signals.nc", "summary.json")
 PAGE: Final = "page.html"
 FIGURES: Final = ("error", "path", "commands", "effort")
 OF_EACH: Final = ("storage", "estimates")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import numpy as np
 
 from dmframe.errors import DriveError, LostError
 from dmframe.runtime.gate import Gate, Stop
+from dmframe.runtime.journal import Journal, Spool
 from dmframe.runtime.robot import Robot, Sample
 from dmframe.runtime.steered import Steered
 
@@ -47,33 +48,6 @@ class Plan:
 
 
 @final
-@dataclass(eq=False)
-class Journal:
-    """What happened at each sample, a row each.
-
-    Parameters
-    ----------
-    time
-        Of the robot's clock since the first sample [s].
-    reference
-        Time of the controller [s].
-    scale
-        How fast it ran by then, 1 for as fast as the robot's clock.
-    answer
-        How long it took from the sample to the command [s].
-    """
-
-    time: list[float] = field(default_factory=list)
-    reference: list[float] = field(default_factory=list)
-    scale: list[float] = field(default_factory=list)
-    answer: list[float] = field(default_factory=list)
-    samples: list[Sample] = field(default_factory=list)
-    states: list[dict[str, np.ndarray]] = field(default_factory=list)
-    commands: list[np.ndarray] = field(default_factory=list)
-    sent: list[np.ndarray] = field(default_factory=list)
-
-
-@final
 @dataclass(frozen=True, eq=False)
 class Driven:
     """A drive that is over.
@@ -94,13 +68,17 @@ class Driven:
     wall_time: float
 
 
-def drive(steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str]) -> Driven:
+def drive(
+    steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callable[[], str], spool: Spool | None = None
+) -> Driven:
     """Drive a robot until the plan's end, or until something is wrong; then it is brought to rest.
 
     Parameters
     ----------
     asked
         Called at each sample: what asks for a stop, ``Ctrl-C``; empty for nothing.
+    spool
+        Where samples are recorded; in memory without it.
 
     Raises
     ------
@@ -109,9 +87,9 @@ def drive(steered: Steered, robot: Robot, gate: Gate, plan: Plan, asked: Callabl
     LostError
         Nobody answers at the beginning.
     """
-    journal, begun, limits = Journal(), time.perf_counter(), gate.limits
+    journal, begun, limits = Journal(spool), time.perf_counter(), gate.limits
     halt = max(limits.deceleration, limits.halt)
-    with closing(robot):
+    with closing(journal), closing(robot):  # the robot comes to rest first
         robot.connect()
         stop: Stop | None
         try:
@@ -187,24 +165,25 @@ def _loop(
         arrived = time.perf_counter()
         if text := asked():
             return Stop("asked", text)
+        if journal.fault:
+            return Stop("record", journal.fault)
         since = sample.time - first
         own = min(1.0, (since + T) / plan.ramp) if plan.ramp else 1.0
         scale, reference = own * sample.scaling, since - behind
-        _note(journal, steered, sample, since, reference, scale)
+        journal.begin(sample, steered, since, reference, scale if scale >= STILL else 0.0)
         moving = scale >= STILL
         if moving and not steered.step(sample, reference, scale):
             return Stop("controller", "from a sample followed what is not finite")
         wanted = own * steered.command if moving else np.zeros(sent.size)
         stop = gate.limited(wanted, sent, sample.missed)
-        journal.commands.append(steered.command.copy())
-        journal.sent.append(sent.copy())
+        journal.commanded(steered.command, sent)
         if stop:
             return stop
         if reference >= plan.until - T * scale / 2:
             return None
         if not plan.shadow:
             robot.command(sent)
-        journal.answer.append(time.perf_counter() - arrived)
+        journal.answered(time.perf_counter() - arrived)
         before, sample = sample, robot.read()
         lost = int(sample.time <= before.time)  # the same one again, or an older
         while 0 < lost <= gate.limits.lost and sample.time <= before.time:
@@ -215,14 +194,6 @@ def _loop(
         if stop := gate.admit(sample):
             return stop
         behind += (1.0 - (scale if moving else 0.0)) * (sample.time - before.time)
-
-
-def _note(journal: Journal, steered: Steered, sample: Sample, since: float, reference: float, scale: float) -> None:
-    journal.time.append(since)
-    journal.reference.append(reference)
-    journal.scale.append(scale if scale >= STILL else 0.0)
-    journal.samples.append(sample)
-    journal.states.append({label: values.copy() for label, values in steered.controller.states.items()})
 
 
 def _check(steered: Steered, robot: Robot, sample: Sample) -> None:
