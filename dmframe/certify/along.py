@@ -7,6 +7,7 @@ does.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, final
@@ -14,6 +15,8 @@ from typing import Any, final
 import casadi as ca
 import numpy as np
 
+from dmframe.certify.assumed import assumed_positive
+from dmframe.certify.checked import Numbers
 from dmframe.certify.claim import Claim, total
 from dmframe.certify.climb import Climb, climb_of
 from dmframe.diagram.closed_loop import stack
@@ -73,6 +76,8 @@ class Along:
         (N,) How far V may be wrong by rounding; empty for exact numbers.
     jumps
         What sources that step add to V at their steps.
+    crossings
+        Sentences on the weights that are not above zero somewhere along the run, where the claim assumes that they are.
     """
 
     time: np.ndarray
@@ -83,6 +88,7 @@ class Along:
     rate: np.ndarray = field(default_factory=_none)
     rounding: np.ndarray = field(default_factory=_none)
     jumps: tuple[Jump, ...] = ()
+    crossings: tuple[str, ...] = ()
 
     @cached_property
     def climb(self) -> Climb:
@@ -145,7 +151,21 @@ def along(claim: Claim, run: Recording, kappa: float = 1.0) -> Along:
         TermAlong(part.block, square.of, row, law.vector.unicode)
         for (part, square, law), row in zip(stored, rows, strict=True)
     )
-    return Along(run.time, kappa, V, terms, dissipation, rate, own.rounding(), own.jumps())
+    crossings = tuple(_crossings(claim, run, own))
+    return Along(run.time, kappa, V, terms, dissipation, rate, own.rounding(), own.jumps(), crossings)
+
+
+def _crossings(claim: Claim, run: Recording, own: _Evaluated) -> Iterator[str]:
+    """Where along the run a weight is not above zero that the claim assumes to be."""
+    for item in assumed_positive(claim, Numbers(claim, {})):
+        least = np.min(own.of(claim.loop.projected([item.column])), axis=0)
+        wrong = np.flatnonzero(~(least > 0))
+        if wrong.size:
+            first = int(wrong[0])
+            yield (
+                f"{item.text} is {least[first]:.3g} at t = {run.time[first]:.6g} s; the proof assumes that it stays "
+                "above a positive constant, and says nothing from there on"
+            )
 
 
 def _check_same(claim: Claim, run: Recording) -> None:

@@ -7,8 +7,8 @@ start is known, at one of many sampled states.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, final
 
 import casadi as ca
 import numpy as np
@@ -56,6 +56,26 @@ def assumed_weights(claim: Claim, numbers: Numbers, start: Mapping[str, Any]) ->
             assumed.append(Assumption(f"{part.block}: {text} stays above a positive constant: {term.positive}", SIGNS))
             checked.append(_looked_at(f"{part.block}: {text}", term.weight, numbers, start))
     return checked, assumed
+
+
+@final
+@dataclass(frozen=True)
+class Assumed:
+    """What is assumed to stay above a positive constant: each element of a column."""
+
+    text: str
+    column: SX
+
+
+def assumed_positive(claim: Claim, numbers: Numbers) -> list[Assumed]:
+    """The weights that blocks call positive and that parameters do not decide; of a matrix, its pivots."""
+    found = list[Assumed]()
+    for part, role, place, term in _squares(claim):
+        if is_assumed(term, numbers):
+            text = _written(claim, part, role, place)
+            (column,) = claim.loop.joined([_signs(ca.SX(term.weight))])
+            found.append(Assumed(f"{part.block}: the weight {text} of |{term.of}|^2 in {role}", ca.densify(column)))
+    return found
 
 
 def _squares(claim: Claim) -> Iterator[tuple[Part, str, int, Square]]:

@@ -209,6 +209,14 @@ def _vanishing(claim: Claim, closure: Closure, spent: Sequence[Square]) -> list[
     ]
 
 
+def vanishing_of(claim: Claim, closure: Closure, signs: Signs) -> list[Vanishing]:
+    """What goes to zero because dV/dt spends it; nothing of a claim with a residual."""
+    if any(part.certificate.excess for part in claim.parts):
+        return []
+    spent = _distinct([square for square in _spent_squares(claim) if signs.positive(square)])
+    return [item for item in _vanishing(claim, closure, spent) if item.proved]
+
+
 def _conclusions(claim: Claim, closure: Closure, vanishing: Sequence[Vanishing]) -> Iterator[Statement]:
     """Errors that go to zero because what vanishes is made of them, and their rates."""
     rests = _at_rest(claim, closure, vanishing)

@@ -14,6 +14,7 @@ from dmframe.certify.checked import Checked, Numbers
 from dmframe.certify.claim import Claim, NotApplicableError, claim_of
 from dmframe.certify.closure import Closure
 from dmframe.certify.conditions import conditions_of, decide, remedies
+from dmframe.certify.contradicted import contradicted
 from dmframe.certify.controls import Control, negative_controls
 from dmframe.certify.excess import Bound, bounds_of, total_bound
 from dmframe.certify.hypotheses import hypotheses, undefined
@@ -26,7 +27,7 @@ from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_states import held_in_v
 from dmframe.certify.samples import SampledClaim
 from dmframe.certify.smoothness import Examiner
-from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of
+from dmframe.certify.statements import Statement, States, bases_of, statements_of, states_of, vanishing_of
 from dmframe.certify.symbols import Symbols, symbols_of
 from dmframe.certify.verify_samples import prove_over_samples
 from dmframe.diagram import Diagram
@@ -221,6 +222,7 @@ def _verified(
     smooth = examiner.found()
     if smooth.faults:  # of a trajectory that the statements have differentiated once more
         statements = [item for item in statements if not item.concludes and item.says != "goes to zero"]
+    conditions += contradicted(claim, numbers, vanishing_of(claim, closure, signs), start)
     conditions = over_intervals(conditions, claim, numbers)
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)
     return Verdict(

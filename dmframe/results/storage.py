@@ -75,9 +75,12 @@ class Storage:
 
     @property
     def notice(self) -> str:
-        """By how much V rose and what is known of the reason; empty where it rose nowhere."""
+        """By how much V rose and what is known of the reason, and where an assumed weight is not above zero.
+
+        Empty where nothing of this happened.
+        """
         climb, jumps = self.along.climb, [jump for jump in self.along.jumps if jump.change > 0]
-        said = list[str]()
+        said = list(self.along.crossings)
         if climb.rise:
             share = "it never came below its start" if climb.share is None else (
                 f"{100 * climb.share:.3g} % of its fall, which is {climb.fall:.3g}"

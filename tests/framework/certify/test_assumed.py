@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
 from scalar_blocks import scalar_loop
 
 from dmframe.certificate import Certificate, Square
-from dmframe.certify import Verdict, verify
+from dmframe.certify import Verdict, claim_of, verify
+from dmframe.certify.along import along
 from dmframe.diagram import Diagram
+from dmframe.simulate import simulate
 
 WHY = "the tank never runs dry"
 START = {"toy.y": 0.5, "toy.z": 2.0}
@@ -194,3 +197,105 @@ def test_beside_a_residual_nothing_is_ultimately_bounded_by_a_weight_that_may_gr
 
     assert ultimately(loop(lambda x, p: p.k, 0)) == {"y"}
     assert ultimately(loop(lambda x, p: x.z, 1)) == set()
+
+
+# What the conclusions, or the equations themselves, send to zero is assumed in vain.
+
+
+def weighed(
+    states: str, rates: Any, weight: Any, spent: Any, also: Any = None, start: Any = None, **sources: Any
+) -> Verdict:
+    """X with an assumed weight in V and another in dV/dt; `also` is a square that V holds and spends next to it."""
+
+    def claim(x: Any, u: Any, p: Any) -> Certificate:
+        storage, dissipation = [Square(x.x, weight(x, u), positive=WHY)], [Square(x.x, spent(x, u), positive=WHY)]
+        if also is not None:
+            storage, dissipation = [*storage, also(x)[0]], [*dissipation, also(x)[1]]
+        return Certificate(storage=tuple(storage), dissipation=tuple(dissipation))
+
+    return verify(scalar_loop(states, lambda x, u, p: rates(x), claim, **sources), start=start or {})
+
+
+VAIN = {
+    "what V concludes": (
+        ("x w", lambda x: {"x": x.x, "w": -4 * x.w}, lambda x, u: x.w, lambda x, u: x.w),
+        {"also": lambda x: (Square(x.w), Square(x.w, 4))},
+        "it is not above zero where w is zero, which V concludes",
+    ),
+    "a product with what V concludes": (
+        (
+            "x w z",
+            lambda x: {"x": x.x, "w": -4 * x.w, "z": 0},
+            lambda x, u: x.w * (2 + x.z**2),
+            lambda x, u: x.w * (2 + x.z**2),
+        ),
+        {"also": lambda x: (Square(x.w), Square(x.w, 4))},
+        "it is not above zero where w is zero, which V concludes",
+    ),
+    "its own decay": (
+        ("x w", lambda x: {"x": x.x, "w": -4 * x.w}, lambda x, u: x.w, lambda x, u: x.w),
+        {},
+        "its rate is -4 times itself a second",
+    ),
+    "a straight line through zero": (
+        ("x w", lambda x: {"x": -x.x, "w": -1}, lambda x, u: x.w, lambda x, u: x.w + 0.5),
+        {"start": {"toy.w": 1e6}},
+        "its rate is -1 a second",
+    ),
+    "a function of time": (
+        ("x", lambda x: {"x": -x.x}, lambda x, u: 1 / (1 + u.t), lambda x, u: 1 / (1 + u.t) + 0.5 / (1 + u.t) ** 2),
+        {},
+        "and falls",
+    ),
+    "an oscillation": (
+        ("x a b", lambda x: {"x": -x.x, "a": x.b, "b": -x.a}, lambda x, u: x.a + 0.5, lambda x, u: x.a + 0.5 - x.b / 2),
+        {"start": {"toy.x": 1.0, "toy.a": 1.0, "toy.b": 0.0}},
+        "at t = 2.1 s",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", VAIN)
+def test_a_weight_that_does_not_stay_above_zero_is_not_assumed_to(name: str) -> None:
+    given, options, why = VAIN[name]
+    verdict = weighed(*given, **options)
+    assert verdict.outcome == "not_applicable"
+    said = [item.name for item in verdict.conditions if not item.holds and "is assumed to stay above" in item.name]
+    assert said
+    assert why in said[0]
+
+
+STAYS = {
+    "one that settles above zero": (
+        ("x w", lambda x: {"x": -x.x, "w": 1 - x.w}, lambda x, u: x.w, lambda x, u: 1.5 * x.w - 0.5),
+        {"start": {"toy.w": 5.0}},
+    ),
+    "one that swings above zero": (
+        ("x a b", lambda x: {"x": -x.x, "a": x.b, "b": -x.a}, lambda x, u: x.a + 3, lambda x, u: x.a + 3 - x.b / 2),
+        {"start": {"toy.x": 1.0, "toy.a": 1.0, "toy.b": 0.0}},
+    ),
+    "one that is not zero where V ends": (
+        ("x w", lambda x: {"x": -x.x, "w": -x.w}, lambda x, u: 2 + x.w, lambda x, u: 2 + 1.5 * x.w),
+        {"also": lambda x: (Square(x.w), Square(x.w)), "start": {"toy.w": 1.0}},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STAYS)
+def test_a_weight_that_stays_above_zero_may_be_assumed_to(name: str) -> None:
+    given, options = STAYS[name]
+    verdict = weighed(*given, **options)
+    assert verdict.outcome == "proved", verdict.reason
+
+
+def test_a_run_tells_when_an_assumed_weight_is_not_above_zero() -> None:
+    diagram = draining(sign=1)
+    run = simulate(diagram, 4.0, clock=0.01, start={"y": [-1.9], "z": [1.0]})
+    found = along(claim_of(diagram), run)
+    z = run.states["toy.z"][:, 0]
+    first = int(np.flatnonzero(z <= 0)[0]) if np.any(z <= 0) else None
+    assert first is not None
+    (said, *_) = found.crossings
+    assert said.startswith(f"toy: the weight z of |y|^2 in V is {z[first]:.3g} at t = {run.time[first]:.6g} s")
+    calm = simulate(diagram, 1.0, clock=0.01, start={"y": [0.5], "z": [2.0]})
+    assert along(claim_of(diagram), calm).crossings == ()

@@ -1,0 +1,188 @@
+"""Whether what a proof concludes, or the loop's own equations, send to zero what the proof assumes to stay above zero.
+
+Three tests, each of which can only refuse: none of them shows that an assumption is true.
+
+1. A limit: where the vectors that go to zero are zero, is a weight zero too?
+2. Its own rate: does it fall at a constant rate, or at a constant share of itself?
+3. Its own motion: what few states, trajectories and the time decide alone is integrated from the graph's start.
+
+The cost is about 0.1 s for a weight of few states; one that needs more than `FEW` is left to the run, which reports it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+
+from dmframe.block.model import symbols_in
+from dmframe.certificate import SX
+from dmframe.certify.assumed import SIGNS, assumed_positive
+from dmframe.certify.checked import Checked, Numbers
+from dmframe.certify.claim import Claim
+from dmframe.certify.limits import Vanishing
+from dmframe.certify.smoothness import slope
+from dmframe.certify.starts import start_expression, start_is_said
+from dmframe.diagram.closed_loop import Variable, stack
+
+FEW: Final = 12
+"""Numbers in the states up to which a motion is integrated."""
+
+POINTS: Final = 5
+SAME: Final = 1e-9
+SOON: Final = 100.0
+"""Time until which a motion is integrated [s]."""
+LATE: Final = 1e4
+"""Time until which one is that still falls [s]."""
+GONE: Final = 1e-3
+"""Of its start, below which a quantity that still falls counts as going to zero."""
+CALLS: Final = 20000
+"""Of the rates, after which an integration ends without an answer."""
+INSTANTS: Final = 2001
+
+
+def contradicted(
+    claim: Claim, numbers: Numbers, vanishing: Sequence[Vanishing], start: Mapping[str, Any]
+) -> Iterator[Checked]:
+    """A condition that fails for each assumed quantity that does not stay above a positive constant."""
+    for item in assumed_positive(claim, numbers):
+        for row in ca.vertsplit(item.column):
+            if symbols_in([row]) <= numbers.known:
+                continue
+            why = _in_the_limit(claim, row, vanishing) or _by_its_rate(claim, row)
+            if why := why or _on_its_way(claim, row, numbers, start):
+                name = f"{item.text} is assumed to stay above a positive constant, and {why}"
+                yield Checked(name, "no contradiction", None, False, SIGNS, "sampled", reads=claim.loop.p)
+                break
+
+
+def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
+    """Zero or below where all that goes to zero is zero."""
+    left, gone = row, list[str]()
+    states = [x for variable in claim.loop.variables for x in ca.vertsplit(ca.vec(variable.symbol))]
+    for item in vanishing:
+        for element in ca.vertsplit(ca.vec(item.vector)):
+            used = symbols_in([element]) & symbols_in([left])
+            for state in (x for x in states if x.element_hash() in used):
+                factor = ca.jacobian(element, state)
+                if factor.is_constant() and float(factor):
+                    before, rest = left, state - element / factor
+                    (left,) = ca.substitute([left], [state], [ca.simplify(rest) if factor.is_one() else rest])
+                    if not ca.is_equal(before, left):
+                        gone.append(item.of)
+                    break
+    if not gone:
+        return ""
+    known = symbols_in(p.symbol for p in claim.loop.parameters)
+    at_rest = ca.Function("left", [claim.loop.p], [left], {"allow_free": True})
+    names = " and ".join(dict.fromkeys(gone))
+    if symbols_in([left]) <= known and float(at_rest(claim.loop.p_values)) <= 0:
+        return f"it is not above zero where {names} {'is' if len(set(gone)) == 1 else 'are'} zero, which V concludes"
+    return ""
+
+
+def _by_its_rate(claim: Claim, row: SX) -> str:
+    """It falls by a constant rate, or by a constant share of itself, at random points."""
+    rate = slope(claim, row)
+    if rate is None or rate.is_zero():
+        return ""
+    known = symbols_in([claim.loop.p])
+    leaves = [leaf for leaf in ca.symvar(ca.vertcat(row, rate)) if leaf.element_hash() not in known]
+    function, rng = ca.Function("rate", [stack(leaves), claim.loop.p], [row, rate]), np.random.default_rng(0)
+    pairs = np.array([
+        [float(x) for x in function(rng.uniform(0.2, 2, len(leaves)), claim.loop.p_values)] for _ in range(POINTS)
+    ])  # fmt: skip
+    if not np.all(np.isfinite(pairs)):
+        return ""
+    for way, values in (("{:.4g} times itself", pairs[:, 1] / pairs[:, 0]), ("{:.4g}", pairs[:, 1])):
+        if values[0] < 0 and np.ptp(values) <= SAME * abs(values[0]):
+            return f"its rate is {way.format(values[0])} a second"
+    return ""
+
+
+def _on_its_way(claim: Claim, row: SX, numbers: Numbers, start: Mapping[str, Any]) -> str:
+    """It reaches zero, or goes there, along the motion of the few states that decide it."""
+    states = _needed(claim, row)
+    if states is None:
+        return ""
+    begin = _begin(claim, states, numbers, start)
+    if begin is None:
+        return ""
+    loop = claim.loop
+    x = stack(variable.symbol for variable in states)
+    rates, value = loop.acting([stack(loop.rates_of(states))])[0], loop.acting([row])[0]
+    function = ca.Function("own", [x, loop.time, loop.p], [loop.on_path(rates), loop.on_path(value)])
+    found = _course(function, loop.p_values, begin)
+    if found is None:
+        return ""
+    time, g = found
+    if np.any(g <= 0):
+        first = int(np.argmax(g <= 0))
+        return f"it is {g[first]:.4g} at t = {time[first]:.6g} s"
+    falls = g[-1] < GONE * g[0] and g[-1] < 0.7 * np.interp(time[-1] / 2, time, g)
+    return f"it is down to {g[-1]:.4g} from {g[0]:.4g} at t = {time[-1]:.6g} s, and falls" if falls else ""
+
+
+def _needed(claim: Claim, row: SX) -> list[Variable] | None:
+    """The states that decide a quantity, if these are few; what a projection corrects is no motion of its own."""
+    loop, used, found = claim.loop, symbols_in([row]), list[Variable]()
+    while True:
+        more = [v for v in loop.variables if v not in found and used & symbols_in([v.symbol])]
+        found += more
+        if sum(v.symbol.numel() for v in found) > FEW:
+            return None
+        if not more:
+            return found
+        used |= symbols_in(loop.acting([stack(loop.rates_of(more))]))
+
+
+def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Mapping[str, Any]) -> np.ndarray | None:
+    """Where they start; None where graph and blocks do not say it."""
+    columns = list[np.ndarray]()
+    for variable in states:
+        label = variable.label
+        said = start_expression(label, numbers, start) if start_is_said(label, numbers, start) else None
+        if said is None or not symbols_in([said]) <= numbers.known:
+            return None
+        value = ca.Function("start", [claim.loop.p], [ca.densify(said)])(claim.loop.p_values)
+        columns.append(np.broadcast_to(value.full().ravel(), (variable.symbol.numel(),)))
+    return np.concatenate(columns) if columns else np.zeros(0)
+
+
+def _course(own: ca.Function, p: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """The quantity over time: to `SOON`, and on to `LATE` where it still falls; None where that is not found."""
+    time, g, at = np.zeros(0), np.zeros(0), begin
+    for first, last in ((0.0, SOON), (SOON, LATE)):
+        times = np.linspace(first, last, INSTANTS)
+        states = _states(own, p, at, times)
+        if states is None:
+            return None
+        found = own.map(times.size)(states, times[None, :], np.tile(p[:, None], times.size))[1].full().ravel()
+        time, g, at = np.concatenate([time, times]), np.concatenate([g, found]), states[:, -1]
+        if not (np.all(g > 0) and np.all(np.diff(g[g.size // 2 :]) < 0) and g[-1] > GONE * g[0]):
+            break
+    return (time, g) if np.all(np.isfinite(g)) else None
+
+
+def _states(own: ca.Function, p: np.ndarray, begin: np.ndarray, times: np.ndarray) -> np.ndarray | None:
+    """(states, times); None where the integration takes too long or fails."""
+    if not begin.size:
+        return np.zeros((0, times.size))
+    from scipy.integrate import solve_ivp
+
+    calls = 0
+
+    def rate(t: float, at: np.ndarray) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls > CALLS:
+            raise ArithmeticError
+        return np.asarray(own(at, t, p)[0].full().ravel())
+
+    try:
+        run = solve_ivp(rate, (times[0], times[-1]), begin, method="LSODA", t_eval=times, rtol=1e-8, atol=1e-12)
+    except ArithmeticError:
+        return None
+    return np.asarray(run.y) if run.success else None
