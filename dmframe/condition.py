@@ -46,6 +46,14 @@ class CommonLyapunov:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        for name, box in (("a", self.a), ("b", self.b)):
+            if box.shape[0] < 1 or box.shape[1] != 2 or box.shape != self.a.shape:
+                rows = self.a.shape[0] or "one or more"
+                size = " x ".join(map(str, box.shape))
+                raise TypeError(
+                    f"CommonLyapunov {self.name!r}: expected {name} with {rows} rows of 2 numbers, a lower and an "
+                    f"upper end, one row a joint, as many in a as in b; found {size}"
+                )
 
 
 @final

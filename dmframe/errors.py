@@ -177,6 +177,11 @@ class EngineError(DmframeError):
 
 
 @final
+class DisagreementError(DmframeError):
+    """Two ways to compute one thing disagree, so that neither is believed: a proof and what contradicts it."""
+
+
+@final
 class OutputError(DmframeError):
     """Results that cannot be written."""
 

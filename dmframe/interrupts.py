@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable
+from functools import cached_property
 from types import TracebackType
 from typing import Any, Final, final
 
@@ -13,6 +15,38 @@ AGAIN: Final = 0.3
 """After so many seconds an interrupt that has been cleared is raised anew [s]."""
 
 _ENDING: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+def in_child(renew: Callable[[], None]) -> None:
+    """Have something done in each copy of this process: a thread that holds a lock is not in the copy, its lock is."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(after_in_child=renew)
+
+
+def _renew_properties() -> None:
+    """Give each `cached_property` of the framework a free lock: Python 3.11 has one a property, which threads hold.
+
+    It takes some milliseconds, where there were other threads.
+    """
+    if _threads[0] == 1:
+        return
+    for name, module in list(sys.modules.items()):
+        if name.partition(".")[0] in _OWN and module is not None:
+            for kind in [item for item in vars(module).values() if isinstance(item, type)]:
+                for item in vars(kind).values():
+                    if isinstance(item, cached_property) and hasattr(item, "lock"):
+                        item.lock = threading.RLock()
+
+
+def _count_threads() -> None:
+    _threads[0] = threading.active_count()
+
+
+_threads = [1]
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_count_threads)
+_OWN: Final = ("dmframe", "dmframe_blocks", "dmframe_plants")
+in_child(_renew_properties)
 
 
 @final
@@ -30,6 +64,13 @@ class Insistent:
         self._lock = threading.RLock()
         self._depth, self._came = 0, False
         self._before = dict[int, Any]()
+        in_child(self._renew)
+
+    def _renew(self) -> None:
+        """In a copy of this process: free, unless the thread that made the copy holds it and goes on here."""
+        if not self._lock._is_owned():  # type: ignore[attr-defined]  # also of a thread that has just taken it
+            self._lock, self._depth = threading.RLock(), 0
+            self._rest()
 
     def __enter__(self) -> None:
         self._lock.acquire()

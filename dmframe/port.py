@@ -72,6 +72,10 @@ class Port:
         Of an output of a plant, the input of the same block in whose place it stands: whoever would read what drives
         that input reads this output. A measured one stands there for controllers, any other for the plant. Of several
         blocks that stand in for one signal each reads the one before it, in the order of the file.
+    rounded_by
+        Of an output that replaces an input (`instead_of`): the parameter that holds the steps to which that input is
+        rounded, step floor(input / step + 1/2), as by an encoder. `analyse` takes it as it is in the mean, the steps as
+        fine, and says so; any other rounding is a switch.
     told
         Of an output that is zero as long as all is well, what a run says of it where it is not.
     steps
@@ -93,6 +97,7 @@ class Port:
     ahead_of: str = ""
     ahead: int = 1
     instead_of: str = ""
+    rounded_by: str = ""
     told: str = ""
     steps: bool = False
     shown: str = ""

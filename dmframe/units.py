@@ -79,6 +79,44 @@ def to_unit(value: str | float, unit: str) -> float:
     return _finite(value, expected)
 
 
+class Stated(float):
+    """A joint's place with the unit in which it was stated, ``rad`` or ``m``: which one fits depends on the joint."""
+
+    unit: str
+
+    def __new__(cls, value: float, unit: str) -> Stated:
+        """A number in that unit."""
+        made = super().__new__(cls, value)
+        made.unit = unit
+        return made
+
+    def __getnewargs__(self) -> tuple[float, str]:  # type: ignore[override]
+        return float(self), self.unit
+
+
+def joint_place(value: str | float) -> float:
+    """Where a joint is, as `to_unit`: a text in radians or in metres is `Stated`, a plain number is a number.
+
+    Raises `UnitError`, `ValueFault`.
+    """
+    if not isinstance(value, str):
+        return to_unit(value, "rad")
+    try:
+        found, unit = to_unit(value, "rad"), "rad"
+    except UnitError:
+        try:
+            found, unit = to_unit(value, "m"), "m"
+        except UnitError:
+            pass
+        else:
+            return Stated(found, unit)
+        raise
+    return found if _PLAIN.fullmatch(value.strip()) else Stated(found, unit)
+
+
+_PLAIN = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
+
+
 def compatible(unit_a: str, unit_b: str) -> bool:
     """True for two units that are the same but for their spelling: ``N m s/rad`` and ``N m/(rad/s)``, but not m and mm.
 

@@ -76,7 +76,7 @@ class Encoder(AbstractBlock):
         Port("eta_old", "n", drawn="normal"),
     )
     outputs: ClassVar[tuple[Port, ...]] = (
-        Port("q_m", "n", "rad", Access.MEASURED, instead_of="q"),
+        Port("q_m", "n", "rad", Access.MEASURED, instead_of="q", rounded_by="step"),
         Port("dq_m", "n", "rad/s", Access.MEASURED, derivative_of="q_m", instead_of="dq"),
         Port("x_m", "m", "m", Access.MEASURED, optional=True, instead_of="x"),
     )

@@ -203,10 +203,9 @@ class EnclosedLoop:
             raise UndecidedError("a signal that one state alone seemed to be is none")
         self._check(inputs)
         L = stored_rows(split.L, fixed_values(split.L, inputs), size)
-        given, flow = split.flow
-        (commands,) = given.dense(fixed_values(given, inputs), Fixed(0, 0))
+        (commands,) = split.held.dense(fixed_values(split.held, inputs), Fixed(0, 0))
         first = self.linear.controller
-        (found,) = flow.dense(fixed_values(flow, [inputs[0][first:], commands, self._p]), Fixed(0, 0))
+        (found,) = split.slope.dense(fixed_values(split.slope, [inputs[0][first:], commands, self._p]), Fixed(0, 0))
         flowing = size - first
         A = Matrix.of([[found[i + flowing * j] for j in range(flowing)] for i in range(flowing)], flowing)
         own = {term[0] for item in split.kept for term in list(item)[:1]}

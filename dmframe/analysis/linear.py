@@ -25,9 +25,10 @@ from dmframe.analysis.set_point import (
     rates,
     undrawn,
 )
+from dmframe.analysis.switches import turning
 from dmframe.diagram import ClosedLoop, Diagram
 from dmframe.diagram.closed_loop import stack
-from dmframe.errors import EngineError, ShapeError
+from dmframe.errors import EngineError, ShapeError, listed
 from dmframe.simulate import Solver
 from dmframe.simulate.instants import DRAWN
 from dmframe.simulate.step import build_step
@@ -70,6 +71,8 @@ class Linear:
         Largest rate at `point`; it would be zero at an equilibrium.
     advanced
         Z as a function of the period T [s]: the slope of the map of one sample that a run takes.
+    kinks
+        Operations whose slope jumps at `point`: the linearised loop has that of one side.
     clock
         The period [s] at which a loop that runs on a clock alone was linearised; None for one in continuous time.
     again
@@ -91,6 +94,7 @@ class Linear:
     command: Array
     plant_A: Array
     plant_B: Array
+    kinks: tuple[str, ...] = ()
     clock: float | None = None
     again: Callable[[float], Linear] | None = None
     period: float = 0.0
@@ -204,7 +208,9 @@ def linearise(
     moving: bool = False,
     clock: float | None = None,
 ) -> Linear:
-    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn or rounded.
+    """Jacobians of the closed loop that a run integrates, its trajectories frozen at t = 0, nothing drawn.
+
+    What a block declares to be rounded is as it is in the mean; any other switch as it turns out at the point.
 
     Parameters
     ----------
@@ -219,7 +225,7 @@ def linearise(
     Raises
     ------
     ShapeError, EngineError
-        A state of another size; no equilibrium; a loop that needs a clock.
+        A state of another size; no equilibrium; one at which the loop jumps; a loop that needs a clock.
     """
     still = unrounded(frozen(diagram))
     loop, T = still.loop, period_of(still.loop, clock)
@@ -228,6 +234,7 @@ def linearise(
         raise ShapeError(f"linearise: expected a state of {loop.state.numel()} numbers, found {point.size}")
     p = at_speed(loop) if moving else loop.p_values
     field, slope = rates(loop), rates(loop).jacobian()
+    kinks = _kinks(loop, point, p, T)
     slopes = at_set_point(loop, "advanced", loop.advanced).jacobian()
     held = at_set_point(loop, "held", loop.held_over_a_sample[1])
     command, (plant_A, plant_B) = held.jacobian(), _plant(loop)
@@ -261,12 +268,26 @@ def linearise(
             command=told(command(point, p, T, 0)[0]),
             plant_A=told(plant_A(point[first:], u, p)),
             plant_B=told(plant_B(point[first:], u, p)),
+            kinks=kinks,
             clock=T if loop.clocked else None,
             again=again if timed else None,
             period=T,
         )
 
     return at(point, T)
+
+
+def _kinks(loop: ClosedLoop, point: Array, p: Array, T: float) -> tuple[str, ...]:
+    """Where its slope is that of one side; refused where it jumps, for it then has none."""
+    symbols = [loop.state, loop.p, loop.period]
+    held = undrawn(loop, loop.on_path(loop.acting([moves(loop)])[0]))
+    jumps, kinks = turning(held, symbols, [point, p, T])
+    if jumps:
+        raise EngineError(
+            f"linearise: expected a loop without a jump at its set-point, found that it rests where {listed(jumps)} "
+            "jumps: it has no slope there; give another set-point, or replace the switch by a steep smooth function"
+        )
+    return tuple(kinks)
 
 
 def _by_label(loop: ClosedLoop, point: Array) -> dict[str, Array]:
@@ -299,13 +320,20 @@ def at_speed(loop: ClosedLoop) -> Array:
     return np.where([label == FRICTION_VELOCITY for label in labels], _SATURATED, loop.p_values)
 
 
-def tick_jacobian(diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None) -> Array:
-    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen."""
-    loop = frozen(diagram).loop
+def tick_jacobian(
+    diagram: Diagram, linear: Linear, clock: float, solver: Solver | None = None, *, moving: bool = False
+) -> Array:
+    """The Jacobian, at the same point, of the very tick that a run on this clock computes, trajectories frozen.
+
+    `moving`, without the slope that smooth Coulomb friction has at rest. What a block declares to be rounded is as it
+    is in the mean.
+    """
+    loop = unrounded(frozen(diagram)).loop
     step = build_step(loop, clock, solver or Solver(), ca.SX(0, 1))
     given = step.instants.rows(0, 1).ravel()
     given[DRAWN:] = 0.0
-    return np.asarray(step.tick.jacobian()(linear.point, given, loop.p_values, 0, 0)[0].full())
+    p = at_speed(loop) if moving else loop.p_values
+    return np.asarray(step.tick.jacobian()(linear.point, given, p, 0, 0)[0].full())
 
 
 def _rest_on_a_clock(Phi: Array) -> tuple[Array, Array]:

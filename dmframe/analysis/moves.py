@@ -20,38 +20,31 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property
-from typing import Any, Final, final
+from typing import Any, final
 
 import casadi as ca
 import numpy as np
 
-from dmframe.analysis.least_cut import ITSELF, LEAST, SMALL, Cut, vanishing
-from dmframe.analysis.rounding import APPLY, unknown
+from dmframe.analysis.least_cut import ITSELF, LEAST, Cut, vanishing
 from dmframe.analysis.set_point import at_set_point, counts, moves, undrawn
 from dmframe.analysis.sums import Sum, conserved, scaled, sums_of
+from dmframe.analysis.switches import APPLY, apart, chosen, numbers_of, unknown
 from dmframe.certificate import SX
 from dmframe.diagram import ClosedLoop
 from dmframe.diagram.closed_loop import stack
-from dmframe.exact.fixed import MAYBE, ONE, Fixed, UndecidedError, fixed_values
+from dmframe.exact.fixed import Fixed, UndecidedError, fixed_values
 from dmframe.exact.literal import literal
 from dmframe.program import (
-    COMPARISONS,
-    CONST,
     EDGES,
     INPUT,
     JUMPS,
     KINKS,
-    OPERATIONS,
     Node,
     Program,
-    by_code,
     read,
     run,
     sign_of,
 )
-
-_SWITCHES: Final = ("lt", "le", "sign", "fmin", "fmax", "fabs", "not", "and", "or", "if_else_zero")
 
 
 @final
@@ -66,7 +59,11 @@ class SplitMoves:
     y, L, R
         Their programs; L and R store what is not zero by structure, column by column.
     guards
-        Columns (x, p, T) -> numbers that are all above zero where no comparison turns out another way.
+        Columns (x, p, T) -> numbers that are all above zero where no switch turns out another way.
+    held
+        (x, p, T) -> what is held over a sample.
+    slope
+        (what flows, what is held, p) -> the plant's slope in what flows.
     kept
         Sums of states that no sample changes, and that are zero: factors by state and power of T. The first state of
         each, with factor one, is none of those that y, L and R read.
@@ -78,16 +75,9 @@ class SplitMoves:
     L: Program
     R: Program
     guards: Program
+    held: Program
+    slope: Program
     kept: Sequence[Sum] = ()
-
-    @cached_property
-    def flow(self) -> tuple[Program, Program]:
-        """What is held over a sample, of (x, p, T); and the plant's slope in what flows, of (x, held, p)."""
-        loop = self.loop
-        held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
-        x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
-        slope = ca.densify(ca.jacobian(loop.on_path(loop.flow), x))
-        return held, read(ca.Function("flow", [x, leaves, loop.p], [ca.cse(slope)]))
 
 
 def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period: Fixed) -> SplitMoves:
@@ -105,17 +95,20 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
     def read_moves(value: SX) -> Program:
         return read(ca.Function("moves", symbols, [ca.cse(ca.densify(value))]))
 
-    chosen, guards = _chosen(read_moves(expression), symbols, inputs)
-    program = read_moves(chosen)
-    _refuse_turns(loop, chosen, guards, inputs)
+    program = read_moves(expression)
+    at = [*map(_floats, inputs)]
+    pieces, guards = chosen(program, symbols, numbers_of(program, symbols, at))
+    held, slope, more = _flow(loop, symbols, at)
+    program, guards = read_moves(pieces), ca.vertcat(guards, more)
+    _refuse_turns(loop, pieces, guards, inputs)
     kept = [item for item in _conserved(loop, program) if abs(float(kept_value(item, *inputs[::2]))) <= LEAST]
     if kept:
-        chosen, guards = _without(kept, loop, chosen), _without(kept, loop, guards)
+        pieces, guards = _without(kept, loop, pieces), _without(kept, loop, guards)
         for item in kept:
             (state, _), *_ = item
-            chosen[state] = 0
+            pieces[state] = 0
             inputs[0][state] = -kept_value(dict(list(item.items())[1:]), *inputs[::2])
-        program = read_moves(chosen)
+        program = read_moves(pieces)
     program = read_moves(_summed(loop, program, symbols, fixed_values(program, inputs)))
     cut, sums = Cut(program, fixed_values(program, inputs)).found()
     y = ca.SX.sym("y", len(cut))
@@ -130,7 +123,23 @@ def split_moves(loop: ClosedLoop, point: np.ndarray, p: Sequence[Fixed], period:
         return read(ca.Function(name, symbols, [ca.cse(value)]))
 
     programs = {name: program_of(name, v) for name, v in (("y", signals), ("L", L), ("R", R), ("guards", guards))}
-    return SplitMoves(loop, len(cut), kept=tuple(kept), **programs)
+    return SplitMoves(loop, len(cut), kept=tuple(kept), held=held, slope=slope, **programs)
+
+
+def _flow(loop: ClosedLoop, symbols: Sequence[SX], at: Sequence[Sequence[float]]) -> tuple[Program, Program, SX]:
+    """What is held over a sample, the plant's slope in what flows, and the guards of the first.
+
+    The guards of the second are among those of the moves, of which its rates are some.
+    """
+    held = read(at_set_point(loop, "held", ca.densify(loop.held_over_a_sample[1])))
+    values, guards = chosen(held, symbols, numbers_of(held, symbols, at))
+    given = ca.Function("held", list(symbols), [values])(*at).full().ravel()
+    x, (leaves, _) = stack(v.symbol for v in loop.flowing), loop.held_over_a_sample
+    own, point = [x, leaves, loop.p], [at[0][len(at[0]) - x.numel() :], given, at[1]]
+    flow = read(ca.Function("flow", own, [ca.densify(loop.on_path(loop.flow))]))
+    rates = chosen(flow, own, numbers_of(flow, own, point))[0]
+    slope = read(ca.Function("flow", own, [ca.cse(ca.densify(ca.jacobian(rates, x)))]))
+    return read(ca.Function("held", list(symbols), [ca.cse(values)])), slope, guards
 
 
 def _conserved(loop: ClosedLoop, program: Program) -> list[Sum]:
@@ -195,15 +204,15 @@ def _summed(loop: ClosedLoop, program: Program, symbols: Sequence[SX], numbers: 
     return ca.vertcat(*(summed(state, place) for state, place in enumerate(places)))
 
 
-def _refuse_turns(loop: ClosedLoop, chosen: SX, guards: SX, inputs: Sequence[Sequence[Fixed]]) -> None:
+def _refuse_turns(loop: ClosedLoop, pieces: SX, guards: SX, inputs: Sequence[Sequence[Fixed]]) -> None:
     """Raises `UndecidedError` where a switch is left that a state turns, or a root that a state may end: at rest its
     slope is that of one side, as that of |z| is zero at z = 0, and nearby it is another. Raises it too where what moves
     reads a count, which never rests. A guard may have kinks: where it is continuous, it stays above zero nearby.
     """
     counted = [v.symbol for v in loop.variables if counts(v)]
-    if counted and ca.depends_on(chosen, stack(counted)):
+    if counted and ca.depends_on(pieces, stack(counted)):
         raise UndecidedError("it never rests: what moves depends on a number that grows with each sample")
-    for expression, turning in ((chosen, JUMPS | KINKS | EDGES), (guards, JUMPS)):
+    for expression, turning in ((pieces, JUMPS | KINKS | EDGES), (guards, JUMPS)):
         program = read(ca.Function("turns", [loop.state, loop.p, loop.period], [expression]))
         if not program.codes & turning:
             continue
@@ -211,77 +220,10 @@ def _refuse_turns(loop: ClosedLoop, chosen: SX, guards: SX, inputs: Sequence[Seq
         for node in program.nodes:
             state = node.code == INPUT and node.a == 0
             moving.append(state or any(moving[place] for place in node.operands))
-            ends = node.code in EDGES and _apart(numbers[node.a], Fixed(0, 0))
+            ends = node.code in EDGES and apart(float(numbers[node.a]), 0.0)
             if node.code in turning and moving[-1] and not ends:
                 verb = "ends" if node.code in EDGES else "turns"
                 raise UndecidedError(f"it rests where {sign_of(node.code)} {verb}")
-
-
-def _chosen(program: Program, symbols: Sequence[SX], inputs: Sequence[Sequence[Fixed]]) -> tuple[SX, SX]:
-    """The outputs with every comparison that the numbers decide in its place; and what says that it stays so."""
-    numbers = fixed_values(program, inputs)
-    values, guards = list[SX](), list[SX]()
-    named = by_code({name: name for name in _SWITCHES})
-    for node, number in zip(program.nodes, numbers, strict=True):
-        code, a, b, constant, _ = node
-        name = named.get(code, "")
-        if code == INPUT:
-            value = symbols[a].nz[b]
-        elif code == CONST:
-            value = ca.SX(constant)
-        elif code in COMPARISONS and name:
-            value = ca.SX.binary(code, values[a], values[b])
-            if number is not MAYBE and not value.is_constant() and _apart(numbers[a], numbers[b]):
-                holds = number.lower == ONE
-                guards.append(values[b] - values[a] if holds else values[a] - values[b])
-                value = ca.SX(1.0 if holds else 0.0)
-        elif name in ("fmin", "fmax"):
-            if not _apart(numbers[a], numbers[b]):
-                value = ca.SX.binary(code, values[a], values[b])
-            else:
-                low, high = (a, b) if numbers[a].upper < numbers[b].lower else (b, a)
-                guards.append(values[high] - values[low])
-                value = values[low] if name == "fmin" else values[high]
-        elif code in COMPARISONS and _apart(numbers[a], numbers[b]):
-            above = values[a] - values[b]
-            guards.append(above if numbers[a].lower > numbers[b].upper else -above)
-            value = ca.SX(float(code == ca.OP_NE))
-        elif name == "sign" and _apart(numbers[a], Fixed(0, 0)):
-            value = ca.SX(1.0 if numbers[a].lower > 0 else -1.0)
-            guards.append(value * values[a])
-        elif name == "fabs" and _apart(numbers[a], Fixed(0, 0)):
-            sign = 1 if numbers[a].lower > 0 else -1
-            guards.append(sign * values[a])
-            value = sign * values[a]
-        elif name in ("and", "or") and any(values[k].is_constant() for k in (a, b)):
-            value = _logic(name, values[a], values[b])
-        elif name == "if_else_zero" and values[a].is_constant():
-            value = values[b] if float(values[a]) else ca.SX(0)
-        elif name == "not" and values[a].is_constant():
-            value = ca.SX(0.0 if float(values[a]) else 1.0)
-        else:
-            arity = OPERATIONS[code].arity if code in OPERATIONS else 0
-            if not arity:
-                raise unknown(code)
-            value = ca.SX.binary(code, values[a], values[b]) if arity == 2 else ca.SX.unary(code, values[a])
-        values.append(value)
-    (found,) = program.stored(values)
-    used = [guard for guard in guards if not guard.is_constant()]
-    return ca.vertcat(*found), ca.densify(ca.vertcat(ca.SX(0, 1), *used))
-
-
-def _apart(a: Any, b: Any) -> bool:
-    """True where two numbers differ by more than a point's own error, so that they compare alike nearby."""
-    if MAYBE in (a, b):
-        return False
-    first, second = float(a), float(b)
-    return abs(first - second) > SMALL * max(abs(first), abs(second)) + LEAST
-
-
-def _logic(name: str, a: SX, b: SX) -> SX:
-    fixed, other = (a, b) if a.is_constant() else (b, a)
-    absorbs = (float(fixed) == 0) == (name == "and")
-    return fixed if absorbs else other
 
 
 def _rebuilt(
@@ -314,6 +256,10 @@ def _values(program: Program, symbols: Sequence[SX], keep: Any = None) -> list[S
         refuse=unknown,
         keep=keep,
     )
+
+
+def _floats(numbers: Sequence[Fixed]) -> list[float]:
+    return [float(number) for number in numbers]
 
 
 def _number(value: Fraction) -> SX:

@@ -82,7 +82,6 @@ def rank_summary(name: str, region: RankRegion) -> dict[str, Any]:
             "apart": region.apart,
         },
         "boxes": region.boxes,
-        "model": region.model,
         "field_hash": region.model,
         "loss": None
         if loss is None

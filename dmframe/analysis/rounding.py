@@ -1,75 +1,164 @@
-r"""A loop without its rounding: near a set-point a rounded signal is a staircase, which no slope describes.
+r"""A loop without the rounding of its encoders: near a set-point a rounded signal is a staircase of fine steps.
 
-In place of floor(x) stands x - 1/2, and in place of ceil(x) x + 1/2: what they are in the mean, where x is spread
-evenly over a step. So the steps of an encoder are taken as fine.
+Only a quantiser that a block declares (`Port.rounded_by`) is taken as it is in the mean: z replaces
+step floor(z / step + 1/2), whose mean it is where z is spread evenly over a step. So the steps are taken as fine. Any
+other rounding is a switch, which has its pieces (`dmframe.analysis.switches`): an angle that is wrapped is one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import casadi as ca
 
+from dmframe.analysis.switches import APPLY, unknown
+from dmframe.block.model import BlockModel, symbols_in
 from dmframe.certificate import SX
-from dmframe.diagram import ClosedLoop, Diagram
-from dmframe.exact.fixed import UndecidedError
-from dmframe.program import OPERATIONS, by_code, codes, read, run
+from dmframe.diagram import Diagram
+from dmframe.errors import BlockError
+from dmframe.port import Port
+from dmframe.program import CONST, INPUT, Node, Program, read, run
 
-APPLY: Final[Mapping[int, Any]] = {
-    code: (lambda a, b, code=code: ca.SX.binary(code, a, b))
-    if row.arity == 2
-    else (lambda a, code=code: ca.SX.unary(code, a))
-    for code, row in OPERATIONS.items()
-}
-"""Each operation, applied to expressions."""
-
-_MEANS: Final = by_code({"floor": lambda x: x - 0.5, "ceil": lambda x: x + 0.5})
-
-
-def unknown(code: int) -> Exception:
-    """What to raise for an operation that is not known."""
-    return UndecidedError(f"CasADi's instruction {code} is not known here")
+_FLOOR: Final = ca.OP_FLOOR
 
 
 def unrounded(diagram: Diagram) -> Diagram:
-    """The same diagram with all that is rounded as it is in the mean."""
-    loop = diagram.loop
-    if not rounds(loop):
+    """The same diagram with what its blocks declare to be rounded as it is in the mean.
+
+    Raises `BlockError` for a block that declares of an output what it is not.
+    """
+    steps = _steps(diagram)
+    if not steps:
         return diagram
-    return replace(diagram, loop=loop.mapped(_mean))
+    return replace(diagram, loop=diagram.loop.mapped(lambda expression: _mean(expression, steps)))
 
 
-def rounds(loop: ClosedLoop) -> bool:
-    """Whether a signal of the loop is rounded."""
-    moved = [*map(loop.moves_of, loop.variables), *(leaf.expression for leaf in loop.crossings)]
-    return any(_rounded(part) for part in moved)
+def averaged(diagram: Diagram) -> dict[str, float]:
+    """The outputs that are taken as they are in the mean, ``block.port``, each with its largest step."""
+    values = {parameter.label: parameter.value for parameter in diagram.loop.parameters}
+    return {
+        f"{name}.{port.name}": float(abs(values[f"{name}.{port.rounded_by}"]).max()) for name, port in _all(diagram)
+    }
 
 
-def _function(expression: SX) -> tuple[list[SX], Any]:
-    symbols = ca.symvar(expression)
-    return symbols, ca.Function("f", symbols, [expression])
+def _all(diagram: Diagram) -> list[tuple[str, Port]]:
+    return [
+        (name, port)
+        for name, block in diagram.blocks.items()
+        for port in block.outputs
+        if port.rounded_by and port.name in diagram.models[name].equations.outputs
+    ]
 
 
-def _rounded(expression: SX) -> bool:
-    return bool(codes(_function(expression)[1]) & set(_MEANS))
+def _steps(diagram: Diagram) -> set[int]:
+    """The elements of the declared steps, by their identity."""
+    found, declared = set[int](), _all(diagram)
+    for name, port in declared:
+        model = diagram.models[name]
+        _check(model, port)
+        found |= symbols_in([model.parameters[port.rounded_by]])
+    return found
 
 
-def _mean(expression: Any) -> Any:
-    if not _rounded(expression):
+def _check(model: BlockModel, port: Port) -> None:
+    """The output is the input that it replaces, with what is drawn added, rounded to whole steps."""
+    expression, step = model.equations.outputs[port.name], model.parameters[port.rounded_by]
+    measured = model.inputs[port.instead_of]
+    drawn = symbols_in([model.inputs[each.name] for each in model.block.inputs if each.drawn])
+    known = drawn | symbols_in(model.parameters.values())
+    symbols, program = _program(expression)
+    values = _values(program, symbols)
+    (places,) = program.stored(range(len(program.nodes)))
+    wanted = ca.vertsplit(ca.vec(ca.densify(measured)))
+    good = len(places) == len(wanted) == expression.numel()
+    for place, signal in zip(places, wanted, strict=False):
+        inner = _rounded_at(program, place, symbols, symbols_in([step]))
+        if inner is None:
+            good = False
+            continue
+        z = values[inner]
+        slope, rest = ca.jacobian(z, signal), ca.substitute(z, signal, 0)
+        good &= slope.is_constant() and float(slope) == 1 and not symbols_in([rest]) - known
+    if not good:
+        rounding = f"{port.rounded_by} floor({port.instead_of} / {port.rounded_by} + 1/2)"
+        raise BlockError(
+            f"{model.name}: declares that {port.name} is rounded by {port.rounded_by}, expected {rounding}, found "
+            "another expression; without rounded_by it is a switch, which is analysed piece by piece"
+        )
+
+
+def _rounded_at(program: Program, place: int, symbols: Sequence[SX], steps: set[int]) -> int | None:
+    """Where z is, of a value that is p floor(z / p + 1/2) with p one of the steps; None of any other."""
+    node = program.nodes[place]
+    if node.code != ca.OP_MUL:
+        return None
+    for step, floor in ((node.a, node.b), (node.b, node.a)):
+        if program.nodes[floor].code == _FLOOR and (found := _inner(program, floor, symbols, steps)) is not None:
+            return found[1] if _same(program, found[0], step) else None
+    return None
+
+
+def _inner(program: Program, floor: int, symbols: Sequence[SX], steps: set[int]) -> tuple[int, int] | None:
+    """The places of p and z, of floor(z / p + 1/2)."""
+    total = program.nodes[program.nodes[floor].a]
+    if total.code != ca.OP_ADD:
+        return None
+    for half, quotient in ((total.a, total.b), (total.b, total.a)):
+        one, other = program.nodes[half], program.nodes[quotient]
+        if one.code == CONST and one.constant == 0.5 and other.code == ca.OP_DIV:
+            p = program.nodes[other.b]
+            if p.code == INPUT and symbols[p.a].element_hash() in steps:
+                return other.b, other.a
+    return None
+
+
+def _same(program: Program, one: int, other: int) -> bool:
+    a, b = program.nodes[one], program.nodes[other]
+    return one == other or (a.code == b.code == INPUT and (a.a, a.b) == (b.a, b.b))
+
+
+def _mean(expression: SX, steps: set[int]) -> SX:
+    """The expression with each declared rounding as it is in the mean."""
+    symbols, program = _program(expression)
+    if _FLOOR not in program.codes:
         return expression
-    symbols, f = _function(expression)
-    program = read(f)
-    values = run(
-        program,
-        {**APPLY, **_MEANS},
-        given=lambda argument, element: symbols[argument],
-        constant=ca.SX,
-        refuse=unknown,
-    )
-    (found,) = program.dense(values, ca.SX(0))
+    users = dict[int, list[int]]()
+    for place, node in enumerate(program.nodes):
+        for operand in node.operands:
+            users.setdefault(operand, []).append(place)
+    fine = {
+        place
+        for place, node in enumerate(program.nodes)
+        if node.code == _FLOOR
+        and all(_rounded_at(program, user, symbols, steps) is not None for user in users.get(place, [-1]))
+    }
+    (found,) = program.dense(_values(program, symbols, fine), ca.SX(0))
     return ca.reshape(ca.vertcat(*found), *expression.shape)
 
 
-__all__ = ["APPLY", "rounds", "unknown", "unrounded"]
+def _program(expression: SX) -> tuple[list[SX], Program]:
+    symbols = ca.symvar(expression)
+    return symbols, read(ca.Function("f", symbols, [expression]))
+
+
+def _values(program: Program, symbols: Sequence[SX], fine: Iterable[int] = ()) -> list[SX]:
+    """The values of all nodes; x - 1/2 of a floor(x) that is fine."""
+    seen, means = list[SX](), set(fine)
+
+    def keep(node: Node, value: SX) -> SX:
+        seen.append(seen[node.a] - 0.5 if len(seen) in means else value)
+        return seen[-1]
+
+    return run(
+        program,
+        APPLY,
+        given=lambda argument, element: symbols[argument],
+        constant=ca.SX,
+        refuse=unknown,
+        keep=keep,
+    )
+
+
+__all__ = ["averaged", "unrounded"]

@@ -6,6 +6,9 @@ For a symmetric P from floats, read as the exact binary numbers that they are,
 
 by L D L' in intervals: all eigenvalues of every such F lie inside the unit circle. F divided by a radius proves that
 they lie inside that one.
+
+The proof is compared with two others who know the loop: the linearised loop in floats, and the tick of a run. Where
+they disagree, one of the three has another map, and nothing is proved.
 """
 
 from __future__ import annotations
@@ -19,12 +22,12 @@ from typing import Final, final
 import numpy as np
 
 from dmframe.analysis.enclosed import EnclosedLoop
-from dmframe.analysis.linear import Linear
+from dmframe.analysis.linear import Linear, tick_jacobian
 from dmframe.analysis.moves import SplitMoves
 from dmframe.analysis.period import LONGEST, SHORTEST, Bracket
-from dmframe.analysis.set_point import LARGE, MOST
+from dmframe.analysis.set_point import LARGE, MOST, at_rest
 from dmframe.diagram import Diagram
-from dmframe.errors import DmframeError, EngineError
+from dmframe.errors import DisagreementError, DmframeError, EngineError
 from dmframe.exact.fixed import Fixed
 from dmframe.exact.matrix import Matrix
 from dmframe.exact.rounded import Rounded, falls, gram, similar
@@ -41,6 +44,19 @@ _HOPELESS: Final = 1e-12
 _STEPS: Final = 4
 _SHARES: Final = (0.9999, 0.999, 0.99, 0.9, 0.5)
 """Periods that are tried, as shares of the longest at which floats find the loop stable."""
+
+
+_ROUNDING: Final = 1e-7
+"""By so much floats may miss a spectral radius."""
+
+_OTHER: Final = 1e-3
+"""Two spectral radii of one loop that differ by more are those of two loops: a multiple eigenvalue parts by less."""
+
+_ELSEWHERE: Final = 1e-3
+"""An equilibrium in floats that lies farther than this from the one that is enclosed is another one."""
+
+_INTEGRATED: Final = 1e-2
+"""By this share of its largest entry the tick of a run may miss the exact zero-order hold."""
 
 
 @final
@@ -64,6 +80,8 @@ class StabilityProof:
         where none was.
     kept
         How many sums of states no sample changes, exactly: they are taken as they are at the set-point.
+    disagrees
+        What was proved contradicts what floats or the tick of a run find: it was withdrawn, and `reason` says why.
     """
 
     directions: int = 0
@@ -73,6 +91,7 @@ class StabilityProof:
     period: float | None = None
     reason: str = ""
     kept: int = 0
+    disagrees: bool = False
 
 
 def proved_schur(F: Matrix, radius: Fixed | None = None) -> bool:
@@ -160,11 +179,63 @@ def prove_stability(
         within = loop.at(some).within
         radius = None if clock is None else _proved_radius(loop, clock)
         period = _longest(loop, bracket, clock if radius is not None else None)
+        _compare(diagram, linear, loop, clock if radius is not None else None, radius, period, moving)
     except DmframeError as error:
-        return StabilityProof(reason=error.text), split
+        return StabilityProof(reason=error.text, disagrees=isinstance(error, DisagreementError)), split
     resting = len(linear.states) - loop.moving - loop.kept
     why = _why(linear, loop, clock, radius, period)
     return StabilityProof(loop.moving, resting, within, radius, period, why, loop.kept), loop.split
+
+
+def _compare(
+    diagram: Diagram,
+    linear: Linear,
+    loop: EnclosedLoop,
+    clock: float | None,
+    radius: float | None,
+    period: float | None,
+    moving: bool,
+) -> None:
+    """Raises `DisagreementError` where floats, or the tick of a run, contradict what is proved.
+
+    It takes as long as two spectral radii and the Jacobian of one tick: below a second. Of a loop that is so large that
+    floats look at it on its own clock alone, the tick is not differentiated.
+    """
+    proved = [(clock, radius)] if clock is not None and radius is not None else []
+    proved += [(period, 1.0)] if period is not None else []
+    if not at_rest(linear.drift, linear.point):
+        return  # floats were asked for another point than the equilibrium: they speak of another linearised loop
+    for own, bound in proved:
+        found = linear.spectral_radius(own)
+        if not found <= bound + _ROUNDING:
+            raise _disagreement(own, f"{bound:.8g} is proved to bound the eigenvalues, and floats find {found:.8g}")
+    if not proved:
+        return
+    own, _ = proved[0]
+    if not loop.at(own).within <= _ELSEWHERE:
+        raise _disagreement(own, f"the equilibrium that is enclosed lies {loop.at(own).within:.2g} from that of floats")
+    found = linear.spectral_radius(own)
+    if linear.at_rest == len(linear.states) - loop.moving - loop.kept:  # else floats leave out others
+        seen = float(np.max(np.abs(np.linalg.eigvals(loop.transition(own).floats())), initial=0.0))
+        if abs(seen - found) > _OTHER:
+            raise _disagreement(
+                own, f"the enclosed loop has a spectral radius of {seen:.6g}, that in floats {found:.6g}"
+            )
+    if len(linear.states) > LARGE:
+        return
+    tick, Phi = tick_jacobian(diagram, linear.on(own), own, moving=moving), linear.sampled(own)
+    missed = float(np.max(np.abs(tick - Phi), initial=0.0) / max(1.0, np.max(np.abs(Phi), initial=0.0)))
+    if not missed <= _INTEGRATED:
+        raise _disagreement(
+            own, f"the slope of the tick of a run differs from that of the linearised loop by {missed:.2g}"
+        )
+
+
+def _disagreement(period: float, text: str) -> DisagreementError:
+    return DisagreementError(
+        f"the proof is withdrawn: sampled every {period:g} s, {text}; these are maps of two loops: a defect of "
+        "dmframe or of a block, please report it"
+    )
 
 
 def _why(linear: Linear, loop: EnclosedLoop, clock: float | None, radius: float | None, period: float | None) -> str:

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, final
 
 from dmframe.analysis.emulation import SECONDS, EmulationLimit, emulation_limits
 from dmframe.analysis.linear import Linear, linearise
 from dmframe.analysis.period import Bracket, StablePeriods, linearised_period, simulated_period
 from dmframe.analysis.rational import Passivity, Rational
-from dmframe.analysis.rounding import rounds
+from dmframe.analysis.rounding import averaged
 from dmframe.analysis.servo import JointLoop, servo_transfer
 from dmframe.analysis.stability_proof import StabilityProof, prove_stability
 from dmframe.analysis.tie import TieGain, tie_gains
 from dmframe.certify.true_values import estimates_of
 from dmframe.diagram import Diagram
+from dmframe.errors import listed
 from dmframe.exact.rational import Interval
 from dmframe.simulate import Solver
 
@@ -57,8 +58,8 @@ class LoopAnalysis:
         The largest adaptation gains that the clock bears, quasi-statically; nothing without a clock.
     unknown
         Estimates of which no true value is known: they are where the set-point has them.
-    rounded
-        Whether a signal is rounded, as by an encoder.
+    averaged
+        Outputs that blocks declare to be rounded, as encoders are, each with its largest step.
     field_hash
         `Diagram.fingerprint` of the diagram that was analysed.
     """
@@ -72,15 +73,18 @@ class LoopAnalysis:
     proofs: tuple[StabilityProof, StabilityProof]
     emulation: tuple[EmulationLimit, ...] = ()
     unknown: tuple[str, ...] = ()
-    rounded: bool = False
+    averaged: Mapping[str, float] = field(default_factory=dict)
     field_hash: str = ""
 
     @property
     def note(self) -> str:
         """What the numbers speak of."""
         note = NOTE if self.at_rest.clock is None else NOTE_OF_A_CLOCK
-        if self.rounded:
-            note += " What is rounded is taken as it is in the mean, the steps as fine."
+        if self.averaged:
+            steps = ", ".join(f"{label} (steps of {step:.3g})" for label, step in self.averaged.items())
+            note += f" What is rounded is taken as it is in the mean, the steps as fine: {steps}."
+        if self.at_rest.kinks:
+            note += f" It rests at an edge of {listed(self.at_rest.kinks)}: the linearised loop is that of one side."
         if self.unknown:
             note += f" No true value is known of {', '.join(self.unknown)}: they are where the set-point has them."
         return note
@@ -130,10 +134,8 @@ def analyse(
     )
     unknown = tuple(label for label, value in estimates_of(diagram, resting=True).items() if value is None)
     joints = servo_transfer(diagram, at_rest.point)
-    rounded, field_hash = rounds(diagram.loop), diagram.fingerprint
-    return LoopAnalysis(
-        clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, rounded, field_hash=field_hash
-    )
+    means, field_hash = averaged(diagram), diagram.fingerprint
+    return LoopAnalysis(clock, at_rest, moving, joints, periods, ties, proofs, limits, unknown, means, field_hash)
 
 
 def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
@@ -160,6 +162,7 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
                 "kept": proof.kept,
                 "within": proof.within,
                 "reason": proof.reason,
+                "disagrees": proof.disagrees,
             }
             for name, proof in zip(("at_rest", "moving"), analysis.proofs, strict=True)
         },
@@ -175,6 +178,8 @@ def summary(name: str, analysis: LoopAnalysis) -> dict[str, Any]:
             for limit in analysis.emulation
         ],
         "K_c": [_tie(tie) for tie in analysis.ties],
+        "averaged": dict(analysis.averaged),
+        "kinks": list(analysis.at_rest.kinks),
         "note": analysis.note,
     }
 

@@ -234,7 +234,7 @@ def _options(block: type[AdaptingBlock]) -> dict[str, tuple[Any, Any]]:
     unit = "" if error.unit == ANY else error.unit
     return found | {
         "leak": (Scalar | None, Positive("", "1/s", default=None)),
-        "error_leak": (Scalar | None, Positive("", rate_over(unit) if unit else "", default=None)),
+        "error_leak": (Scalar | None, Positive("", "" if error.unit == ANY else rate_over(unit), default=None)),
         "dead_zone": (Diagonal | None, Positive(error.shape, unit, default=None)),
     }
 

@@ -113,6 +113,12 @@ def breaches(block: type[AbstractBlock]) -> Iterator[str]:
             of = port.derivative_of
             if of and of not in known:
                 yield f"the {kind} {port.name} is declared the derivative of {of}, unknown; {nearest(of, known)}"
+    for port in block.outputs:
+        if port.rounded_by and port.rounded_by not in (names := list(specs(block))):
+            hint = nearest(port.rounded_by, names)
+            yield f"the output {port.name} is declared rounded by {port.rounded_by}, no parameter; {hint}"
+        elif port.rounded_by and not port.instead_of:
+            yield f"the output {port.name} is declared rounded, but replaces no input; add instead_of"
     inputs = {port.name for port in block.inputs}
     for kind, own in (("state", {state.name for state in block.states}), ("parameter", set(specs(block)))):
         yield from (f"has an input and a {kind} called {name}; rename one" for name in sorted(inputs & own))

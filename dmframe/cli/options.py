@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from dmframe.errors import DmframeError, ValueFault
-from dmframe.units import shorten, to_unit
+from dmframe.units import joint_place, shorten, to_unit
 
 _WHOLE: Final = re.compile(r"\s*[-+]?[0-9]+\s*")
 
@@ -43,7 +43,7 @@ def formats_of(text: str) -> tuple[str, ...]:
 
 
 def angles(option: str, pairs: Sequence[str]) -> dict[str, float]:
-    """Angles by joint [rad], each ``joint=angle``. Raises `ValueFault`, which names the option."""
+    """Places by joint [rad, or m for one that slides], each ``joint=angle``. Raises `ValueFault`, naming the option."""
     found = dict[str, float]()
     for pair in pairs:
         joint, equals, angle = (word.strip() for word in pair.partition("="))
@@ -51,7 +51,10 @@ def angles(option: str, pairs: Sequence[str]) -> dict[str, float]:
             raise ValueFault(f"{option} {pair}: expected joint=angle, for example wrist_2_joint='-90 deg'")
         if joint in found:
             raise ValueFault(f"{option} {pair}: {joint} is held twice; keep one of them")
-        found[joint] = quantity(option, angle, "rad", told=pair)
+        try:
+            found[joint] = joint_place(angle)
+        except DmframeError:
+            found[joint] = quantity(option, angle, "rad", told=pair)
     return found
 
 

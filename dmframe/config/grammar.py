@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final, Literal, TypeAlias, final
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, WithJsonSchema
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainValidator, WithJsonSchema
 
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
 from dmframe.simulate.instants import seed_fault
 from dmframe.simulate.step import Method
-from dmframe.units import to_unit
+from dmframe.units import joint_place, to_unit
 
 
 def _reader(unit: str, *, positive: bool) -> BeforeValidator:
@@ -35,6 +35,18 @@ def _schema(unit: str) -> WithJsonSchema:
 Seconds = Annotated[float, _reader("s", positive=True), _schema("s")]
 Jitter = Annotated[float, _reader("s", positive=False), _schema("s")]
 Angle = Annotated[float, _reader("rad", positive=False), _schema("rad")]
+
+
+def _place(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"expected a number in rad, or in m for a joint that slides, found {value!r}")
+    try:
+        return joint_place(value)
+    except DmframeError as error:
+        raise ValueError(error.text) from None
+
+
+Place = Annotated[float, PlainValidator(_place), _schema("rad, or m for a joint that slides")]
 Length = Annotated[float, _reader("m", positive=False), _schema("m")]
 Speed = Annotated[float, _reader("rad/s", positive=True), _schema("rad/s")]
 
@@ -105,7 +117,7 @@ class RobotSection(Section):
     free: tuple[str, ...] | None = Field(
         None, description="joints that move; without it, all those on the way to the tool"
     )
-    hold: dict[str, Angle] = Field({}, description="joints held still, with their angles")
+    hold: dict[str, Place] = Field({}, description="joints held still, with their angles, or places [m]")
     tool: Annotated[str | tuple[float, float, float] | None, BeforeValidator(_tool)] = Field(
         None, description="frame of the tool, or its offset in the last link"
     )

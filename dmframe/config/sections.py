@@ -13,7 +13,7 @@ from dmframe.block import AbstractBlock, type_name
 from dmframe.config.grammar import RobotSection, robot_name, shown
 from dmframe.config.renamed import Find
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.units import to_unit
+from dmframe.units import joint_place
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -125,7 +125,7 @@ def _start_numbers(item: Any, depth: int = 0) -> Any:
     if isinstance(item, list) and depth < 2:
         return [_start_numbers(below, depth + 1) for below in item]
     if isinstance(item, str):
-        return to_unit(item, "rad")
+        return joint_place(item)
     if isinstance(item, bool) or not isinstance(item, int | float):
         raise ValueFault(f"expected numbers, found {shown(item)}")
     try:

@@ -66,11 +66,16 @@ class Algebra:
         if not one:
             return other
         a, b = self.of(one), self.of(other)
-        exact = a.angular and b.angular and not a.number and not b.number
         apart = product(a, b, -1)
         if apart.unknowns:
-            self._solve(apart, exact=exact)
-        elif any(power and self._compared(base, exact=exact) for base, power in zip(BASES, apart.powers, strict=True)):
+            self._solve(apart, exact=apart.angular and not a.number and not b.number)
+            return self._sharper(one, other)
+        *powers, angles = ((base not in self.ignored) * power for base, power in zip(BASES, apart.powers, strict=True))
+        if b.number:
+            angles -= angles == 1  # a number that is written out may be one of radians
+        elif a.number:
+            angles += angles == -1
+        if any(powers) or (apart.angular and angles):
             return None
         return self._sharper(one, other)
 
@@ -83,9 +88,6 @@ class Algebra:
     def of(self, handle: int) -> Dimension:
         """The dimension, with what is known of its unknowns."""
         return self._known[self._resolve(handle)]
-
-    def _compared(self, base: str, *, exact: bool) -> bool:
-        return base not in self.ignored and (exact or base != "rad")
 
     def _sharper(self, one: int, other: int) -> int:
         """The one of two equal dimensions of which more is known."""

@@ -42,21 +42,12 @@ def unit_faults(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = Non
 
 def checks_of(models: Mapping[str, BlockModel], sizes: Sizes, robot: Any = None) -> list[Check]:
     """The check of each block."""
-    units = _element_units(models, robot)
+    units = element_units(models, robot)
     prismatic = robot is not None and any(joint.kind == "prismatic" for joint in robot.joints)
-    return [_checked(model, sizes, units, prismatic=prismatic) for model in models.values()]
+    return [Check.of(model, sizes, units, prismatic=prismatic) for model in models.values()]
 
 
-def _checked(model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool) -> Check:
-    """The check of a block; of one that seems to disagree, with the robot's limits as quantities and not as numbers."""
-    check = Check(model, sizes, units, prismatic=prismatic)
-    if model.robot is None or check.disagreement() is None:
-        return check
-    limited = with_limits(model, sizes)
-    return check if limited is None else Check(limited, sizes, units, prismatic=prismatic)
-
-
-def _element_units(models: Mapping[str, BlockModel], robot: Any) -> dict[str, tuple[str, ...]]:
+def element_units(models: Mapping[str, BlockModel], robot: Any) -> dict[str, tuple[str, ...]]:
     """The units of what letters count, as the blocks that bind the letters state them."""
     found = dict[str, tuple[str, ...]]()
     for model in models.values():
@@ -99,6 +90,17 @@ class Check:
             return
         posed = model.robot is not None and not _POSES.isdisjoint(self._compiled[0].codes)
         self._algebra.ignored = ("m", "rad") if prismatic else ("rad",) if posed else ()
+
+    @classmethod
+    def of(
+        cls, model: BlockModel, sizes: Sizes, units: Mapping[str, tuple[str, ...]], *, prismatic: bool = False
+    ) -> Check:
+        """The check of a block; of one that seems to disagree, with the robot's limits as quantities, not numbers."""
+        check = cls(model, sizes, units, prismatic=prismatic)
+        if model.robot is None or check.disagreement() is None:
+            return check
+        limited = with_limits(model, sizes)
+        return check if limited is None else cls(limited, sizes, units, prismatic=prismatic)
 
     @cached_property
     def _compiled(self) -> tuple[Program, dict[int, Leaf]]:
@@ -150,9 +152,9 @@ class Check:
 
     def fault(self) -> UnitError | None:
         """The first disagreement as a fault, with the one parameter whose unit would remove it."""
-        unlike = next(_unlike(self.model.block), None)
-        if unlike is not None:
-            return UnitError(f"{self.model.name}: {unlike}", path=("blocks", self.model.name))
+        declared = next(unlike(type(self.model.block)), None)
+        if declared is not None:
+            return UnitError(f"{self.model.name}: {declared}", path=("blocks", self.model.name))
         found = self.disagreement()
         if found is None:
             return None
@@ -203,9 +205,9 @@ def _bare(block: AbstractBlock) -> bool:
     return all(base_units(unit)[1].keys() <= {"s"} for unit in units - {ANY})
 
 
-def _unlike(block: AbstractBlock) -> Iterator[str]:
+def unlike(block: type[AbstractBlock]) -> Iterator[str]:
     """Declarations that no equation compares: starts, boxes and balls of states, and ports that are derivatives."""
-    numbers = specs(type(block))
+    numbers = specs(block)
     for state in block.states:
         for name, what in ((state.name, "start"), (state.box, "box"), (state.ball, "ball")):
             spec = numbers.get(name)

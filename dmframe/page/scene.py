@@ -11,7 +11,9 @@ import numpy as np
 import pinocchio as pin
 
 from dmframe.robot.chain import SerialChain
+from dmframe.robot.mimics import with_mimics
 from dmframe.robot.reduction import model_configuration
+from dmframe.robot.urdf import read_urdf
 
 MOST = 12_000
 """Triangles of a robot; of more, a page would be too large, and tubes are drawn."""
@@ -68,7 +70,8 @@ def _bodies(chain: SerialChain, urdf: Path, hold: dict[str, float]) -> list[tupl
     folders = [str(folder) for folder in (urdf.parent, *urdf.parents)]
     geometry = pin.buildGeomFromUrdf(model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
     locked = [i for i, name in enumerate(model.names) if i and name not in chain.joint_names]
-    _, reduced = pin.buildReducedModel(model, geometry, locked, model_configuration(model, hold))
+    places = with_mimics(read_urdf(urdf)[1], hold, chain.joint_names, chain.name)
+    _, reduced = pin.buildReducedModel(model, geometry, locked, model_configuration(model, places))
     meshes = [body for body in reduced.geometryObjects if hasattr(body.geometry, "vertices")]
     if sum(body.geometry.num_tris for body in meshes) > MOST:
         raise ValueError("expected fewer triangles")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, final
 from dmframe.config import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.fingerprint import short
-from dmframe.errors import DmframeError
+from dmframe.errors import DmframeError, listed
 from dmframe.units import plain
 
 if TYPE_CHECKING:
@@ -154,9 +154,9 @@ def _periods(found: LoopAnalysis) -> Iterator[tuple[str, str, str]]:
     periods = found.periods
     yield "linearised, at rest", _bracket(periods.at_rest), periods.at_rest.meaning
     yield "linearised, moving", _bracket(periods.moving), "the same without the slope of Coulomb friction at rest"
-    for name, proof in zip(("proved, at rest", "proved, moving"), found.proofs, strict=True):
+    for moving, (name, proof) in enumerate(zip(("proved, at rest", "proved, moving"), found.proofs, strict=True)):
         period = "none" if proof.period is None else plain(proof.period, "s", 4)
-        yield name, period, _meaning(proof, found)
+        yield name, period, _meaning(proof, found, bool(moving))
     yield "simulated", _bracket(periods.simulated), periods.simulated.meaning
 
 
@@ -165,7 +165,7 @@ def _model(found: LoopAnalysis) -> str:
     return f"of the model {short(found.field_hash)}"
 
 
-def _meaning(proof: StabilityProof, found: LoopAnalysis) -> str:
+def _meaning(proof: StabilityProof, found: LoopAnalysis, moving: bool) -> str:
     """What the proof says, in words."""
     if proof.period is None:
         return f"nothing is proved: {proof.reason}" if proof.reason else "nothing is proved"
@@ -176,8 +176,20 @@ def _meaning(proof: StabilityProof, found: LoopAnalysis) -> str:
         f"proved by interval arithmetic: an equilibrium lies within {proof.within:.1g} of the set-point, and the loop "
         f"linearised there, Euler controller, exact zero-order hold, comes to rest from every state, in "
         f"{proof.directions} directions{rests}. It is proved {_model(found)} and of this period; a shorter one needs "
-        "another proof"
+        f"another proof. Assumed: {_assumed(found, moving)}"
     )
+
+
+def _assumed(found: LoopAnalysis, moving: bool) -> str:
+    """Of what loop the proof is."""
+    parts = ["trajectories and loads as they are at t = 0 s", "nothing drawn, no jitter"]
+    held = f" but for {listed(found.unknown)}" if found.unknown else ""
+    parts.append(f"estimates at their true values{held}")
+    if found.averaged:
+        parts.append(f"{listed(list(found.averaged))} without rounding")
+    if moving:
+        parts.append("no slope of Coulomb friction at rest")
+    return listed(parts)
 
 
 def _bracket(bracket: Bracket) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 from dmframe.config.experiment import Experiment
 from dmframe.files import told_apart
 from dmframe.robot.library import RobotSource, find_robot
+from dmframe.units import Stated
 
 _AFTER = ("wires", "baseline", "uncertain")
 """Keys that stand after the blocks, where a file has them."""
@@ -122,4 +123,6 @@ def _beside(experiment: Experiment, path: str) -> Path:
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return float(value) if isinstance(value, Stated) else value

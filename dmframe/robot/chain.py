@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, final
 
 import numpy as np
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from dmframe import notebook
 from dmframe.errors import ValueFault
+from dmframe.robot.mimics import Mimic
 from dmframe.robot.rational import Matrix, Vector, decimal, rational_axis, rational_rotation
 from dmframe.robot.reduction import check_inertia, model_configuration, motion_subspace, reduce_model
 from dmframe.robot.urdf import read_urdf
@@ -156,7 +158,7 @@ class SerialChain:
         axes: str = "xyz",
         name: str | None = None,
         friction_velocity: float = 0.005,
-        mimics: frozenset[str] = frozenset(),
+        mimics: Mapping[str, Mimic] = MappingProxyType({}),
     ) -> SerialChain:
         """The chain of a `pin.Model`.
 
@@ -168,7 +170,8 @@ class SerialChain:
         tool : frame name, or (3,) in m in the last free joint's frame
             Default: the last body frame of the only chain.
         axes : one of x, y, z, xy, xz, yz, xyz
-        mimics : joints that follow another; they may be held, not free
+        mimics : joints that follow another, with their laws
+            They are not free: where the leader is held, they are where it puts them.
 
         Raises
         ------

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dmframe.errors import RobotError, UnknownNameError, ValueFault
+from dmframe.robot.mimics import Mimic, with_mimics
 
 TOOL_FRAME = "dmframe_tool"
 FARTHEST = 1e100
@@ -23,7 +24,7 @@ def reduce_model(
     free: Sequence[str] | None,
     hold: Mapping[str, float],
     tool: str | Sequence[float] | None,
-    mimics: frozenset[str],
+    mimics: Mapping[str, Mimic],
 ) -> tuple[Any, int]:
     """The model with all but its free joints locked, and the index of the tool's frame in it.
 
@@ -50,6 +51,8 @@ def reduce_model(
     if not kept:
         raise RobotError(f"{where}: no free joint is left; hold fewer joints", path=("robot", "free"))
     _check_kinds(model, where, kept, hold, mimics)
+    known = {joint: law for joint, law in mimics.items() if joint in names}
+    hold = with_mimics(known, hold, kept, where)
     locked = [model.getJointId(joint) for joint in names if joint not in kept]
     reduced = pin.buildReducedModel(_with_unique_frames(model), locked, model_configuration(model, hold))
     for frame in reduced.frames:
@@ -74,7 +77,9 @@ def _check_names(where: str, names: Sequence[str], free: Sequence[str] | None, h
             )
 
 
-def _check_kinds(model: Any, where: str, kept: set[str], hold: Mapping[str, float], mimics: frozenset[str]) -> None:
+def _check_kinds(
+    model: Any, where: str, kept: set[str], hold: Mapping[str, float], mimics: Mapping[str, Mimic]
+) -> None:
     for index in range(1, model.njoints):
         joint, name = model.joints[index], model.names[index]
         if name not in kept and name not in hold:
@@ -91,6 +96,8 @@ def _check_kinds(model: Any, where: str, kept: set[str], hold: Mapping[str, floa
                 path=("robot", "free" if name in kept else "hold"),
             )
         subspace = motion_subspace(joint)
+        if name in hold:
+            _check_unit(where, name, hold[name], "rad" if np.any(subspace[3:]) else "m")
         if name in kept and np.any(subspace[:3]) and np.any(subspace[3:]):
             raise RobotError(
                 f"{where}: joint {name} is of type {kind}; expected a free joint to be revolute or prismatic",
@@ -101,6 +108,16 @@ def _check_kinds(model: Any, where: str, kept: set[str], hold: Mapping[str, floa
                 f"{where}: joint {name} has an armature; expected none: add the rotor's inertia to its link",
                 path=("robot", "model"),
             )
+
+
+def _check_unit(where: str, name: str, value: float, unit: str) -> None:
+    """Refuse an angle for a joint that slides, and a length for one that turns. A plain number has no unit."""
+    if getattr(value, "unit", unit) != unit:
+        slides = "is prismatic: expected metres, 0.1 m, say" if unit == "m" else "turns: expected an angle, 30 deg, say"
+        raise ValueFault(
+            f"{where}: hold: joint {name} {slides}; found {float(value):.6g} {getattr(value, 'unit', '')}",
+            path=("robot", "hold"),
+        )
 
 
 def _on_the_way(model: Any, where: str, tool: str | Sequence[float] | None) -> set[str]:

@@ -15,13 +15,14 @@ from xml.parsers import expat
 import numpy as np
 
 from dmframe.errors import MissingError, RobotError, raise_all
+from dmframe.robot.mimics import Mimic
 from dmframe.robot.urdf_numbers import INERTIA, Lines, faults_of, numbers, spelled_plainly
 
 URDF_PATH = ("robot", "model")
 
 
-def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
-    """The `pin.Model` of a URDF file, and the names of its joints that mimic another one.
+def read_urdf(path: Path) -> tuple[Any, dict[str, Mimic]]:
+    """The `pin.Model` of a URDF file, and its joints that follow another one.
 
     Raises
     ------
@@ -49,8 +50,24 @@ def read_urdf(path: Path) -> tuple[Any, frozenset[str]]:
     except (ValueError, RuntimeError) as fault:
         reason = str(fault).strip().rstrip(".")
         raise RobotError(f"{where}: expected a valid URDF; the parser says: {reason}", path=URDF_PATH) from None
-    mimics = (joint.get("name", "") for joint in root.findall("joint") if joint.find("mimic") is not None)
-    return model, frozenset(mimics)
+    return model, _mimics(root, lines, where)
+
+
+def _mimics(root: ElementTree.Element, lines: Lines, where: str) -> dict[str, Mimic]:
+    names, found = {joint.get("name", "") for joint in root.findall("joint")}, dict[str, Mimic]()
+    for joint in root.findall("joint"):
+        if (mimic := joint.find("mimic")) is None:
+            continue
+        leader = mimic.get("joint", "")
+        if leader not in names:
+            raise RobotError(
+                f"{where}:{lines.of[mimic]}: joint {joint.get('name', '')} mimics {leader or 'no joint'}: expected the "
+                "name of a joint of this file",
+                path=URDF_PATH,
+            )
+        scale, offset = (numbers(mimic.get(key, rest))[0] for key, rest in (("multiplier", "1"), ("offset", "0")))
+        found[joint.get("name", "")] = Mimic(leader, scale, offset)
+    return found
 
 
 def _parse(text: str, where: str) -> tuple[ElementTree.Element, Lines]:

@@ -149,10 +149,28 @@ def given_starts(diagram: Diagram, variables: Sequence[Variable], given: Mapping
             size = " x ".join(map(str, numbers.shape)) if numbers.size and numbers.ndim > 1 else numbers.size
             faults.append(ValueFault(f"start.{key}: expected {expected}, found {size}", path=("start", key)))
             continue
+        faults += _other_units(diagram, found, value, key)
         values[found.label] = np.broadcast_to(numbers, shape).ravel(order="F")  # a matrix is kept as a column
         faults += _outside_limits(diagram, found, values[found.label], key)
     raise_all(faults)
     return values
+
+
+def _other_units(diagram: Diagram, variable: Variable, value: Any, key: str) -> list[DmframeError]:
+    """Numbers with a unit that is not the state's; of the joints' places and speeds, not that of the joint's kind."""
+    of_joints = diagram.robot is not None and variable.shape == "n" and variable.unit == "rad"
+    joints = diagram.robot.joints if of_joints else ()
+    items = value if isinstance(value, list | tuple) else [value] * max(1, len(joints))
+    faults = list[DmframeError]()
+    for k, item in enumerate(items):
+        unit = getattr(item, "unit", None)
+        slides = k < len(joints) and joints[k].kind == "prismatic"
+        wanted = "m" if slides else variable.unit
+        if unit is not None and unit != wanted:
+            whose = f" of {joints[k].name}" if k < len(joints) else ""
+            text = f"start.{key}: expected a number in {wanted or '1'}{whose}, found {float(item):.6g} {unit}"
+            faults.append(ValueFault(text, path=("start", key)))
+    return faults
 
 
 def _numbers(value: Any) -> np.ndarray:

@@ -18,6 +18,7 @@ from queue import Empty, Queue
 from typing import Any, Final, final
 
 from dmframe.errors import DmframeError, MissingError, visible
+from dmframe.interrupts import in_child
 from dmframe.study.beside import packed, unpacked
 from dmframe.study.chunks import Chunk
 from dmframe.study.computed import Computable, Computed, Failed, compute, versions
@@ -166,7 +167,17 @@ class Refused:
 
 
 _studies: dict[str, Computable] = {}
-_one: Final = threading.Lock()
+_one = threading.Lock()
+
+
+def _renew() -> None:
+    """In a copy of a worker: no chunk is computed there, and what one has begun to prepare is not used."""
+    global _one
+    _one = threading.Lock()
+    _studies.clear()
+
+
+in_child(_renew)
 
 
 def work(parcel: bytes, key: str, wanted: Mapping[str, str], chunk: Chunk) -> Computed | Failed | Refused:

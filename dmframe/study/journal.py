@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from dmframe.errors import MissingError, OutputError
 from dmframe.files import writing
 from dmframe.study.identity import key_of
+from dmframe.study.kernel_lock import journal_lock
 
 if TYPE_CHECKING:
     import optuna
@@ -31,7 +32,7 @@ def opened(folder: Path, tuning: Tuning, *, create: bool) -> Iterator[optuna.Stu
     try:
         import optuna
         from optuna.storages import JournalStorage
-        from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+        from optuna.storages.journal import JournalFileBackend
     except ImportError:
         raise MissingError('tuning needs Optuna: pip install "dmframe[tune]"') from None
     path = folder / JOURNAL
@@ -45,7 +46,7 @@ def opened(folder: Path, tuning: Tuning, *, create: bool) -> Iterator[optuna.Stu
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            storage = JournalStorage(JournalFileBackend(str(path), lock_obj=JournalFileOpenLock(str(path))))
+            storage = JournalStorage(JournalFileBackend(str(path), lock_obj=journal_lock(path)))
             held = optuna.create_study(
                 storage=storage,
                 sampler=_sampler(tuning.section.seed),

@@ -11,7 +11,7 @@ import pytest
 
 from dmframe.analysis import linearise, linearised_period, prove_stability, proved_schur
 from dmframe.analysis.enclosed import EnclosedLoop, without_store
-from dmframe.analysis.rounding import rounds, unrounded
+from dmframe.analysis.rounding import averaged, unrounded
 from dmframe.analysis.sums import Span, conserved, sums_of
 from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.config import load_experiment
@@ -20,7 +20,7 @@ from dmframe.exact.fixed import Fixed
 from dmframe.exact.matrix import Matrix
 from dmframe.exact.rounded import Rounded, falls, similar
 from dmframe.exact.rows import dense, sparse
-from dmframe.parameter import Real, Scalar
+from dmframe.parameter import Positive, Real, Scalar
 from dmframe.port import PERIOD, Access, Port, Side, State
 from dmframe.program import read
 from dmframe_blocks._averaged_servo import AveragedServo, averaged_servo
@@ -82,10 +82,11 @@ class Rounding(AbstractBlock):
 
     side: ClassVar[Side] = Side.PLANT
     inputs: Ports = (Port("y"),)
-    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y"),)
+    outputs: Ports = (Port("y_m", access=Access.MEASURED, instead_of="y", rounded_by="step"),)
+    step: Scalar = Positive(default=0.01)
 
     def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
-        return Equations(outputs={"y_m": 0.01 * ca.floor(u.y / 0.01 + 0.5)})
+        return Equations(outputs={"y_m": p.step * ca.floor(u.y / p.step + 0.5)})
 
 
 def loop(law: AbstractBlock) -> Diagram:
@@ -210,8 +211,8 @@ def test_coordinates_without_an_inverse_prove_nothing() -> None:
 def test_what_is_rounded_is_taken_in_the_mean() -> None:
     plain = loop(Modelling())
     rounded = Diagram.build({"law": Modelling(), "follower": Follower(), "encoder": Rounding()})
-    assert rounds(rounded.loop)
-    assert not rounds(plain.loop)
+    assert averaged(rounded) == {"encoder.y_m": 0.01}
+    assert averaged(plain) == {}
     assert unrounded(plain) is plain
     one, other = (linearise(diagram, clock=T).spectral_radius(T) for diagram in (plain, rounded))
     assert one == pytest.approx(other, abs=1e-9)

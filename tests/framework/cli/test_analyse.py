@@ -35,6 +35,8 @@ def test_json_holds_poles_that_are_stable_and_periods_in_order(dmframe: Any) -> 
         "proof",
         "emulation",
         "K_c",
+        "averaged",
+        "kinks",
         "note",
     }
     assert told["clock"] == 0.002

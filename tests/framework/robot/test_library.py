@@ -33,7 +33,7 @@ def test_packaged_robots_are_found_through_their_entry_point():
 def test_a_source_states_its_defaults():
     source = find_robot("panda")
     assert (source.tool, source.axes, source.free) == ("panda_hand_tcp", "xyz", None)
-    assert source.hold == {"panda_finger_joint1": 0.0, "panda_finger_joint2": 0.0}
+    assert source.hold == {"panda_finger_joint1": 0.0}
     assert source.description
     assert source.urdf.is_file()
 

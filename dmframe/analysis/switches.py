@@ -1,0 +1,235 @@
+r"""Which way a loop's switches turn out where it rests: comparisons, signs, roundings, rests of divisions, saturations.
+
+Strictly inside a piece a switch is what it is there, and a guard says so: a number above zero as long as it stays so.
+On an edge it has no slope, and what is linear says nothing of what is near. The linearised loop in floats and the
+interval proof take their pieces from here, both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dmframe.analysis.least_cut import LEAST, SMALL
+from dmframe.certificate import SX
+from dmframe.exact.fixed import UndecidedError
+from dmframe.program import (
+    COMPARISONS,
+    CONST,
+    INPUT,
+    JUMPS,
+    KINKS,
+    OPERATIONS,
+    Node,
+    Program,
+    by_code,
+    read,
+    run,
+    sign_of,
+)
+
+Array = NDArray[np.float64]
+
+APPLY: Final[Mapping[int, Any]] = {
+    code: (lambda a, b, code=code: ca.SX.binary(code, a, b))
+    if row.arity == 2
+    else (lambda a, code=code: ca.SX.unary(code, a))
+    for code, row in OPERATIONS.items()
+}
+"""Each operation, applied to expressions."""
+
+_FELT: Final = 1e-9
+"""What an output changes by, relative to 1 + its size, when it jumps."""
+
+_TRUTHS: Final = COMPARISONS | by_code({"not": 0, "and": 0, "or": 0}).keys()
+_NAMES: Final = by_code({row.name: row.name for row in OPERATIONS.values()})
+
+
+def unknown(code: int) -> Exception:
+    """What to raise for an operation that is not known."""
+    return UndecidedError(f"CasADi's instruction {code} is not known here")
+
+
+def numbers_of(program: Program, symbols: Sequence[SX], at: Sequence[Any]) -> Array:
+    """The values of all nodes at a point, in floating point."""
+    values = run(
+        program,
+        APPLY,
+        given=lambda argument, element: symbols[argument].nz[element],
+        constant=ca.SX,
+        refuse=unknown,
+    )
+    return np.asarray(ca.Function("nodes", list(symbols), [ca.vertcat(*values)])(*at).full()).ravel()
+
+
+def chosen(program: Program, symbols: Sequence[SX], numbers: Array) -> tuple[SX, SX]:
+    """The outputs with every switch that the numbers decide as it turns out; and the guards that keep it so.
+
+    Parameters
+    ----------
+    numbers
+        The values of all nodes at the point, of `numbers_of`.
+    """
+    values, guards = list[SX](), list[SX]()
+    for node, number in zip(program.nodes, numbers, strict=True):
+        code, a, b, constant, _ = node
+        if code == INPUT:
+            value = symbols[a].nz[b]
+        elif code == CONST:
+            value = ca.SX(constant)
+        else:
+            value = _as_it_turns_out(node, number, values, numbers, guards)
+        values.append(value)
+    (found,) = program.stored(values)
+    used = [guard for guard in guards if not guard.is_constant()]
+    return ca.vertcat(*found), ca.densify(ca.vertcat(ca.SX(0, 1), *used))
+
+
+def _as_it_turns_out(node: Node, number: float, values: Sequence[SX], numbers: Array, guards: list[SX]) -> SX:
+    """An operation's value, a switch's as it turns out at the point; its guards are added."""
+    code, a, b = node.code, node.a, node.b
+    name = _NAMES.get(code)
+    if name is None:
+        raise unknown(code)
+    x, y, first, last = values[a], values[b], float(numbers[a]), float(numbers[b])
+    plain = APPLY[code](x, y) if OPERATIONS[code].arity == 2 else APPLY[code](x)
+    if plain.is_constant():
+        return plain
+    if code in COMPARISONS and apart(first, last):
+        guards.append(x - y if first > last else y - x)
+        return ca.SX(float(number))
+    if name in ("fmin", "fmax") and apart(first, last):
+        (low, high) = (x, y) if first < last else (y, x)
+        guards.append(high - low)
+        return low if name == "fmin" else high
+    side, other = (1.0 if of > 0 else -1.0 for of in (first, last))
+    if name in ("sign", "fabs") and apart(first, 0.0):
+        guards.append(side * x)
+        return ca.SX(side) if name == "sign" else side * x
+    if name == "copysign" and apart(last, 0.0):
+        guards.append(other * y)
+        if not apart(first, 0.0):
+            return other * APPLY[ca.OP_FABS](x)
+        guards.append(side * x)
+        return other * side * x
+    if name in ("floor", "ceil", "fmod", "remainder"):
+        return _step(name, x, y, first, last, guards, plain)
+    if name in ("and", "or") and (x.is_constant() or y.is_constant()):
+        fixed, other = (x, y) if x.is_constant() else (y, x)
+        return fixed if (float(fixed) == 0) == (name == "and") else APPLY[ca.OP_NOT](APPLY[ca.OP_NOT](other))
+    if name == "if_else_zero" and x.is_constant():
+        return y if float(x) else ca.SX(0)
+    return plain
+
+
+def _step(name: str, x: SX, y: SX, first: float, last: float, guards: list[SX], plain: SX) -> SX:
+    """A rounding, or the rest of a division, within its step; as it is on an edge."""
+    rest = name in ("fmod", "remainder")
+    if rest and not apart(last, 0.0):
+        return plain
+    at, of = (first / last, x / y) if rest else (first, x)
+    shift = 0.5 if name == "remainder" else 0.0
+    k = float({"floor": np.floor, "ceil": np.ceil, "fmod": np.trunc}.get(name, np.rint)(at))
+    # which numbers have that k: for ceil those up to it, for the quotient 0 those to both sides
+    low = k - 1 if name == "ceil" or (name == "fmod" and k <= 0) else k - shift
+    high = k if name == "ceil" or (name == "fmod" and k < 0) else k + 1 - shift
+    if not (apart(at, low) and apart(at, high)):
+        return plain
+    guards.extend((of - low, high - of))
+    if rest:
+        guards.append(y if last > 0 else -y)
+        return x - k * y
+    return ca.SX(k)
+
+
+def apart(a: float, b: float) -> bool:
+    """True where two numbers differ by more than a point's own error, so that they compare alike nearby."""
+    return abs(a - b) > SMALL * max(abs(a), abs(b)) + LEAST
+
+
+def turning(expression: SX, symbols: Sequence[SX], at: Sequence[Any]) -> tuple[list[str], list[str]]:
+    """The switches of an expression that are on an edge at a point, and that its first argument moves.
+
+    First those with which the expression jumps; then those with which its slope alone may jump.
+    """
+    pieces, numbers = read(ca.Function("switches", list(symbols), [ca.cse(ca.densify(ca.vec(expression)))])), None
+    if pieces.codes & (JUMPS | KINKS):
+        numbers = numbers_of(pieces, symbols, at)
+        left = chosen(pieces, symbols, numbers)[0]
+        pieces = read(ca.Function("switches", list(symbols), [ca.cse(left)]))
+    if numbers is None or not pieces.codes & (JUMPS | KINKS):
+        return [], []
+    numbers, moved, both, kinks = numbers_of(pieces, symbols, at), list[bool](), dict[int, list[float]](), set[str]()
+    for place, node in enumerate(pieces.nodes):
+        moved.append((node.code == INPUT and node.a == 0) or any(moved[k] for k in node.operands))
+        if moved[-1] and node.code in KINKS:
+            kinks.add(sign_of(node.code))
+        elif moved[-1] and node.code in JUMPS and (ways := _ways(place, pieces, numbers)):
+            both[place] = ways
+    jumps = _jumping(pieces, symbols, at, numbers, both)
+    kinks |= {sign_of(pieces.nodes[place].code) for place in both}
+    return sorted(jumps), sorted(kinks - jumps)
+
+
+def _ways(place: int, program: Program, numbers: Array) -> list[float]:
+    """What else a switch on its edge may be just beside the point; nothing, where another switch decides it."""
+    node, value = program.nodes[place], float(numbers[place])
+    name, first, last = _NAMES[node.code], float(numbers[node.a]), float(numbers[node.b])
+    decided = all(program.nodes[k].code in _TRUTHS for k in node.operands)
+    if node.code in COMPARISONS:
+        return [1.0 - value]
+    if name == "sign":
+        return [-1.0, 1.0]
+    if name in ("floor", "ceil"):
+        return [value - 1, value + 1]
+    if name in ("fmod", "remainder"):
+        return [value - last, value + last]
+    if name == "copysign":
+        return [-value]
+    if name == "atan2":
+        return [-value] if last < 0 and not apart(first, 0.0) else []
+    if name == "if_else_zero":
+        condition = program.nodes[node.a].code in _TRUTHS or apart(first, 0.0)
+        return [] if condition else [0.0, last]
+    return [] if decided else [1.0 - value]
+
+
+def _jumping(
+    program: Program, symbols: Sequence[SX], at: Sequence[Any], numbers: Array, both: Mapping[int, Sequence[float]]
+) -> set[str]:
+    """Which of some values change the outputs if they are what else they may be."""
+    if not both:
+        return set()
+    order, places = {place: k for k, place in enumerate(both)}, iter(range(len(program.nodes)))
+    free = ca.SX.sym("free", len(both))
+
+    def keep(_: Node, value: SX) -> SX:
+        k = order.get(next(places))
+        return value if k is None else free[k]
+
+    values = run(
+        program,
+        APPLY,
+        given=lambda argument, element: symbols[argument].nz[element],
+        constant=ca.SX,
+        refuse=unknown,
+        keep=keep,
+    )
+    (found,) = program.stored(values)
+    outputs = ca.Function("outputs", [*symbols, free], [ca.vertcat(*found)])
+    own = numbers[list(both)]
+    here, jumps = outputs(*at, own).full(), set[str]()
+    for place, ways in both.items():
+        for way in ways:
+            other = own.copy()
+            other[order[place]] = way
+            if np.any(np.abs(outputs(*at, other).full() - here) > _FELT * (1 + np.abs(here))):
+                jumps.add(sign_of(program.nodes[place].code))
+    return jumps
+
+
+__all__ = ["APPLY", "apart", "chosen", "numbers_of", "turning", "unknown"]

@@ -1,0 +1,61 @@
+"""Joints that follow another one, as a URDF's `mimic` says: q = multiplier q_leader + offset."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import NamedTuple, final
+
+from dmframe.errors import RobotError
+
+SAME = 1e-9
+"""Of a held angle: nearer than this it is where its leader puts it [rad or m]."""
+
+
+@final
+class Mimic(NamedTuple):
+    """A joint's law."""
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
+def with_mimics(
+    mimics: Mapping[str, Mimic], hold: Mapping[str, float], kept: Collection[str], where: str
+) -> dict[str, float]:
+    """Where joints are held, those that follow one among them; a joint that nothing holds is at 0.
+
+    Raises
+    ------
+    RobotError
+        A joint follows a free one, so that no number holds it; it is held elsewhere than its leader puts it; or joints
+        follow one another in a circle.
+    """
+    found = dict(hold)
+    for name, law in mimics.items():
+        if name in kept:
+            continue
+        follows, scale, offset, seen = law.leader, law.multiplier, law.offset, {name}
+        while follows in mimics and follows not in hold:
+            if follows in seen:
+                raise RobotError(f"{where}: joint {name} follows itself through {follows}", path=("robot", "model"))
+            seen.add(follows)
+            above = mimics[follows]
+            follows, scale, offset = above.leader, scale * above.multiplier, offset + scale * above.offset
+        if follows in kept:
+            if name in hold:
+                continue
+            raise RobotError(
+                f"{where}: joint {name} follows {follows}, which is free; hold {follows}, or {name} at one place",
+                path=("robot", "free"),
+            )
+        place = scale * hold.get(follows, 0.0) + offset
+        if name in hold and follows in hold and not math.isclose(hold[name], place, abs_tol=SAME):
+            raise RobotError(
+                f"{where}: joint {name} follows {follows}: expected it held at {place:.6g}, found {hold[name]:.6g}; "
+                f"leave {name} out",
+                path=("robot", "hold"),
+            )
+        found.setdefault(name, place)
+    return found

@@ -1,0 +1,217 @@
+"""Units of the packaged blocks: they agree in every packaged graph, and a wrong exponent of any parameter is found."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import pytest
+import yaml
+
+import dmframe as dm
+from dmframe.block import AbstractBlock
+from dmframe.block.model import model_block
+from dmframe.block.sizes import bind_sizes, parameter_arrays
+from dmframe.catalogue import block_types, graphs
+from dmframe.diagram import Diagram
+from dmframe.dimensions import check as check_module
+from dmframe.dimensions.check import Check, element_units, unlike
+from dmframe.dimensions.dimension import BASES, ONE
+from dmframe.errors import DmframeError, raise_all
+from dmframe.parameter import PAIRS, Spec, specs
+from dmframe.port import ANY
+
+CHEAP: Final = ("pendulum", "arm2_joint", "slotine_li", "computed_torque", "torque_direct_pi", "torque_direct_pid")
+PREFERRED: Final = ("known_tracking_composite_pi",)
+"""Those that hold a block with more of its options."""
+
+
+RADIANS: Final[Mapping[str, str]] = {
+    "adaptive_camera": "Gamma_c leak error_leak",
+    "adaptive_kinematics": "start_error leak error_leak dead_zone R forgetting",
+    "admittance": "M_a",
+    "circle": "radius",
+    "consistent_adaptation": "c",
+    "consistent_compensator": "c",
+    "direct_adaptation": "leak error_leak",
+    "dynamic_compensator": "leak error_leak",
+    "elastic_joints": "inertia",
+    "encoder": "step noise window time_constant",
+    "filtered_adaptation": "leak error_leak",
+    "filtered_regressor": "bandwidth weight Gamma_b",
+    "force_sensor": "noise",
+    "image_regulation": "alpha",
+    "indirect_adaptation": "leak error_leak",
+    "inverse_dynamics": "off",
+    "gripper": "mass center inertia",
+    "loaded_manipulator": "payload payload_at viscous coulomb K maker_gravity maker_viscous",
+    "manipulator": "viscous coulomb K maker_gravity maker_viscous",
+    "measurement_delay": "share",
+    "path_pace": "u_max share",
+    "payload": "mass center inertia",
+    "payload_estimate": "least",
+    "regressor": "nominal",
+    "reset_compensator": "clearing leak error_leak",
+    "sampled_inverse": "tau nu w_0 k_P k_I k_P_size k_I_size offset_size k_P_box k_I_box offset_box u_max margin",
+    "sampled_supervisor": "hysteresis trip",
+    "sampled_tracking": "gamma Lambda damping",
+    "sinusoid": "amplitude",
+    "spiral": "radius lean",
+    "stribeck_friction": "sticking uneven",
+    "tool_orientation": "lever",
+    "transport_delay": "share late lost",
+    "turning": "amplitude",
+    "wall": "point stiffness damping",
+}
+"""Parameters whose power of rad is not known, by the one rule: after a sine, beside a mass or a plain number, in
+what is made of the robot's functions of a pose."""
+
+NEVER: Final[Mapping[str, str]] = {
+    "consistent_adaptation": "floor",  # read by the projection alone
+    "consistent_compensator": "floor",
+    "sampled_inverse": "retention",
+    "wall": "normal",  # made one of length 1
+    "waypoints": "x_d orientations",  # of one set of points, which is q_d here
+}
+"""Parameters without an equation, as the graphs stand, that another unit would contradict."""
+
+
+@pytest.mark.parametrize("graph", sorted(graphs()))
+def test_units_agree_in_every_packaged_graph(graph: str) -> None:
+    assert dm.load(graph).diagram.unit_faults == []
+
+
+TOGETHER: Final[Mapping[str, Sequence[Mapping[str, Any]]]] = {
+    "adaptive_kinematics": [{"R": 0.5, "forgetting": 0.5}],
+    "gripper": [
+        {
+            "at": (1.0, 2.0),
+            "mass": (1.0, 2.0),
+            "center": ((0.1, 0.1, 0.1), (0.1, 0.1, 0.1)),
+            "inertia": ((0.1, 0.0, 0.1, 0.0, 0.0, 0.1), (0.1, 0.0, 0.1, 0.0, 0.0, 0.1)),
+        }
+    ],
+    "loaded_manipulator": [{"payload": (1.0, 2.0), "payload_at": (0.0, 1.0)}],
+    "sampled_tracking": [{"gamma": None, "Lambda": 0.5}],
+    "setpoint": [{"x_d": None, "q_d": (0.5, 0.5, 0.5)}],
+    "waypoints": [{"q_d": None, "x_d": ((0.1,), (0.2,))}],
+}
+"""Options that go with others alone."""
+
+
+@functools.cache
+def holders() -> dict[str, tuple[str, str]]:
+    """For each type of block the first packaged graph that holds it, cheap ones first, and its name there."""
+    found = dict[str, tuple[str, str]]()
+    order = sorted(
+        graphs(), key=lambda name: (name not in PREFERRED, name not in CHEAP, not name.startswith("torque"), name)
+    )
+    for graph in order:
+        blocks = yaml.safe_load(graphs()[graph].read_text(encoding="utf-8"))["blocks"]
+        for name, said in blocks.items():
+            found.setdefault(said["type"], (graph, name))
+    return found
+
+
+@functools.cache
+def built(graph: str) -> Diagram:
+    return dm.load(graph).diagram
+
+
+def of_one(spec: Spec, size: Any) -> Any:
+    """A value of this form."""
+    if spec.form in PAIRS:
+        return (0.5, 1.5)
+    if spec.form == "table":
+        return ((1.0,) * size(spec.shape.split()[1]), (2.0,) * size(spec.shape.split()[1]))
+    if spec.form == "vector":
+        return tuple(1.0 + k for k in range(2 if spec.shape == "*" else size(spec.shape)))
+    return 0.5
+
+
+def variants(kind: str) -> Iterator[Check]:
+    """The block as a graph has it, and with each option that it leaves out; of one in no graph, with all of them."""
+    block_type = block_types()[kind]
+    graph, name = holders().get(kind, ("arm2_joint", ""))
+    diagram = built(graph)
+
+    def size(letter: str) -> int:
+        return int(letter) if letter.isdigit() else diagram.sizes.bound[letter][0]
+
+    values = {key: of_one(spec, size) for key, spec in specs(block_type).items()}
+    if name:
+        own = diagram.blocks[name].model_dump()
+        said = {key: value for key, value in own.items() if value is not None}
+        yield check_of(kind, diagram.blocks[name], diagram)
+        given = [{**said, key: value} for key, value in values.items() if key not in said]
+        given += [{**said, **more} for more in TOGETHER.get(kind, ())]
+    else:
+        given = [values, *TOGETHER.get(kind, ())]
+    for choice in given:
+        try:
+            yield check_of(kind, block_type(**choice), diagram)
+        except (DmframeError, ValueError):
+            continue
+
+
+def check_of(kind: str, block: AbstractBlock, diagram: Diagram) -> Check:
+    blocks = {**{name: other for name, other in diagram.blocks.items() if type(other) is not type(block)}, kind: block}
+    sizes, faults = bind_sizes(blocks, diagram.robot)
+    numbers, wrong = parameter_arrays(kind, block, sizes, blocks, diagram.robot)
+    raise_all([*faults, *wrong])
+    robot = next((model.robot for model in diagram.models.values() if model.robot is not None), None)
+    model = model_block(kind, block, numbers, sizes, robot)
+    return Check.of(model, sizes, element_units({**diagram.models, kind: model}, diagram.robot))
+
+
+def inferred(block: type[AbstractBlock], name: str, spec: Spec) -> bool:
+    """Parameters whose unit follows from the rest: several, a gain without a unit, elements without one."""
+    gains = {item.gain for item in block.estimates}
+    if getattr(block, "driven_by", "") in {port.name for port in block.inputs if port.unit == ANY}:
+        gains |= {"error_leak", "dead_zone"}
+    mixed = any(word not in ("n", "m") for word in spec.shape.split())
+    return spec.several or (not spec.unit and (name in gains or mixed))
+
+
+def compared_by_name(block: type[AbstractBlock]) -> set[str]:
+    """Starts, boxes and balls of states."""
+    return {name for state in block.states for name in (state.name, state.box, state.ball)} & specs(block).keys()
+
+
+def missed(kind: str) -> dict[str, set[str]]:
+    """The base units of each parameter whose power may be one more, and nothing disagrees."""
+    block = block_types()[kind]
+    left = {
+        name: {"g", "m", "s", "rad"}
+        for name, spec in specs(block).items()
+        if not inferred(block, name, spec) and name not in compared_by_name(block)
+    }
+    for check in variants(kind):
+        assert check.fault() is None
+        for name in left.keys() & set(check.parameters):
+            for base in sorted(left[name]):
+                more = check.times(ONE._replace(powers=tuple(int(base == other) for other in BASES)))
+                if check.disagreement(name, more) is not None:
+                    left[name].remove(base)
+    return {name: bases for name, bases in left.items() if bases}
+
+
+@pytest.mark.parametrize("kind", sorted(block_types()))
+def test_a_wrong_exponent_of_any_parameter_is_found(kind: str) -> None:
+    radians = {name: {"rad"} for name in RADIANS.get(kind, "").split()}
+    assert missed(kind) == {**radians, **{name: {"g", "m", "s", "rad"} for name in NEVER.get(kind, "").split()}}
+
+
+@pytest.mark.parametrize("kind", sorted(block_types()))
+def test_a_start_and_a_box_have_the_unit_of_their_state(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    block = block_types()[kind]
+    assert list(unlike(block)) == []
+    for name in compared_by_name(block):
+        own = specs(block)
+        other = {**own, name: replace(own[name], unit=f"A {own[name].unit}")}
+        monkeypatch.setattr(check_module, "specs", lambda _, other=other: other)
+        (text,) = unlike(block)
+        assert text.startswith(f"expected {name}, the ")
+        monkeypatch.undo()
