@@ -34,10 +34,20 @@ def shared(jobs: Sequence[Callable[[], T]]) -> Iterator[Callable[[], list[T]]]:
     if count < 1:
         yield lambda: [job() for job in jobs]
         return
-    numbers, writer = os.pipe()
-    os.write(writer, bytes(range(len(jobs))))
-    os.close(writer)
-    copies = [_Copy.of(jobs, numbers) for _ in range(count)]
+    copies, pipe = list[_Copy](), list[int]()
+    try:
+        pipe += os.pipe()
+        os.write(pipe[1], bytes(range(len(jobs))))
+        os.close(pipe.pop())
+        for _ in range(count):
+            copies.append(_Copy.of(jobs, pipe[0]))
+    except OSError:  # no pipe, no memory, no process: what is left is done here
+        if len(pipe) != 1:
+            for end in pipe:
+                os.close(end)
+            yield lambda: [job() for job in jobs]
+            return
+    (numbers,) = pipe
 
     def finished() -> list[T]:
         done = _taken(jobs, numbers, lambda: True)
@@ -74,7 +84,11 @@ class _Copy:
         memory, here = os.memfd_create("results"), os.getpid()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of libraries' threads: the copy draws, and calls none
-            process = os.fork()
+            try:
+                process = os.fork()
+            except OSError:
+                os.close(memory)
+                raise
         if process == 0:
             _work(jobs, numbers, memory, here)
         return cls(process, memory)
@@ -84,9 +98,12 @@ class _Copy:
         status, self.ended = os.waitpid(self.process, 0)[1], True
         if status:
             return {}
-        os.lseek(self.memory, 0, os.SEEK_SET)
-        with open(self.memory, "rb", closefd=False) as file:
-            found: dict[int, Any] = pickle.load(file)
+        try:
+            os.lseek(self.memory, 0, os.SEEK_SET)
+            with open(self.memory, "rb", closefd=False) as file:
+                found: dict[int, Any] = pickle.load(file)
+        except (OSError, EOFError, pickle.UnpicklingError):  # done again here
+            return {}
         return found
 
     def end(self) -> None:
@@ -101,9 +118,17 @@ class _Copy:
 def _taken(jobs: Sequence[Callable[[], T]], numbers: int, going: Callable[[], bool]) -> dict[int, T]:
     """The results of the jobs whose numbers this process took."""
     done = dict[int, T]()
-    while going() and (number := os.read(numbers, 1)):
+    while going() and (number := _number(numbers)):
         done[number[0]] = jobs[number[0]]()
     return done
+
+
+def _number(numbers: int) -> bytes:
+    """The next job's; none from a pipe that fails: the jobs whose numbers are lost are done by whoever shared them."""
+    try:
+        return os.read(numbers, 1)
+    except OSError:
+        return b""
 
 
 def _work(jobs: Sequence[Callable[[], Any]], numbers: int, told: int, parent: int) -> None:

@@ -20,7 +20,7 @@ from dmframe.certificate import SX, Assumption, Clipped, Driven, Gathered, LogDe
 from dmframe.certify.begun import Begun
 from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim
-from dmframe.certify.closure import Closure
+from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.conditions import load_labels
 from dmframe.certify.definite import Number
 from dmframe.certify.divisors import written
@@ -33,6 +33,8 @@ from dmframe.certify.statements import bases_of
 from dmframe.certify.symbols import symbols_of
 from dmframe.diagram.closed_loop import Parameter, stack
 from dmframe.diagram.projection import Ball, Bodies, Box, Projection
+from dmframe.errors import ValueFault
+from dmframe.exact import ZeroDivision
 from dmframe.linalg import ldl, square
 from dmframe.program import DIVISIONS, JUMPS, OPERATIONS
 from dmframe.robot.parameters import INERTIAL
@@ -152,11 +154,12 @@ def _follows(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     bases = bases_of(claim, symbols, Signs(claim, numbers))
     zeros = frozenset(label for label in numbers.uncertain if all(map(_holds_zero, numbers.values[label])))
     own = Closure(claim, numbers, bases, seed=0)
+    lacking = _left(own)
     for text, other, labels in (
-        ("other numbers", Closure(claim, numbers, bases, seed=0, anywhere=True), None),
-        ("zero", Closure(claim, numbers, bases, seed=0, zeros=zeros) if zeros else own, zeros),
+        ("other numbers", _lacking(claim, numbers, bases, anywhere=True), None),
+        ("zero", _lacking(claim, numbers, bases, zeros=zeros) if zeros else lacking, zeros),
     ):
-        if _lacking(own) != _lacking(other):
+        if other is None or lacking != other:
             used = symbols_in(symbol for expression in own.read for symbol in ca.symvar(expression))
             given = [p.symbol for p in claim.loop.parameters if (p.label in zeros if labels else _fixed(numbers, p))]
             known = [symbol for symbol in ca.vertsplit(stack(given)) if symbol.element_hash() in used]
@@ -171,7 +174,17 @@ def _holds_zero(value: Number) -> bool:
     return lower(value) <= 0 <= upper(value)
 
 
-def _lacking(closure: Closure) -> list[list[str]]:
+def _lacking(
+    claim: Claim, numbers: Numbers, bases: Bases, *, anywhere: bool = False, zeros: frozenset[str] = frozenset()
+) -> list[list[str]] | None:
+    """What does not follow, or by an assumption alone; None where a denominator vanishes there."""
+    try:
+        return _left(Closure(claim, numbers, bases, seed=0, anywhere=anywhere, zeros=zeros))
+    except (ValueFault, ZeroDivision):
+        return None
+
+
+def _left(closure: Closure) -> list[list[str]]:
     return [sorted(f"{b} {i.of}" for b, i in items) for items in (closure.missed, closure.assumed, closure.given)]
 
 

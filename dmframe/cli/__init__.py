@@ -71,6 +71,16 @@ def _say(text: str) -> None:
     print(f"dmframe: {text}", file=sys.stderr)  # noqa: T201 - typer may be what failed
 
 
+_REQUIRED = {
+    **{name: name for name in "numpy scipy casadi pydantic pydantic_core control typer rich xarray h5netcdf".split()},
+    **{name: name for name in "h5py matplotlib jinja2 latex2mathml platformdirs polars click".split()},
+    "pinocchio": "pin",
+    "ruamel": "ruamel.yaml",
+    "example_robot_data": "example-robot-data",
+}
+"""Packages by the names under which they are imported."""
+
+
 def _unexpected(error: BaseException) -> str:
     """What no class of `dmframe.errors` tells: a file that cannot be read, or a defect, with its line."""
     if isinstance(error, OSError) and isinstance(error.filename, str | bytes):  # what is written is told by `writing`
@@ -78,6 +88,9 @@ def _unexpected(error: BaseException) -> str:
     if isinstance(error, OSError) and error.errno in FULL:
         why = (error.strerror or str(error)).lower()
         return f"a file cannot be written: {why}; free some space, also where temporary files are kept"
+    if isinstance(error, ImportError) and (name := (error.name or "").partition(".")[0]) in _REQUIRED:
+        package, why = _REQUIRED[name], " ".join(str(error).split())
+        return f"the package {package}, which dmframe needs, cannot be imported: {why}; pip install {package}"
     frames = traceback.extract_tb(error.__traceback__)
     place = f"{os.path.basename(frames[-1].filename)}:{frames[-1].lineno}" if frames else "an unknown place"  # noqa: PTH119 - pathlib may be what failed
     text = " ".join(str(error).split())

@@ -77,7 +77,10 @@ def source(program: Program) -> str:
         f"#define DM_PERIOD {name.upper()}_PERIOD",
         f"#define DM_NAMED(word) {name}_##word",
         f"const {name}_parameters {name}_defaults = {{",
-        *(f"    {{{', '.join(map(repr, member.value))}}}, /* {member.label} */" for member in program.parameters),
+        *(
+            f"    {{{', '.join(map(repr, member.value))}}}, /* {commented(member.label)} */"
+            for member in program.parameters
+        ),
         *([] if program.parameters else ["    {0},"]),
         "};",
         *bodies,
@@ -192,7 +195,19 @@ def _unused(head: re.Match[str]) -> str:
 def about(program: Program) -> str:
     """What a file is, in a line."""
     title = f": {program.title}" if program.title else ""
-    return f"{program.name}{title}. Written by dmframe {version()} from model {program.model}.".replace("*/", "* /")
+    return commented(f"{program.name}{title}. Written by dmframe {version()} from model {program.model}.")
+
+
+def commented(text: str) -> str:
+    """A text as a comment of C, C++, CMake or XML may hold it: one line that ends no comment and begins none."""
+    line = "".join(letter if letter.isprintable() else " " for letter in " ".join(text.split()))
+    return line.replace("*/", "* /").replace("/*", "/ *").replace("--", "- - ").replace("\\", "/")
+
+
+def c_text(text: str) -> str:
+    """A string of C, its UTF-8 byte by byte: what is no plain letter or sign is written in octal."""
+    plain = set(b" !#$%&'()*+,-./:;<=>@[]^_`{|}~") | set(range(48, 58)) | set(range(65, 91)) | set(range(97, 123))
+    return '"' + "".join(chr(byte) if byte in plain else f"\\{byte:03o}" for byte in text.encode()) + '"'
 
 
 def _struct(name: str, members: Sequence[Member], about: str) -> str:

@@ -24,7 +24,7 @@ from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.diagram.parts import split
 from dmframe.errors import OutputError
-from dmframe.export.c import functions_of, origin, own_file, spelled, write_all
+from dmframe.export.c import commented, functions_of, origin, own_file, spelled, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.export.robot import Robot, robot_of
 from dmframe.files import expanded, write_text
@@ -179,7 +179,7 @@ def code(unit: Unit, fmi: Version, token: str) -> str:
     bodies = [spelled(function) for function in unit.functions]
     return "\n".join(
         [
-            f"/* {unit.name}: {unit.about}. Written by dmframe {version()}. */".replace("*/ */", "*/"),
+            f"/* {commented(f'{unit.name}: {unit.about}. Written by dmframe {version()}.')} */",
             "#ifndef __GNUC__",
             "#define __attribute__(list)",
             "#endif",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import keyword
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, final
@@ -195,9 +197,17 @@ def own_name(name: str) -> str:
     return f"{word}_controller" if word.casefold() in _FILES else word
 
 
+def _in_ascii(name: str) -> str:
+    """Letters without their accents, and a few digits of the whole name's hash, so that no two names become one."""
+    if name.isascii():
+        return name
+    plain = "".join(letter for letter in unicodedata.normalize("NFKD", name) if letter.isascii())
+    return f"{plain or 'name'}_{hashlib.sha256(name.encode()).hexdigest()[:6]}"
+
+
 def identifier(name: str) -> str:
     """A name as a word of C: ``arm.q`` is ``arm_q``."""
-    word = re.sub(r"[^0-9A-Za-z]+", "_", name).strip("_")
+    word = re.sub(r"[^0-9A-Za-z]+", "_", _in_ascii(name)).strip("_")
     if not word:
         raise OutputError(f"{name!r}: expected a name with a letter or digit, as the name of a C function")
     return f"_{word}"[word[0].isalpha() :] + "_" * (word in _WORDS or keyword.iskeyword(word))

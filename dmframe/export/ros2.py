@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Final, NamedTuple, final
 from xml.sax.saxutils import escape
@@ -11,7 +12,7 @@ from xml.sax.saxutils import escape
 from dmframe.config.experiment import Experiment
 from dmframe.diagram import Diagram
 from dmframe.errors import EngineError
-from dmframe.export.c import about, files_of, new_folder, origin, own_file, unit_of, write_all
+from dmframe.export.c import about, c_text, commented, files_of, new_folder, origin, own_file, unit_of, write_all
 from dmframe.export.program import Member, Program, program_of
 from dmframe.files import told_apart
 from dmframe.runtime.signals import measured_as, velocity_command
@@ -51,7 +52,7 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "DM_FILE": program.name,
         "DM_PERIOD": f"{program.name.upper()}_PERIOD",
         "DM_JOINTS": str(len(joints)),
-        "DM_NAMES": ", ".join(f'"{name}"' for name in joints),
+        "DM_NAMES": ", ".join(map(c_text, joints)),
         "DM_COUNT": str(len(rows)),
         "DM_ROWS": "\n".join(
             f'  {{"{row.name}", {row.first}, {row.item.size}}},  // {unit_of(row.item.unit)}' for row in rows
@@ -61,7 +62,7 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         "DM_MEASURED": "\n".join(_taken(program, fields)),
         "DM_NEEDS_TARGET": str("q_c" in fields.values()).lower(),
         "DM_COMMAND": by_label[command],
-        "DM_TITLE": escape(program.title or program.name),
+        "DM_TITLE": escape(commented(program.title or program.name)),
     }
     c = files_of(experiment, diagram, program)
     wanted = {
@@ -74,7 +75,9 @@ def export_ros2(experiment: Experiment, diagram: Diagram, folder: str | Path) ->
         f"src/{program.name}.h": c[f"{program.name}.h"],
         "test/replay.c": c["replay.c"],
         "test/samples.h": c["samples.h"],
-        "config/controllers.yaml": "\n".join(_configuration(package, rate, joints, rows)),
+        "config/controllers.yaml": _read_back(
+            experiment.name, "\n".join(_configuration(package, rate, joints, rows)), package, joints, rows
+        ),
         "README.md": _readme(program, package, rate, rows),
         **origin(experiment, program.model),
     }
@@ -149,7 +152,7 @@ def _configuration(package: str, rate: int, joints: Sequence[str], rows: Sequenc
     yield "# What a controller manager is told; each number is the graph's own, so that a line may be left out."
     yield from ("controller_manager:", "  ros__parameters:", f"    update_rate: {rate}  # Hz, or a multiple of it")
     yield from (f"    {package}:", f"      type: {package}/Controller", f"      update_rate: {rate}  # Hz")
-    yield from ("", f"{package}:", "  ros__parameters:", f"    joints: [{', '.join(joints)}]")
+    yield from ("", f"{package}:", "  ros__parameters:", f"    joints: {_quoted(joints)}")
     yield "    interfaces.position: position  # of each joint [rad]"
     yield "    interfaces.velocity: velocity  # of each joint [rad/s]"
     yield '    interfaces.target: ""          # of each joint, the target of its servo [rad]; empty for one not told'
@@ -160,6 +163,33 @@ def _configuration(package: str, rate: int, joints: Sequence[str], rows: Sequenc
         if item.size <= _SHOWN:
             yield f"    {name}: [{', '.join(map(repr, item.value))}]  # {unit_of(item.unit)}"
     yield ""
+
+
+def _quoted(names: Sequence[str]) -> str:
+    """Names as a list of YAML in quotes, whatever they look like: `true` and `1e3` are texts, in YAML 1.1 and 1.2."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.scalarstring import DoubleQuotedScalarString
+
+    yaml, text = YAML(), StringIO()
+    yaml.default_flow_style, yaml.width = True, 1 << 30
+    yaml.dump([DoubleQuotedScalarString(name) for name in names], text)
+    return text.getvalue().strip()
+
+
+def _read_back(name: str, text: str, package: str, joints: Sequence[str], rows: Sequence[_Row]) -> str:
+    """The configuration, if a parser reads from it what was written. Raises `EngineError` where it does not."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    shown = {name: list(item.value) for name, _, item in rows if item.size <= _SHOWN}
+    try:
+        found = YAML(typ="safe").load(text)[package]["ros__parameters"]
+        same = found["joints"] == list(joints) and all(found[name] == value for name, value in shown.items())
+    except (YAMLError, KeyError, TypeError):
+        same = False
+    if not same:
+        raise EngineError(f"{name}: controllers.yaml reads back as something else; give joints names of plain letters")
+    return text
 
 
 _SHOWN: Final = 12

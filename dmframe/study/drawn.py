@@ -111,7 +111,7 @@ def held_at(
         loop.
     """
     claim = verdict.claim if verdict.samples is None else verdict.samples.base
-    if claim is None or not _but_for_conditions(verdict):
+    if claim is None or diagram.unit_faults or not _but_for_conditions(verdict):
         return None
     with SYMBOLIC:
         rows = _rows_of(diagram, claim, start, values, count)

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 from contextlib import suppress
+from functools import partial
 
 import pytest
 
@@ -94,3 +95,15 @@ def test_on_one_core_everything_is_done_here(monkeypatch: pytest.MonkeyPatch) ->
         assert not done
         finished()
     assert done == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("call", ["pipe", "write", "read", "fork", "memfd_create", "lseek"])
+def test_where_the_system_fails_all_jobs_are_done_here(call: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(*_: object) -> None:
+        raise OSError(5, "input/output error")
+
+    monkeypatch.setattr("dmframe.copies._cores", lambda: 3)
+    monkeypatch.setattr(f"dmframe.copies.os.{call}", failing)
+    jobs = [partial(pow, number, 2) for number in range(20)]
+    with shared(jobs) as finished:
+        assert finished() == [number**2 for number in range(20)]

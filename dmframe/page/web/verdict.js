@@ -36,9 +36,9 @@ export function clockAt({ clock, verdict, periods }, moved, tick) {
   if (!periods) return { beyond: false, says: `The controller samples ${every}; whether that is fast enough was not computed.` };
   if (periods.reason) return { beyond: false, says: `The controller samples ${every}; whether that is fast enough is not known: ${sentence(periods.reason)}` };
   const rest = Number(periods.rest), moving = Number(periods.moving), beyond = tick > Math.min(rest, moving);
-  const bounds = `${moved.p ? "at the file's numbers the" : "The"} loop near its set-point is stable up to ${bound(rest)} at rest and ${bound(moving)} moving, linearised`;
+  const bounds = `${moved.p ? "at the file's numbers, with" : "With"} its estimates at their true values, the loop near its set-point is stable up to ${bound(rest)} at rest and ${bound(moving)} moving, linearised`;
   if (moved.p) return { beyond, says: `The controller samples ${every}; whether that is fast enough is not known at these values: ${bounds}.` };
-  return { beyond, says: `${bounds}; the controller samples ${every}${beyond ? ", which is too slow" : ""}.` };
+  return { beyond, says: `${bounds}; the controller samples ${every}${beyond ? ", which is beyond that" : ""}.` };
 }
 
 function bound(period) {
@@ -112,7 +112,7 @@ export function judgement(content, judged, moved, spread = null, run = {}) {
       : moved.run ? `That ${follows} was concluded ${verdict.sampled ? "" : "in continuous time and "}for the file's start.` : `It follows that ${follows}.`
   );
   const words = `proved${elsewhere ? " at these values" : ""}${clocked ? " in continuous time" : ""}`;
-  const headline = verdict.headline.replace("proved", words) + (clock.beyond ? `; a clock of ${duration(run.tick)} is too slow` : "");
+  const headline = verdict.headline.replace("proved", words) + (clock.beyond ? `; at ${duration(run.tick)} unstable near its set-point` : "");
   const state = clock.beyond || run.divergence ? "clock" : "proved";
   return found(state, headline.charAt(0).toUpperCase() + headline.slice(1), clock.says, rose, identity, hold, end);
 }

@@ -42,7 +42,7 @@ class Law(AbstractBlock):
         return Equations(outputs={"v": -u.y})
 
     def certificate(self, u: Signals, x: Signals, p: Signals, truth: Signals) -> Certificate:
-        return Certificate(dissipation=(Square(u.y, ca.SX(2)),), supply=u.y * u.y)
+        return Certificate(dissipation=(Square(u.y),), supply=u.y * u.y)
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[CommonLyapunov, ...]:
         a, b = (ca.SX.ones(*size) for size in self.boxes)

@@ -49,7 +49,7 @@ class Stepping(AbstractBlock):
 class Follower(AbstractBlock):
     """V holds x - r; y is bounded where a and b agree, or where a is small."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", derivative_of="r"))
+    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", "", "1/s", derivative_of="r"))
     outputs: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[tuple[State, ...]] = (State("x"), State("w"), State("y"))
     a: Scalar = Positive("", "", default=2.0)

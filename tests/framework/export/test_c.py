@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import ctypes
 import re
 import shutil
@@ -258,10 +259,28 @@ def test_what_cannot_be_exported_is_said(
 
 @pytest.mark.parametrize(
     ("name", "word"),
-    [("arm.q", "arm_q"), ("2 arms", "_2_arms"), ("int", "int_"), ("class", "class_"), ("new", "new_"), ("α.q", "q")],
+    [("arm.q", "arm_q"), ("2 arms", "_2_arms"), ("int", "int_"), ("class", "class_"), ("new", "new_")],
 )
 def test_names_are_words_of_c(name: str, word: str) -> None:
     assert identifier(name) == word
+
+
+def test_names_of_other_letters_are_words_of_c_and_no_two_are_one() -> None:
+    names = ["ünï", "uni", "ünì", "n", "α.q", "q", "β.q", "機械", "straße", "ñ"]
+    words = [identifier(name) for name in names]
+    assert len(set(words)) == len(names)
+    assert all(re.fullmatch(r"[A-Za-z_]\w*", word, re.ASCII) for word in words)
+    assert words[0].startswith("uni_")
+
+
+@pytest.mark.parametrize("text", ['a"b', "a\\", "???/", "ü\n", "%s", "plain_joint"])
+def test_a_string_of_c_reads_back(text: str) -> None:
+    assert ast.literal_eval(f"b{c.c_text(text)}").decode() == text
+
+
+def test_a_title_ends_no_comment_and_begins_none() -> None:
+    found = c.commented("a */ b /* c\n#error d --> e\\")
+    assert not any(mark in found for mark in ("*/", "/*", "\n", "--", "\\"))
 
 
 def test_a_name_without_a_letter_is_refused() -> None:

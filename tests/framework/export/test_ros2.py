@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import dmframe as dm
 from dmframe.cli.app import app
 from dmframe.errors import DmframeError
-from dmframe.export.ros2 import package_of
+from dmframe.export.ros2 import _quoted, _read_back, package_of
 
 CC, CXX = shutil.which("gcc"), shutil.which("g++")
 needs_compilers = pytest.mark.skipif(CC is None or CXX is None, reason="needs gcc and g++")
@@ -346,6 +346,38 @@ def test_what_cannot_be_exported_is_said(
     assert isinstance(done.exception, DmframeError)
     assert text in str(done.exception)
     assert not list(tmp_path.iterdir())
+
+
+def test_names_of_joints_read_back_as_they_are_whatever_they_look_like() -> None:
+    names = [
+        "${a}",
+        "true",
+        "1e3",
+        "a: b",
+        "yes",
+        "null",
+        "- x",
+        "#c",
+        'q"q',
+        "l'l",
+        "ü",
+        "a, b",
+        "[",
+        "{",
+        "~",
+        "\\n",
+        "@",
+    ]
+    for version in ((1, 1), (1, 2)):
+        parser = YAML(typ="safe", pure=True)
+        parser.version = version
+        assert parser.load(f"joints: {_quoted(names)}\n") == {"joints": names}
+    text = f"own:\n  ros__parameters:\n    joints: {_quoted(names)}\n"
+    assert _read_back("graph", text, "own", names, []) == text
+    with pytest.raises(DmframeError, match="reads back as something else"):
+        _read_back("graph", f"own:\n  ros__parameters:\n    joints: [{', '.join(names)}]\n", "own", names, [])
+    with pytest.raises(DmframeError, match="reads back as something else"):
+        _read_back("graph", "own:\n  ros__parameters:\n    joints: [true]\n", "own", ["true"], [])
 
 
 @pytest.mark.parametrize(("name", "package"), [("ur10_fast", "dmframe_ur10_fast"), ("_2__Arms_", "dmframe_2_arms")])

@@ -109,7 +109,7 @@ class Path(AbstractBlock):
 class Toy(AbstractBlock):
     """V holds x - r alone; the rest is what `verify` looks at beside its conditions."""
 
-    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", derivative_of="r"))
+    inputs: ClassVar[tuple[Port, ...]] = (Port("r"), Port("dr", "", "1/s", derivative_of="r"))
     outputs: ClassVar[tuple[Port, ...]] = ()
     states: ClassVar[tuple[State, ...]] = (State("x"), State("z"), State("y"))
     k: Scalar = Positive("", "", default=2.0)

@@ -389,7 +389,7 @@ def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser
 def test_on_a_slow_clock_the_banner_is_not_green_and_the_title_follows(tab: Browser, tmp_path: Path) -> None:
     data = {**content("ur10_fast"), "periods": {"rest": 0.0421, "moving": 0.0159, "reason": ""}}
     tab.opened(saved(tmp_path, assembled(data)), "#clock=16")
-    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == f"{PROVED}; a clock of 128 ms is too slow"
+    assert tab.until(f"{HEADLINE} !== 'Loading' && {HEADLINE}") == f"{PROVED}; at 128 ms unstable near its set-point"
     assert re.search(r"V rose at \d+ of 156 samples, by at most [\d.]+ % of its fall", tab.value(SAYS))
     assert "sampled at 128 ms" in tab.value("document.title")
     assert "sampled at 128 ms" in tab.value("document.querySelector('h1').textContent")

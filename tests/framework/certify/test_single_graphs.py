@@ -1,0 +1,121 @@
+"""What is said of many numbers at once is what `verify` says of each graph by itself: boxes, counts, and moved numbers.
+
+Of each packaged graph some numbers and starts are drawn, those that are zero too. Whenever the box, the count of a
+study or the margins of a page say that the proof holds, or that it fails, `verify` of that single graph has to agree.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dmframe as dm
+from dmframe.block.model import SYMBOLIC
+from dmframe.catalogue import graphs
+from dmframe.certify import Verdict, verify
+from dmframe.certify.begun import START
+from dmframe.diagram import Diagram
+from dmframe.diagram.values import with_values
+from dmframe.errors import DmframeError
+from dmframe.exact.rational import Interval
+from dmframe.robot.rational import decimal
+from dmframe.study.drawn import FAILS, HOLDS, held_at
+
+LABELS, POINTS = 3, 2
+"""Numbers of each graph that move, one after another, and how many values of each are tried."""
+
+
+def numbers(diagram: Diagram) -> list[str]:
+    """Parameters that are numbers and may move alone, and the starts of all states."""
+    own = {parameter.label for parameter in diagram.loop.parameters if not parameter.label.startswith("robot.")}
+    starts = [f"{START}{variable.label}" for variable in diagram.loop.variables]
+    return sorted(label for label in own if label.partition(".")[0] in diagram.blocks) + starts
+
+
+def drawn(diagram: Diagram, label: str, rng: np.random.Generator) -> np.ndarray | None:
+    """Values about the graph's own, a row each; None where its block takes none of them."""
+    if label.startswith(START):
+        variable = next(v for v in diagram.loop.variables if f"{START}{v.label}" == label)
+        held = diagram.models[variable.block].values.get(variable.name, np.zeros(variable.symbol.numel()))
+        own = np.broadcast_to(np.ravel(held, order="F"), (variable.symbol.numel(),))
+    else:
+        block, _, name = label.partition(".")
+        own = np.asarray(diagram.models[block].values[name], dtype=float)
+    for size in (1.0, 0.3, 0.05):
+        reach = size * (np.abs(own) + 0.1 * (own == 0))
+        rows = own + rng.uniform(-1, 3, (POINTS, *(1 for _ in own.shape))) * reach
+        if label.startswith(START) or all(_taken(diagram, label, row) for row in rows):
+            return np.asarray(rows)
+    return None
+
+
+def _taken(diagram: Diagram, label: str, row: np.ndarray) -> bool:
+    try:
+        with_values(diagram, {label: row.tolist()})
+    except (DmframeError, ValueError):
+        return False
+    return True
+
+
+def single(diagram: Diagram, start: dict[str, Any], label: str, row: np.ndarray) -> Verdict:
+    """Of one graph by itself."""
+    if label.startswith(START):
+        return verify(diagram, start={**start, label.removeprefix(START): row.tolist()})
+    return verify(with_values(diagram, {label: row.tolist()}), start=start)
+
+
+def box_of(diagram: Diagram, start: dict[str, Any], label: str, rows: np.ndarray) -> Verdict | None:
+    """Over all between the rows; None of a parameter that the loop holds in other numbers."""
+    shape = next((p.value.shape for p in diagram.loop.parameters if p.label == label), rows.shape[1:])
+    if shape != rows.shape[1:]:
+        return None
+    ends = (np.ravel(end, order="F").tolist() for end in (rows.min(axis=0), rows.max(axis=0)))
+    given = [Interval(decimal(low), decimal(high)) for low, high in zip(*ends, strict=True)]
+    return verify(diagram, uncertain={label: given}, start=start)
+
+
+def disagreements(name: str, labels: int = LABELS) -> Iterator[tuple[str, str]]:
+    """Each comparison: which numbers moved, and ``agrees``, ``open``, or what was false."""
+    graph = dm.load(name)
+    diagram, start = graph.diagram, dict(graph.experiment.start)
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    with SYMBOLIC:
+        nominal = verify(diagram, start=start)
+        for label in rng.permutation(numbers(diagram)).tolist()[:labels]:
+            rows = drawn(diagram, label, rng)
+            if rows is None:
+                continue
+            rows, box = rows.reshape(POINTS, *rows.shape[1:]), None
+            told = {"page": held_at(diagram, start, {label: rows}, POINTS, nominal)}
+            box = box_of(diagram, start, label, rows)
+            if box is not None:
+                told["count"] = held_at(diagram, start, {label: rows}, POINTS, box)
+                told["box"] = np.full(POINTS, HOLDS) if box.outcome == "proved" else None
+            for point in range(POINTS):
+                says = {kind: int(found[point]) for kind, found in told.items() if found is not None}
+                if not {HOLDS, FAILS} & set(says.values()):
+                    yield label, "open"
+                    continue
+                proved = single(diagram, start, label, rows[point]).outcome == "proved"
+                for kind, said in says.items():
+                    false = (said == HOLDS and not proved) or (said == FAILS and proved)
+                    word = "holds" if said == HOLDS else "fails"
+                    yield label, f"{kind} says {word}, falsely, at {rows[point].tolist()}" if false else "agrees"
+
+
+def false(name: str, labels: int) -> list[tuple[str, str]]:
+    """What was said and is not so; of a graph of which nothing moves nothing is compared."""
+    return [(label, what) for label, what in disagreements(name, labels) if "falsely" in what]
+
+
+def test_what_is_said_of_many_numbers_single_graphs_say() -> None:
+    assert false("arm2_joint", 1) == []
+
+
+@pytest.mark.parametrize("graph", sorted(graphs()))
+def test_of_every_packaged_graph_so(graph: str) -> None:
+    assert false(graph, LABELS) == []
