@@ -92,8 +92,8 @@ class Bar:
         for name, error in (("second", run.second), ("third", run.third)):
             if not error <= most:
                 return (
-                    f"the error in the {name} quarter is {plain(error, run.unit)}, and a robot that holds still errs by "
-                    f"{plain(run.farthest, run.unit)} where it errs most"
+                    f"the error in the {name} quarter is {plain(error, run.unit)}, and a robot that holds still errs "
+                    f"by {plain(run.farthest, run.unit)} where it errs most"
                 )
         return ""
 

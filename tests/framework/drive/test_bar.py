@@ -27,7 +27,8 @@ from dmframe.port import Port
 @final
 class My(AbstractBlock):
     inputs: ClassVar = (
-        Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("dq_d", "n", "rad/s", derivative_of="q_d"), Port("t", "", "s")
+        Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("t", "", "s"),
+        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
     )
     outputs: ClassVar = (Port("dq_r", "n", "rad/s"),)
     rate: Scalar = Positive("", "1/s")
