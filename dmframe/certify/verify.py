@@ -22,6 +22,7 @@ from dmframe.certify.identity import check_identity, empty_terms, equalities
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.payment import Kappa, payment
 from dmframe.certify.positive import Signs
+from dmframe.certify.reach import reach_conditions
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_states import held_in_v
@@ -222,6 +223,7 @@ def _verified(
     smooth = examiner.found()
     if smooth.faults:  # of a trajectory that the statements have differentiated once more
         statements = [item for item in statements if not item.concludes and item.says != "goes to zero"]
+    conditions += reach_conditions(claim)
     conditions += contradicted(claim, numbers, vanishing_of(claim, closure, signs), start)
     conditions = over_intervals(conditions, claim, numbers)
     outcome, reason = _judge(conditions, controls, empty_terms(claim, symbols, seed), bounds)

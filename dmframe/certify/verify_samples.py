@@ -20,6 +20,7 @@ from dmframe.certify.identity import BITS, at_random_point
 from dmframe.certify.memories import triangle_starts
 from dmframe.certify.over import failing_of, over_intervals
 from dmframe.certify.projections import outside
+from dmframe.certify.reach import reach_conditions
 from dmframe.certify.reals import doubt
 from dmframe.certify.refute import Refutation, refute
 from dmframe.certify.sample_controls import sampled_controls
@@ -170,6 +171,7 @@ def _conditions(
     stated = [(name, item) for name, item in conditions_stated(claim.base) if name in claiming]
     checked, assumed = decide(stated, numbers)
     checked += dict.fromkeys(undefined(claim.base, numbers))
+    checked += reach_conditions(claim.base)
     for part in claim.parts:
         checked += _weights(part, numbers)
         checked += delay_conditions(claim, part)

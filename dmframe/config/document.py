@@ -163,6 +163,8 @@ def read_document(text: str, name: str, kind: Kind = GRAPH) -> Document:
     """
     text = text.removeprefix("\ufeff")
     _check_size(len(text.encode("utf-8", "surrogatepass")), name, kind)
+    if text.count(",") + text.count("\n") > MOST_NODES:  # before the parser, which takes seconds for as many values
+        raise DocumentError(f"more than {MOST_NODES} values or lines; shorten the {kind.noun}", location=name)
     strange = UNPRINTABLE.search(text)
     if strange:
         raise DocumentError(unreadable(strange.group()), location=_place(name, text, strange.start()))

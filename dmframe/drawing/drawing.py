@@ -6,7 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Final, final
+from types import SimpleNamespace
+from typing import Any, Final, cast, final
 
 from dmframe.drawing.flowchart import mermaid
 from dmframe.drawing.netlist import Wired
@@ -55,6 +56,10 @@ class Drawing:
         WRITERS[path.suffix.lower()](self, path)
         return path
 
+    def __reduce__(self) -> Any:
+        """Pickled as its texts: expressions stay behind, and a copy knows the names of its blocks alone."""
+        return _drawn, (self.title, self.svg, self.mermaid, tuple(self.diagram.blocks))
+
     def __repr__(self) -> str:
         return f"<Drawing of {self.title or 'a diagram'}: {len(self.diagram.blocks)} blocks>"
 
@@ -63,6 +68,13 @@ class Drawing:
 
     def _repr_svg_(self) -> str:
         return self.svg
+
+
+def _drawn(title: str, svg_text: str, mermaid_text: str, blocks: tuple[str, ...]) -> Drawing:
+    """A drawing from its texts."""
+    made = Drawing(cast(Wired, SimpleNamespace(blocks=dict.fromkeys(blocks))), title)
+    vars(made).update(svg=svg_text, mermaid=mermaid_text)
+    return made
 
 
 def _printer(kind: str) -> Callable[[Drawing, Path], None]:

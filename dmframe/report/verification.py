@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,14 @@ class Verification:
     def __repr__(self) -> str:
         return f"<Verification of {self.name}: {self.headline}>"
 
+    def __reduce__(self) -> Any:
+        """Pickled without its diagram, which is made anew of the graph; the verdict goes as it was found."""
+        import casadi as ca
+
+        with ca.global_pickle_context():  # its margins are expressions
+            verdict = pickle.dumps(self.verdict)
+        return _again, (self.experiment, verdict, self.seed, self.label)
+
     def __str__(self) -> str:
         return verdict_text(self.name, self.verdict)
 
@@ -136,3 +145,12 @@ def command(found: Sequence[Verification], path: Path) -> list[str]:
     ]
     said = [word for text in changes for word in ("--set", text)]
     return ["dmframe", "verify", *map(place, found), *said, "--seed", str(found[0].seed), "--report", path.name]
+
+
+def _again(experiment: Experiment, verdict: bytes, seed: int, label: str) -> Verification:
+    """A verification that was pickled."""
+    import casadi as ca
+
+    with ca.global_unpickle_context():
+        found = pickle.loads(verdict)
+    return Verification(experiment, experiment.diagram(), found, seed, label)

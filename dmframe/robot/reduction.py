@@ -116,7 +116,7 @@ def _check_unit(where: str, name: str, value: float, unit: str) -> None:
         slides = "is prismatic: expected metres, 0.1 m, say" if unit == "m" else "turns: expected an angle, 30 deg, say"
         raise ValueFault(
             f"{where}: hold: joint {name} {slides}; found {float(value):.6g} {getattr(value, 'unit', '')}",
-            path=("robot", "hold"),
+            path=("robot", "hold", name),
         )
 
 

@@ -107,7 +107,7 @@ class Spool:
             file.seek(self._begin)
             while len(part := np.fromfile(file, dtype=float, count=BLOCK * width)) >= width:
                 part = part[: len(part) // width * width].reshape(-1, width)
-                found.append(part[-first % every :: every])
+                found.append(part[-first % every :: every].copy())  # a view would keep the whole part
                 first += len(part)
         return np.concatenate(found)
 

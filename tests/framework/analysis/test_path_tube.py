@@ -185,7 +185,7 @@ blocks:
 
 @pytest.mark.parametrize(("far", "holds"), [(0.01, True), (0.5, False)])
 def test_a_reach_between_two_rests_leaves_no_region(far: float, holds: bool, tmp_path: Path) -> None:
-    here, there = FIRST.tolist(), [FIRST[0] + far, FIRST[1]]
+    here, there = FIRST.tolist(), [float(FIRST[0]) + far, float(FIRST[1])]
     path = tmp_path / "arm.yaml"
     path.write_text(GRAPH.format(points=[here, here, there, here, here]))
     graph = load_experiment(path)

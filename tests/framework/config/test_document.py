@@ -222,6 +222,12 @@ def test_aliases_that_multiply_are_stopped() -> None:
     assert messages(bomb) == ["g.yaml:5:5: more than 100000 values, aliases written out; shorten the graph"]
 
 
+def test_a_file_with_too_many_values_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dmframe.config.document._Reader.document", None)  # parsing it would take seconds
+    for many in ("a: [" + "1, " * 100_001 + "1]", "a: 1\n" * 100_001):
+        assert messages(many) == ["g.yaml: more than 100000 values or lines; shorten the graph"]
+
+
 def test_a_file_is_read_under_the_name_that_the_user_gave(tmp_path: Path) -> None:
     file = tmp_path / "graph.yaml"
     file.write_bytes(b"\xef\xbb\xbf" + GRAPH.encode())

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +152,7 @@ def test_what_waits_for_a_disk_that_stands_stops_the_drive(tmp_path: Path, monke
 
 KILLED = """
 import time
+import tracemalloc
 from dmframe.runtime.simulated import SimulatedRobot
 read = SimulatedRobot.read
 def slow(self):
@@ -199,3 +201,15 @@ def test_a_short_drive_leaves_every_sample_in_its_signals(tmp_path: Path, monkey
     with h5netcdf.File("log/signals.nc", "r") as file:
         assert file.variables["time"].shape == (21,)
     assert json.loads(Path("log/seal.json").read_text())["complete"] is True
+
+
+def test_thinned_rows_hold_no_others(tmp_path: Path) -> None:
+    journal = Journal(Spool(tmp_path / "samples.bin", {}))
+    fill(journal, 64 * BLOCK)
+    whole = 64 * BLOCK * journal.columns.width * 8
+    tracemalloc.start()
+    rows = journal.rows(64)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(rows) == BLOCK
+    assert most < whole / 8
