@@ -64,8 +64,8 @@ class Ends:
 def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]], *, waves: bool = False) -> Ends:
     """Both ends of a column, element by element; `inside` has the intervals of symbols, by their identity.
 
-With `waves` a sine or cosine of what lies in an interval is anywhere from -1 to 1. Both ends are NaN where a divisor
-    can be zero.
+    With `waves` a sine or cosine of what lies in an interval is anywhere from -1 to 1. Both ends are NaN where a
+    divisor can be zero.
 
     Raises `ValueFault` for an expression of other operations than these and those of a field.
     """
