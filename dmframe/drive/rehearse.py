@@ -12,7 +12,7 @@ from dmframe.columns import columns
 from dmframe.config.experiment import Experiment
 from dmframe.config.sections import tolerance_in
 from dmframe.diagram import Diagram
-from dmframe.drive.bar import Bar, Measured, quarters
+from dmframe.drive.bar import Bar, Measured, farthest, quarters
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
@@ -310,8 +310,10 @@ class _Trial:
                 f"{self.experiment.name}: expected a graph that follows a path, so that its error can be told"
             )
         still = recording[error.actual][0] - recording[error.desired]
-        parts = quarters(recording.time / self.duration, error.norm, euclidean(still))
-        return Measured(error.signal, error.unit, *parts, _stopped(found, float(recording.time[-1])))
+        shares, still = recording.time / self.duration, euclidean(still)
+        stopped = _stopped(found, float(recording.time[-1]))
+        parts = quarters(shares, error.norm, still)
+        return Measured(error.signal, error.unit, *parts, stopped, farthest(shares, still))
 
     def rival(self, options: dict[str, Any]) -> Measured | None:
         """Those of the rival; None where there is no fair one."""

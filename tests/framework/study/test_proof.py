@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from dmframe.certify import verify
+from dmframe.certify.checked import Checked
+from dmframe.certify.elsewhere import Elsewhere
 from dmframe.study import basis
 from dmframe.study import proof as module
 from dmframe.study.answer import Told, _proof_in_short
 from dmframe.study.design import Spread
-from dmframe.study.drawn import held_at
+from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
 from dmframe.study.proof import HELD, box_of, proofs_of
@@ -261,3 +263,13 @@ def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: st
     assert not told.proved
     for sample, own in enumerate(proved):
         assert told.drawn.unknown[sample] or told.drawn.fulfil[sample] == own
+
+
+def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:
+    """1 / (K_I - 20)^2 is above zero at every number but at 20, where it is nothing, and no float above zero."""
+    claim = verify(of(study("servo.K_I: {scale: [1, 2]}"))).claim
+    assert claim is not None
+    (K_I,) = (item.symbol for item in claim.loop.parameters if item.label == "servo.K_I")
+    item = Elsewhere(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
+    samples = _Samples(claim, {"servo.K_I": np.array([[20.0, 21.0, 40.0]])}, 3)
+    assert samples.judged([item]).tolist() == [OPEN, HOLDS, HOLDS]
