@@ -63,6 +63,28 @@ def contradicted(
                 break
 
 
+def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
+    """Of each assumed quantity that `contradicted` looks at: its name, and the parameters and starts that decide."""
+    loop = claim.loop
+    for item in assumed_positive(claim, numbers):
+        rows = [row for row in ca.vertsplit(item.column) if not symbols_in([row]) <= numbers.known]
+        if not rows:
+            continue
+        seen, starts = list(rows), list[Any]()
+        # what goes to zero is made of the vectors of V and of its derivative
+        for part in claim.parts:
+            terms = [*part.certificate.storage, *part.certificate.dissipation]
+            seen += [loop.joined([ca.vec(ca.densify(ca.SX(term.value)))])[0] for term in terms]
+        for row in rows:
+            rate, states = slope(claim, row), _needed(claim, row) or []
+            seen += [] if rate is None else [rate]
+            seen += [stack(loop.rates_of(states))] if states else []
+            starts += [ca.vec(claim.starts[variable.label]) for variable in states]
+        symbols = ca.symvar(loop.on_path(loop.acting([stack(seen)])[0]))
+        known = [symbol for symbol in symbols if symbol.element_hash() in numbers.known]
+        yield f"{item.text} stays above a positive constant", ca.vertcat(ca.SX(0, 1), *known, *starts)
+
+
 def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
     """Zero or below where all that goes to zero is zero."""
     left, gone = row, list[str]()

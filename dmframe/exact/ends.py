@@ -61,12 +61,13 @@ class Ends:
         return Ends(least, ca.fmax(*ends), self.defined)
 
 
-def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]]) -> Ends:
+def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]], *, waves: bool = False) -> Ends:
     """Both ends of a column, element by element; `inside` has the intervals of symbols, by their identity.
 
-    Both are NaN where a divisor can be zero.
+    With `waves` a sine or cosine of what lies in an interval is anywhere from -1 to 1. Both ends are NaN where a
+    divisor can be zero.
 
-    Raises `ValueFault` for an expression of other than field operations.
+    Raises `ValueFault` for an expression of other operations than these and those of a field.
     """
     symbols = ca.symvar(expression)
     program = read(ca.Function("ends", symbols, [ca.vec(ca.densify(expression))]))
@@ -78,7 +79,7 @@ def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]]) -> End
 
     values = run(
         program,
-        _RULES,
+        _RULES | _WAVES if waves else _RULES,
         given=given,
         constant=ca.SX,
         refuse=lambda code: ValueFault(f"expected + - * / only, found CasADi's instruction {code}"),
@@ -109,3 +110,7 @@ def _square(x: Any) -> Any:
 
 
 _RULES: Final = {code: _mixed(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}
+_WAVES: Final = by_code({
+    "sin": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.sin(x),
+    "cos": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.cos(x),
+})  # fmt: skip

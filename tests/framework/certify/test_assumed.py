@@ -12,6 +12,8 @@ from scalar_blocks import scalar_loop
 from dmframe.certificate import Certificate, Square
 from dmframe.certify import Verdict, claim_of, verify
 from dmframe.certify.along import along
+from dmframe.certify.checked import Numbers
+from dmframe.certify.contradicted import kept_above
 from dmframe.diagram import Diagram
 from dmframe.simulate import simulate
 
@@ -320,6 +322,16 @@ def test_a_weight_that_stays_above_zero_may_be_assumed_to(name: str) -> None:
     given, options = STAYS[name]
     verdict = weighed(*given, **options)
     assert verdict.outcome == "proved", verdict.reason
+
+
+def test_a_weight_that_is_assumed_names_what_decides_that_it_stays_above_zero() -> None:
+    given, options = STAYS["one that settles above zero"]
+    verdict = weighed(*given, **options)
+    assert verdict.claim is not None
+    found = dict(kept_above(verdict.claim, Numbers(verdict.claim, {})))
+    assert [name.partition(" stays")[2] for name in found] == [" above a positive constant"] * len(found)
+    starts = {str(symbol) for reads in found.values() for symbol in ca.symvar(reads)}
+    assert str(ca.symvar(verdict.claim.starts["toy.w"])[0]) in starts
 
 
 def test_a_run_tells_when_an_assumed_weight_is_not_above_zero() -> None:

@@ -122,6 +122,17 @@ def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
         assert found.graph_of(sample).verify().proved == drawn[sample]
 
 
+def test_a_factor_of_what_is_zero_changes_nothing() -> None:
+    found = study("arm.coulomb: {scale: [0.5, 2]}", "arm2_joint")
+    assert box_of(of(found), found.factors).ends == {}
+    assert proofs_of(found, [""])[0].proved
+
+
+def test_paths_within_reach_are_decided_for_the_whole_box() -> None:
+    found = study("path.radius: {uniform: [0.1, 0.2]}\npath.rate: {scale: [0.5, 2]}", "known_tracking_pi")
+    assert proofs_of(found, [""])[0].proved
+
+
 def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
     grid = "grid: {servo.K_P: [60, 5]}\n"
     soft = proofs_of(study("servo.K_D: {scale: [0.5, 0.6]}", grid=grid), ["stiff", "soft"])
@@ -250,6 +261,7 @@ def test_the_first_line_of_a_study_is_the_verdict(
         ("arm2_joint", "inverse.w: {scale: [0.2, 2]}"),
         ("arm2_joint", "start.a_d_hat: {uniform: [-30, 30], per: element}"),
         ("pendulum", "arm.coulomb: {uniform: [0, 1]}"),  # zero in the graph, and no column of the regressor
+        ("known_tracking_pi", "path.radius: {uniform: [0.1, 1.4]}"),  # out of reach from some 0.57 m on
     ],
 )
 def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
