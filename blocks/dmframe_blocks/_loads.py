@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -68,3 +68,8 @@ def with_body(inertia: Any, body: Any) -> Any:
     """The inertial parameters with a body on the last link; or what weighs of them, with what weighs of it."""
     size = body.shape[0]
     return ca.vertcat(inertia[:-size], inertia[-size:] + body)
+
+
+def with_held(inertia: Any, held: Any, part: Callable[[Any], Any] = lambda body: body) -> Any:
+    """`with_body` of what the plant's tool holds, or of a part of it; the robot's own where it holds nothing at all."""
+    return inertia if held.is_zero() else with_body(inertia, part(held))

@@ -17,7 +17,7 @@ from dmframe.robot.chain import SerialChain
 from dmframe.robot.parameters import INERTIAL, WEIGHING, DynamicParameters, Friction, Part
 from dmframe.robot.pseudo_inertia import natural_gain
 from dmframe_blocks._friction import columns_for
-from dmframe_blocks._loads import with_body
+from dmframe_blocks._loads import with_held
 
 
 @final
@@ -145,7 +145,7 @@ class Regressor(AbstractBlock):
         true["inertial"] = self._links(p, truth)
         if a_d.gravity_apart:
             own = truth.g_share * heavy(p.robot.inertia)
-            true["weighing"] = with_body(own, heavy(truth.a_held)) if "a_held" in truth else own
+            true["weighing"] = with_held(own, truth.a_held, heavy) if "a_held" in truth else own
         return Certificate(truth={"a_d": ca.vertcat(*a_d.in_order(true))})
 
     def conditions(self, p: Signals, truth: Signals) -> tuple[Condition, ...]:
@@ -154,7 +154,7 @@ class Regressor(AbstractBlock):
 
     def _links(self, p: Signals, truth: Signals) -> SX:
         """The inertial parameters of all links."""
-        return with_body(p.robot.inertia, truth.a_held) if "a_held" in truth else p.robot.inertia
+        return with_held(p.robot.inertia, truth.a_held) if "a_held" in truth else p.robot.inertia
 
     def _parameters(self, chain: SerialChain) -> DynamicParameters:
         return DynamicParameters(chain, self.friction, self.gravity == "apart", self.bias)

@@ -25,7 +25,7 @@ from dmframe.robot.parameters import Friction
 from dmframe.terms import clip
 from dmframe_blocks._averaged_servo import AveragedServo, Start, averaged_servo
 from dmframe_blocks._friction import columns_for
-from dmframe_blocks._loads import with_body
+from dmframe_blocks._loads import with_held
 from dmframe_blocks._sample_estimators import Estimator, Learning, Projection, least_squares, triangle
 
 _PREDICTING = 4
@@ -312,7 +312,7 @@ class SampledInverse(AbstractBlock):
         w, offset = 1 / (truth.K * gain), type(x.theta).sym("offset", robot.n)
         k_P, k_I = truth.K_P / gain, truth.K_I / gain
         B, D = (truth.B if "viscous" in self.friction else 0 * w), (truth.D if "coulomb" in self.friction else 0 * w)
-        links = with_body(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
+        links = with_held(robot.inertia, truth.a_held) if "a_held" in truth else robot.inertia
         true = averaged.row(k_P if pid else k_I, k_I, offset, w @ links.T, w * B, w * D)
         estimator = self._estimator(p)
         i = truth.i - offset / k_I

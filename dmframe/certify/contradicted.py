@@ -41,6 +41,11 @@ GONE: Final = 1e-3
 CALLS: Final = 20000
 """Of the rates, after which an integration ends without an answer."""
 INSTANTS: Final = 2001
+DENSE: Final = 200001
+"""Of what no state decides: half a millisecond apart until `SOON`, which costs no integration."""
+STEADY: Final = 0.9
+"""A quantity that falls below this share over a decade of time, and no more slowly over the next, is one that goes to
+zero as a power of time does."""
 
 
 def contradicted(
@@ -56,6 +61,28 @@ def contradicted(
                 name = f"{item.text} is assumed to stay above a positive constant, and {why}"
                 yield Checked(name, "no contradiction", None, False, SIGNS, "sampled", reads=claim.loop.p)
                 break
+
+
+def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
+    """Of each assumed quantity that `contradicted` looks at: its name, and the parameters and starts that decide."""
+    loop = claim.loop
+    for item in assumed_positive(claim, numbers):
+        rows = [row for row in ca.vertsplit(item.column) if not symbols_in([row]) <= numbers.known]
+        if not rows:
+            continue
+        seen, starts = list(rows), list[Any]()
+        # what goes to zero is made of the vectors of V and of its derivative
+        for part in claim.parts:
+            terms = [*part.certificate.storage, *part.certificate.dissipation]
+            seen += [loop.joined([ca.vec(ca.densify(ca.SX(term.value)))])[0] for term in terms]
+        for row in rows:
+            rate, states = slope(claim, row), _needed(claim, row) or []
+            seen += [] if rate is None else [rate]
+            seen += [stack(loop.rates_of(states))] if states else []
+            starts += [ca.vec(claim.starts[variable.label]) for variable in states]
+        symbols = ca.symvar(loop.on_path(loop.acting([stack(seen)])[0]))
+        known = [symbol for symbol in symbols if symbol.element_hash() in numbers.known]
+        yield f"{item.text} stays above a positive constant", ca.vertcat(ca.SX(0, 1), *known, *starts)
 
 
 def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
@@ -121,7 +148,7 @@ def _on_its_way(claim: Claim, row: SX, numbers: Numbers, start: Mapping[str, Any
     if np.any(g <= 0):
         first = int(np.argmax(g <= 0))
         return f"it is {g[first]:.4g} at t = {time[first]:.6g} s"
-    falls = g[-1] < GONE * g[0] and g[-1] < 0.7 * np.interp(time[-1] / 2, time, g)
+    falls = (g[-1] < GONE * g[0] and g[-1] < 0.7 * np.interp(time[-1] / 2, time, g)) or _as_a_power(time, g)
     return f"it is down to {g[-1]:.4g} from {g[0]:.4g} at t = {time[-1]:.6g} s, and falls" if falls else ""
 
 
@@ -151,19 +178,27 @@ def _begin(claim: Claim, states: Sequence[Variable], numbers: Numbers, start: Ma
     return np.concatenate(columns) if columns else np.zeros(0)
 
 
+def _as_a_power(time: np.ndarray, g: np.ndarray) -> bool:
+    """It falls over the last two decades of time by equal shares, as 1/sqrt(t) does: no constant is left below it."""
+    if time[-1] < LATE or not np.all(np.diff(g[time > SOON]) < 0):
+        return False
+    first, middle, last = np.log(np.interp([SOON, np.sqrt(SOON * LATE), LATE], time, g))
+    return bool(middle - first < np.log(STEADY) and last - middle <= STEADY * (middle - first))
+
+
 def _course(own: ca.Function, p: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """The quantity over time: to `SOON`, and on to `LATE` where it still falls; None where that is not found."""
+    """The quantity over time: to `SOON`, and on to `LATE` unless it is gone; None where that is not found."""
     time, g, at = np.zeros(0), np.zeros(0), begin
     for first, last in ((0.0, SOON), (SOON, LATE)):
-        times = np.linspace(first, last, INSTANTS)
+        times = np.linspace(first, last, INSTANTS if begin.size else DENSE)
         states = _states(own, p, at, times)
         if states is None:
-            return None
+            break
         found = own.map(times.size)(states, times[None, :], np.tile(p[:, None], times.size))[1].full().ravel()
         time, g, at = np.concatenate([time, times]), np.concatenate([g, found]), states[:, -1]
-        if not (np.all(g > 0) and np.all(np.diff(g[g.size // 2 :]) < 0) and g[-1] > GONE * g[0]):
+        if not (np.all(g > 0) and g[-1] > GONE * g[0]):
             break
-    return (time, g) if np.all(np.isfinite(g)) else None
+    return (time, g) if time.size and np.all(np.isfinite(g)) else None
 
 
 def _states(own: ca.Function, p: np.ndarray, begin: np.ndarray, times: np.ndarray) -> np.ndarray | None:

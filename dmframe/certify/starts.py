@@ -53,8 +53,13 @@ def start_of(label: str, numbers: Numbers, given: Mapping[str, Any]) -> list[Num
 
 
 def start_is_said(label: str, numbers: Numbers, given: Mapping[str, Any]) -> bool:
-    """True where a graph, a parameter or a block says where a state starts; else a run looks for it, or takes zero."""
+    """True where a graph, a parameter or a block says where a state starts, and where it starts at zero without a word.
+
+    Of the plant's states alone a run may look for one, where a measured signal follows a trajectory.
+    """
     claim, (block, _, state) = numbers.claim, label.partition(".")
+    if not (claim.loop.followed and any(variable.label == label for variable in claim.loop.plant)):
+        return True
     model = claim.diagram.models[block]
     if _given(label, numbers, given) is not None or model.values.get(state) is not None:
         return True

@@ -2,8 +2,8 @@
 
 That nothing divides by zero, that a clipped term has a width, that a projection's set has an inside, that an equation
 is stable of which its block would otherwise ask more, that a path does not jump, that a load is a body, that what is
-zero in the graph is zero. None of it is computed by `verify` of a single graph: it is for intervals and for numbers
-that move.
+zero in the graph is zero, that a path of the tool is within its reach, that what is assumed to stay above zero is not
+led to it. None of it is computed by `verify` of a single graph: it is for intervals and for numbers that move.
 """
 
 from __future__ import annotations
@@ -22,11 +22,13 @@ from dmframe.certify.checked import Numbers, lower, upper
 from dmframe.certify.claim import Claim
 from dmframe.certify.closure import Bases, Closure
 from dmframe.certify.conditions import load_labels
+from dmframe.certify.contradicted import kept_above
 from dmframe.certify.definite import Number
 from dmframe.certify.divisors import written
 from dmframe.certify.memories import pivots_at_start, reads_of
 from dmframe.certify.positive import Signs
 from dmframe.certify.projections import ROUNDED, begun_in, rooms_on_path
+from dmframe.certify.reach import kept_within
 from dmframe.certify.risky import risky
 from dmframe.certify.smoothness import HORIZON, SAMPLES, followed_by_numbers
 from dmframe.certify.statements import bases_of
@@ -86,6 +88,10 @@ def tacit(claim: Claim, numbers: Numbers) -> Iterator[Tacit]:
     yield from _loads(claim, numbers)
     yield from _rooms(claim, numbers)
     yield from _starts(claim, numbers)
+    for name, margin, reads in kept_within(claim):
+        yield Tacit(name, margin, reads, opens=True)
+    for name, reads in kept_above(claim, numbers):
+        yield Tacit(name, reads=reads)
 
 
 def _domains(claim: Claim) -> Iterator[Tacit]:

@@ -20,7 +20,7 @@ from dmframe.config.overrides import changed, overridden, put, texts_of
 from dmframe.config.places import placed
 from dmframe.config.reality import KEY, names_reality, split, with_reality
 from dmframe.config.renamed import Find, with_new_names
-from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of
+from dmframe.config.sections import at_name, blocks_of, check_baseline, robot_of, start_of, tolerance_in
 from dmframe.diagram import Diagram
 from dmframe.errors import DmframeError, MissingError, raise_all, visible
 from dmframe.exact.rational import Interval
@@ -113,6 +113,9 @@ class Experiment:
             with SYMBOLIC:
                 diagram = Diagram.build(self.blocks, file.wires, self.robot)
             check_run(diagram, file.duration, **self.settings)
+            if file.tolerance is not None and (goal := diagram.loop.goal) is not None:
+                unit = next(out.unit for out in diagram.loop.outputs if out.label == goal.actual)
+                tolerance_in(unit, file, self.document)
             return diagram
         except DmframeError as error:
             raise placed(error, self.document) from None

@@ -10,10 +10,12 @@ from typing import Any
 from pydantic import ValidationError
 
 from dmframe.block import AbstractBlock, type_name
-from dmframe.config.grammar import RobotSection, robot_name, shown
+from dmframe.config.document import Document
+from dmframe.config.grammar import GraphFile, RobotSection, robot_name, shown
+from dmframe.config.places import placed
 from dmframe.config.renamed import Find
 from dmframe.errors import DmframeError, MissingError, UnknownNameError, ValueFault
-from dmframe.units import joint_place
+from dmframe.units import joint_place, to_unit
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -100,6 +102,16 @@ def robot_of(given: Any, base: Path, faults: list[DmframeError]) -> Any:
             fault.path = fault.path or ("robot", "model")
             faults.append(fault)
         return None
+
+
+def tolerance_in(unit: str, file: GraphFile, document: Document) -> float | None:
+    """The `tolerance` of a graph in the unit of its error, if it has one. Raises `DmframeError` for another unit."""
+    if file.tolerance is None:
+        return None
+    try:
+        return to_unit(file.tolerance, unit)
+    except DmframeError as error:
+        raise placed(ValueFault(f"tolerance: {error.text}", path=("tolerance",)), document) from None
 
 
 def at_name(fault: DmframeError) -> DmframeError:

@@ -140,6 +140,12 @@ class ClosedLoop:
         return [*found, *(pair for pair in self.followed if pair.actual not in dict(self.led))]
 
     @property
+    def goal(self) -> Followed | None:
+        """What it is judged by: its task where it has one, else its joints; None without a goal."""
+        pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(self.goals)}
+        return next((pairs[name] for name in ("x", "q", *pairs) if name in pairs), None)
+
+    @property
     def clocked(self) -> str:
         """Why it runs on a clock alone, as a clause; empty for a loop that runs in continuous time too."""
         if self.ahead:

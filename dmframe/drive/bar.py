@@ -1,7 +1,9 @@
 """What a controller must reach by itself in a rehearsal, however small the change that a condition makes.
 
-A tolerance that the graph states; without one, at most half the error of a robot that holds still, and no larger an
-error than the kinematic inverse of J under the same condition.
+A tolerance that the graph states, and that a robot which holds still does not meet; without one, at most half the
+error of a robot that holds still, and no larger an error than the kinematic inverse of J under the same condition. So
+it is in the last quarter of a run. In the second and the third the error is at most half of what holding still makes
+of the path, or within the tolerance.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ class Measured:
         In the last quarter, of a robot that stays at its start.
     stopped
         Why it did not come to its end; empty where it did.
+    moved
+        In the quarter in which holding still errs most, the first left out.
     """
 
     signal: str
@@ -43,11 +47,17 @@ class Measured:
     last: float
     still: float
     stopped: str
+    moved: float = 0.0
 
     @property
     def follows(self) -> bool:
         """True where it came to its end with at most half the error of holding still."""
         return not self.stopped and self.last <= STILL_SHARE * self.still
+
+    @property
+    def farthest(self) -> float:
+        """What holding still errs by where it errs most."""
+        return max(self.still, self.moved)
 
 
 @final
@@ -74,8 +84,29 @@ class Bar:
 
         The rival's margin is how much its own error changes from the third quarter to the last, `RESOLUTION` at least.
         """
+        return self._in_the_last(run, rival, ideal=ideal) or self._before(run)
+
+    def _before(self, run: Measured) -> str:
+        """In the second and the third quarter: a controller that follows in the end alone does not follow."""
+        most = max(STILL_SHARE * run.farthest, self.tolerance or 0.0)
+        for name, error in (("second", run.second), ("third", run.third)):
+            if not error <= most:
+                return (
+                    f"the error in the {name} quarter is {plain(error, run.unit)}, and a robot that holds still errs "
+                    f"by {plain(run.farthest, run.unit)} where it errs most"
+                )
+        return ""
+
+    def _in_the_last(self, run: Measured, rival: Measured | None, *, ideal: bool) -> str:
         if self.tolerance is not None:
-            return "" if run.last <= self.tolerance else f"the tolerance is {plain(self.tolerance, run.unit)}"
+            if not run.last <= self.tolerance:
+                return f"the tolerance is {plain(self.tolerance, run.unit)}"
+            if run.farthest <= self.tolerance:
+                return (
+                    f"a robot that holds still errs by {plain(run.farthest, run.unit)} at most, which is within the "
+                    f"tolerance of {plain(self.tolerance, run.unit)}: state a smaller one, or a start off the goal"
+                )
+            return ""
         if not run.follows:
             return f"a robot that holds still errs by {plain(run.still, run.unit)}; at most half of that is required"
         if rival is None:
@@ -101,6 +132,11 @@ def quarters(shares: np.ndarray, error: np.ndarray, still: np.ndarray) -> tuple[
     parts = [(shares >= k / 4) & (shares < (k + 1) / 4 if k < 3 else True) for k in (1, 2, 3)]
     found = [_rms(error[part]) for part in parts]
     return found[0], found[1], found[2], _rms(still[parts[2]])
+
+
+def farthest(shares: np.ndarray, still: np.ndarray) -> float:
+    """The largest of what `quarters` would say of holding still in the second, the third and the last."""
+    return max(quarters(shares, still, still)[:3])
 
 
 def _rms(values: np.ndarray) -> float:

@@ -10,22 +10,22 @@ import numpy as np
 
 from dmframe.columns import columns
 from dmframe.config.experiment import Experiment
-from dmframe.config.places import placed
+from dmframe.config.sections import tolerance_in
 from dmframe.diagram import Diagram
-from dmframe.drive.bar import Bar, Measured, quarters
+from dmframe.drive.bar import Bar, Measured, farthest, quarters
 from dmframe.drive.drive import steered_controller
 from dmframe.drive.identity import Identity, identity
 from dmframe.drive.limits import own_limits
 from dmframe.drive.record import recording_of
 from dmframe.drive.rival import Law, Rival, law_of
 from dmframe.drive.robots import clock_of, simulated_robot, usual_payload
-from dmframe.errors import DmframeError, DriveError, ValueFault
+from dmframe.errors import DriveError
 from dmframe.results.metrics import euclidean, tracking_error
 from dmframe.runtime.driving import Driven, Plan, drive
 from dmframe.runtime.gate import Gate, Limits
 from dmframe.runtime.simulated import SimulatedRobot
 from dmframe.simulate.engine import Choice
-from dmframe.units import plain, to_unit
+from dmframe.units import plain
 
 IDEAL: Final = "the ideal robot"
 LONGEST: Final = 40.0
@@ -260,7 +260,8 @@ def rehearsed(
         found, rival = trial.measured(condition.options), trial.rival(condition.options)
         if ideal is None:  # the first one
             ideal, signal, unit = found, found.signal, found.unit
-            bar = Bar(_tolerance(experiment, unit), str(law) if law is not None else "", lacking)
+            stated = tolerance_in(unit, experiment.file, experiment.document)
+            bar = Bar(stated, str(law) if law is not None else "", lacking)
         why = found.stopped or bar.above(found, rival, ideal=ideal is found) or _why(found, ideal)
         error, other = (None if each is None or each.stopped else each.last for each in (found, rival))
         outcomes.append(Outcome(condition, error, why, other, found.still))
@@ -281,17 +282,6 @@ def _why(run: Measured, ideal: Measured) -> str:
     if run.last > GROWS * usual * run.second and run.last > small:
         return f"the error grows, from {plain(run.second, run.unit)} in the second quarter"
     return ""
-
-
-def _tolerance(experiment: Experiment, unit: str) -> float | None:
-    """That of the graph, in the unit of its error. Raises `DmframeError` for one in another unit."""
-    given = experiment.file.tolerance
-    if given is None:
-        return None
-    try:
-        return to_unit(given, unit)
-    except DmframeError as error:
-        raise placed(ValueFault(f"tolerance: {error.text}", path=("tolerance",)), experiment.document) from None
 
 
 @final
@@ -320,8 +310,10 @@ class _Trial:
                 f"{self.experiment.name}: expected a graph that follows a path, so that its error can be told"
             )
         still = recording[error.actual][0] - recording[error.desired]
-        parts = quarters(recording.time / self.duration, error.norm, euclidean(still))
-        return Measured(error.signal, error.unit, *parts, _stopped(found, float(recording.time[-1])))
+        shares, still = recording.time / self.duration, euclidean(still)
+        stopped = _stopped(found, float(recording.time[-1]))
+        parts = quarters(shares, error.norm, still)
+        return Measured(error.signal, error.unit, *parts, stopped, farthest(shares, still))
 
     def rival(self, options: dict[str, Any]) -> Measured | None:
         """Those of the rival; None where there is no fair one."""

@@ -17,10 +17,14 @@ from dmframe.program import by_code, read, run
 @final
 @dataclass(frozen=True)
 class Ends:
-    """The least and the greatest that a number can be, as expressions; NaN where a divisor can be zero."""
+    """The least and the greatest that a number can be, as expressions; `defined` is 0 where a divisor can be zero.
+
+    A flag is carried, since a NaN is lost on its way: zero times it is written as zero, and `fmin` takes the other.
+    """
 
     lower: Any
     upper: Any
+    defined: Any = 1
 
     @staticmethod
     def of(value: Any) -> Ends:
@@ -28,10 +32,10 @@ class Ends:
         return value if isinstance(value, Ends) else Ends(value, value)
 
     def __add__(self, other: Ends) -> Ends:
-        return Ends(self.lower + other.lower, self.upper + other.upper)
+        return Ends(self.lower + other.lower, self.upper + other.upper, _both(self, other))
 
     def __neg__(self) -> Ends:
-        return Ends(-self.upper, -self.lower)
+        return Ends(-self.upper, -self.lower, self.defined)
 
     def __sub__(self, other: Ends) -> Ends:
         return self + (-other)
@@ -41,11 +45,11 @@ class Ends:
         low = high = first
         for product in others:
             low, high = ca.fmin(low, product), ca.fmax(high, product)
-        return Ends(low, high)
+        return Ends(low, high, _both(self, other))
 
     def __truediv__(self, other: Ends) -> Ends:
-        one = ca.if_else(other.lower * other.upper > 0, 1, np.nan)
-        return self * Ends(one / other.upper, one / other.lower)
+        defined = ca.logic_and(other.defined, other.lower * other.upper > 0)
+        return self * Ends(1 / other.upper, 1 / other.lower, defined)
 
     def __rtruediv__(self, other: int) -> Ends:
         return Ends.of(ca.SX(other)) / self
@@ -54,13 +58,16 @@ class Ends:
         """Not the product with itself, which forgets that both factors are one."""
         ends = self.lower * self.lower, self.upper * self.upper
         least = ca.if_else(ca.logic_and(self.lower <= 0, self.upper >= 0), 0, ca.fmin(*ends))
-        return Ends(least, ca.fmax(*ends))
+        return Ends(least, ca.fmax(*ends), self.defined)
 
 
-def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]]) -> Ends:
+def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]], *, waves: bool = False) -> Ends:
     """Both ends of a column, element by element; `inside` has the intervals of symbols, by their identity.
 
-    Raises `ValueFault` for an expression of other than field operations.
+    With `waves` a sine or cosine of what lies in an interval is anywhere from -1 to 1. Both ends are NaN where a
+    divisor can be zero.
+
+    Raises `ValueFault` for an expression of other operations than these and those of a field.
     """
     symbols = ca.symvar(expression)
     program = read(ca.Function("ends", symbols, [ca.vec(ca.densify(expression))]))
@@ -72,14 +79,21 @@ def enclosing(expression: Any, inside: Mapping[int, tuple[float, float]]) -> End
 
     values = run(
         program,
-        _RULES,
+        _RULES | _WAVES if waves else _RULES,
         given=given,
         constant=ca.SX,
         refuse=lambda code: ValueFault(f"expected + - * / only, found CasADi's instruction {code}"),
     )
     (found,) = program.stored(values)
     ends = [Ends.of(value) for value in found]
-    return Ends(ca.vertcat(ca.SX(0, 1), *(e.lower for e in ends)), ca.vertcat(ca.SX(0, 1), *(e.upper for e in ends)))
+    lower = (ca.if_else(e.defined, e.lower, np.nan) for e in ends)
+    upper = (ca.if_else(e.defined, e.upper, np.nan) for e in ends)
+    return Ends(ca.vertcat(ca.SX(0, 1), *lower), ca.vertcat(ca.SX(0, 1), *upper))
+
+
+def _both(one: Ends, other: Ends) -> Any:
+    """Whether two numbers are defined."""
+    return ca.logic_and(one.defined, other.defined)
 
 
 def _mixed(rule: Callable[..., Any]) -> Callable[..., Any]:
@@ -96,3 +110,7 @@ def _square(x: Any) -> Any:
 
 
 _RULES: Final = {code: _mixed(rule) for code, rule in (ARITHMETIC | by_code({"sq": _square})).items()}
+_WAVES: Final = by_code({
+    "sin": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.sin(x),
+    "cos": lambda x: Ends(ca.SX(-1), ca.SX(1), x.defined) if isinstance(x, Ends) else ca.cos(x),
+})  # fmt: skip

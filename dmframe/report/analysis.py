@@ -136,7 +136,7 @@ class Analysis:
     def _proofs(self) -> Iterator[str]:
         """What was proved, in words; or why not."""
         rows = self._view.periods[2:4]
-        meanings = {meaning: name for name, _, meaning in reversed(rows)}
+        meanings = {meaning: name.removeprefix("proved, ") for name, _, meaning in reversed(rows)}
         for meaning, name in reversed(meanings.items()):
             text = meaning if len(meanings) == 1 else f"{name}: {meaning}"
             yield from (f"  {line}" for line in textwrap.wrap(f"{text[:1].upper()}{text[1:]}.", 110))

@@ -16,7 +16,6 @@ from dmframe.simulate.keep import apart_of
 from dmframe.units import plain
 
 EIGHTHS = 8
-_PREFERRED = ("x", "q")
 FARTHEST = 8.0
 """The square of the distance of two rotation matrices that are half a turn from one another."""
 _ROUNDING = 1e-9  # an instant k T that should open an eighth may lie this much of an eighth before it
@@ -119,8 +118,7 @@ def turn_of(loop: ClosedLoop) -> SX | None:
 
 def goal_of(loop: ClosedLoop) -> Followed | None:
     """What a loop is judged by: its task where it has one, else its joints; None without a goal."""
-    pairs = {pair.actual.split(".", 1)[1]: pair for pair in reversed(loop.goals)}
-    return next((pairs[name] for name in (*_PREFERRED, *pairs) if name in pairs), None)
+    return loop.goal
 
 
 def tracking_error(run: Recording) -> TrackingError | None:

@@ -60,7 +60,7 @@ def storage_picture(found: Along, names: Sequence[str], run: Recording, title: s
         top = max(tops, default=0.0)
         if top > 0:
             below.set_ylim(top * FAINT, top * 3)
-        below.set_ylabel("terms of $V$")
+        below.set_ylabel("terms of $V$" if len(tops) <= CURVES else f"{CURVES} largest of {len(tops)}\nterms of $V$")
         below.set_xlabel("time [s]")
         above.set_xlim(0, float(found.time[-1]))
         below.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0)

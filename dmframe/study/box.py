@@ -81,6 +81,8 @@ def box_of(diagram: Diagram, factors: Sequence[Factor], start: Mapping[str, Any]
                 unknown.append(written)
             else:
                 outside += factor.columns
+    # a factor of zero: nothing varies, and what the graph lacks stays absent
+    ends = {label: pair for label, pair in ends.items() if not all(np.array_equal(end, own[label]) for end in pair)}
     units = {parameter.label: parameter.unit for parameter in diagram.loop.parameters if parameter.label in ends}
     units |= {f"{START}{v.label}": v.unit for v in diagram.loop.variables if f"{START}{v.label}" in ends}
     return Box(ends, units, HELD if endless else 1.0, tuple(dict.fromkeys(outside)), tuple(dict.fromkeys(unknown)))

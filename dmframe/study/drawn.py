@@ -219,7 +219,9 @@ class _Samples:
         values = np.array(values).reshape(-1, self._count)
         least = np.min(values, axis=0)
         above = np.where(least > 0 if item.checked.strict else least >= 0, HOLDS, OPEN if item.opens else FAILS)
-        near = np.abs(least) <= EDGE * (1 + np.nanmax(np.abs(values), initial=0))
+        endless = np.isinf(values).any(axis=0)  # a divisor that is zero is no margin, however large
+        size = np.where(np.isfinite(values), np.abs(values), 0)
+        near = endless | (np.abs(least) <= EDGE * (1 + np.max(size, initial=0)))
         for place, sample in enumerate(np.flatnonzero(near).tolist()):
             above[sample] = self._exactly(function, item, sample) if place < EXACT else OPEN
         return above

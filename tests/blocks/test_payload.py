@@ -24,6 +24,7 @@ from dmframe.errors import DmframeError
 from dmframe.port import TIME, Port, Side
 from dmframe.results.shown import felt
 from dmframe.robot.library import find_robot
+from dmframe_blocks._loads import with_body, with_held
 from dmframe_blocks.loaded_manipulator import LoadedManipulator
 from dmframe_blocks.payload import Payload
 from dmframe_blocks.payload_regressor import PayloadRegressor
@@ -340,3 +341,10 @@ def test_a_load_outside_of_the_box_of_all_links_is_found() -> None:
     assert fails("mass: [1], at: [0.2]") == []
     (name,) = fails("mass: [30], at: [0.2]")
     assert "true value inside the box at t = 0.2" in name
+
+
+def test_where_nothing_is_held_the_links_have_their_own_parameters_without_a_body_of_zero() -> None:
+    links, held = ca.SX.sym("a", 20), ca.SX.sym("held", 10)
+    assert with_held(links, ca.DM.zeros(10)) is links
+    assert ca.is_equal(with_held(links, held), with_body(links, held), 9)
+    assert ca.is_equal(with_held(links, held, lambda body: 2 * body), with_body(links, 2 * held), 9)

@@ -24,6 +24,8 @@ function decided({ name, how, strict, value, holds, at, size, reads, opens }, ju
   // so close to zero that rounding may have turned its sign: `verify`, which does not round, decides
   const least = judged.subarray(at, at + size).indexOf(margin);
   if (elsewhere && spread && margin !== 0 && Math.abs(margin) <= spread[at + least]) return { name, how, strict, margin, holds: null };
+  // a divisor that is zero is no margin, however large: `verify` decides
+  if (elsewhere && judged.subarray(at, at + size).some((each) => Math.abs(each) === Infinity)) return { name, how, strict, margin: null, holds: null };
   const found = strict ? margin > 0 : margin >= 0; // NaN holds nowhere
   return { name, how, strict, margin, holds: !found && opens ? null : found };
 }

@@ -49,7 +49,7 @@ FAULTS = {
     ),
     "hold at a length": (
         ("regressor", "arm2", "--hold", "joint2=3 m"),
-        "dmframe: --hold joint2=3 m: expected a quantity in rad, found '3 m': m cannot be converted to rad\n",
+        "dmframe: robot arm2: hold: joint joint2 turns: expected an angle, 30 deg, say; found 3 m\n",
     ),
     "hold of an unknown joint": (
         ("regressor", "arm2", "--hold", "jint2=3 deg"),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import dmframe as dm
-from dmframe.drive.bar import Bar, Measured, quarters
+from dmframe.drive.bar import Bar, Measured, farthest, quarters
 from dmframe.drive.rehearse import Condition, Rehearsal, rehearsed
 from dmframe.drive.rival import Rival, law_of
 from dmframe.errors import DmframeError
@@ -19,13 +19,17 @@ IDEAL = Condition("nothing, the ideal robot", {})
 LATE = Condition("2 samples of delay", {"delay": 2})
 LAW = """
 from typing import ClassVar, final
+import casadi as ca
 from dmframe.block import AbstractBlock, Equations
 from dmframe.parameter import Positive, Scalar
 from dmframe.port import Port
 
 @final
 class My(AbstractBlock):
-    inputs: ClassVar = (Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("dq_d", "n", "rad/s", derivative_of="q_d"))
+    inputs: ClassVar = (
+        Port("q", "n", "rad"), Port("q_d", "n", "rad"), Port("t", "", "s"),
+        Port("dq_d", "n", "rad/s", derivative_of="q_d"),
+    )
     outputs: ClassVar = (Port("dq_r", "n", "rad/s"),)
     rate: Scalar = Positive("", "1/s")
 
@@ -89,13 +93,34 @@ def test_a_tolerance_decides_alone_in_each_condition(tmp_path: Path) -> None:
     good = "u.dq_d - p.rate * (u.q - u.q_d)"
     error = tried(written(tmp_path, good)).outcomes[0].error
     assert error is not None
-    wide = tried(written(tmp_path, "0 * u.q", "tolerance: 2 rad\n"))
+    wide = tried(written(tmp_path, "u.dq_d - 0.3 * (u.q - u.q_d)", "tolerance: 200 mrad\n"))
     assert wide.passed
-    assert "tolerance of the graph: 2 rad" in str(wide)
+    assert "tolerance of the graph: 200 mrad" in str(wide)
     narrow = tried(written(tmp_path, good, f"tolerance: {0.9 * error * 1e3} mrad\n"), IDEAL, LATE)
     assert [bool(item.why) for item in narrow.outcomes] == [True, True]
     assert narrow.outcomes[0].why.startswith("the tolerance is ")
     assert narrow.summary["tolerance"] == pytest.approx(0.9 * error)
+
+
+@pytest.mark.parametrize("law", ["0 * u.q", "ca.vertcat(ca.sin(9 * u.t), ca.cos(7 * u.t))"])
+def test_a_tolerance_that_holding_still_meets_decides_nothing(tmp_path: Path, law: str) -> None:
+    found = tried(written(tmp_path, law, "tolerance: 2 rad\n"))
+    assert not found.passed
+    assert "which is within the tolerance of 2 rad: state a smaller one, or a start off the goal" in found.sentence
+
+
+@pytest.mark.parametrize("before", ["0 * u.q", "ca.vertcat(ca.sin(3 * u.t), ca.sin(5 * u.t))"])
+@pytest.mark.parametrize("more", ["", "tolerance: 100 mrad\n"])
+def test_a_law_that_follows_in_the_last_quarter_alone_fails(tmp_path: Path, before: str, more: str) -> None:
+    found = tried(written(tmp_path, f"ca.if_else(u.t < 2, {before}, u.dq_d - 12 * (u.q - u.q_d))", more))
+    assert not found.passed
+    assert "quarter is " in found.sentence
+
+
+def test_a_path_that_is_back_at_its_start_in_the_end_is_judged_where_it_was_away() -> None:
+    away = Measured("", "m", 0.001, 0.001, 0.001, 0.0005, "", moved=0.2)
+    assert not Bar(0.002, "", "").above(away, None, ideal=True)
+    assert "third quarter is 200 mm" in Bar(0.002, "", "").above(replace(away, third=0.2), None, ideal=True)
 
 
 def test_a_tolerance_that_is_none_is_refused(tmp_path: Path) -> None:
@@ -106,8 +131,8 @@ def test_a_tolerance_that_is_none_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(DmframeError, match=told):
             written(tmp_path, "u.dq_d", f"tolerance: {text}\n")
-    with pytest.raises(DmframeError, match=r"tolerance: .*rad"):
-        tried(written(tmp_path, "u.dq_d", "tolerance: 2 mm\n"))
+    with pytest.raises(DmframeError, match=r":\d+:\d+: tolerance: expected a quantity in rad, found '2 mm'"):
+        written(tmp_path, "u.dq_d", "tolerance: 2 mm\n").experiment.diagram()  # without a run, as `check` does
 
 
 def test_a_goal_out_of_reach_does_not_pass() -> None:
@@ -166,6 +191,7 @@ def test_quarters_are_those_of_the_whole_time() -> None:
     shares = np.arange(8) / 8
     found = quarters(shares, np.array([9, 9, 1, 1, 2, 2, 3, 3.0]), np.full(8, 5.0))
     assert found == (1.0, 2.0, 3.0, 5.0)
+    assert farthest(shares, np.array([9, 9, 1, 1, 7, 7, 3, 3.0])) == 7.0
 
 
 def test_the_rival_is_the_kinematic_law_by_hand() -> None:

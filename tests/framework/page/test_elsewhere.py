@@ -78,6 +78,7 @@ def test_a_number_known_up_to_an_interval_stays_in_it(uncertain: Any) -> None:
 def test_ends_of_an_expression_are_those_of_interval_arithmetic() -> None:
     x, y, z = (ca.SX.sym(name) for name in "xyz")
     made = ca.vertcat(x * x - y / x, (x - 3) * (x - 3) * z, 1 / (y + z), 2 * z - y * y, z / (y + 1), x * z / (z - y))
+    made = ca.vertcat(made, 1 + (x - 2) / y, (4 - x) * (1 / y) + x, 5 + (x - 2) * (z / (y * y)))
     box = {"x": (2.0, 4.0), "y": (-1.5, 0.5)}
     ends = enclosing(made, {symbol.element_hash(): box[symbol.name()] for symbol in (x, y)})
     found = np.hstack([side.full() for side in ca.Function("ends", [z], [ends.lower, ends.upper])(0.75)])

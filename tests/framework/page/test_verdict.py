@@ -54,6 +54,16 @@ def test_a_gain_that_breaks_a_condition_takes_the_proof_away() -> None:
     assert "M̄ ≥ 0" in found["says"][0]
 
 
+@pytest.mark.parametrize(("factor", "state"), [(1.5, "proved"), (4.0, "undecided")])
+def test_a_path_that_moved_numbers_take_out_of_reach_is_not_called_proved(factor: float, state: str) -> None:
+    data = content("known_tracking_pi")
+    slider = next(slider for slider in data["sliders"] if slider["label"] == "path.radius")
+    p = list(data["p"])
+    p[slider["at"]] *= factor
+    (found,) = said(data, {"p": p, "moved": {**MOVED, "at": [slider["at"]]}})
+    assert found["state"] == state
+
+
 def test_a_margin_that_is_zero_holds_where_the_condition_is_not_strict() -> None:
     data = stated({"strict": True}, {"strict": False})
     strict, loose, none = said(data, margins(0.0, 1.0), margins(1.0, 0.0), margins(1.0, math.nan))

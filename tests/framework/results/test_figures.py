@@ -262,6 +262,14 @@ def test_v_is_drawn_as_the_proof_states_it_with_its_largest_terms(arm2):
     assert {text.get_text() for text in below.get_legend().get_texts()} == {*names, "σ (arm)", "q − q_d (task)"}
 
 
+def test_a_figure_of_v_says_how_many_of_its_terms_it_leaves_out(arm2, monkeypatch):
+    assert storage_figure("arm2", arm2).axes[1].get_ylabel() == "terms of $V$"
+    monkeypatch.setattr("dmframe.results.storage_figure.CURVES", 4)
+    below = storage_figure("arm2", arm2).axes[1]
+    assert below.get_ylabel() == "4 largest of 6\nterms of $V$"
+    assert len(below.get_legend().get_texts()) == 4
+
+
 def test_a_graph_of_which_nothing_would_be_proved_has_no_figure_of_v(kinematic, make_result, pendulum, monkeypatch):
     assert storage_figure("no certificate", kinematic) is None
     unpaid = make_result("pendulum", 0.1, "inverse.K_c=0.1", "inverse.tie=position")

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from dmframe.certify import verify
+from dmframe.certify.checked import Checked
+from dmframe.certify.elsewhere import Elsewhere
 from dmframe.study import basis
 from dmframe.study import proof as module
 from dmframe.study.answer import Told, _proof_in_short
 from dmframe.study.design import Spread
-from dmframe.study.drawn import held_at
+from dmframe.study.drawn import HOLDS, OPEN, _Samples, held_at
 from dmframe.study.findings import Findings
 from dmframe.study.plan import Study, load_study
 from dmframe.study.proof import HELD, box_of, proofs_of
@@ -118,6 +120,17 @@ def test_each_draw_is_judged_as_its_own_proof_judges_it() -> None:
     assert np.array_equal(drawn, by_hand.ravel())
     for sample in (int(np.argmin(drawn)), int(np.argmax(drawn))):
         assert found.graph_of(sample).verify().proved == drawn[sample]
+
+
+def test_a_factor_of_what_is_zero_changes_nothing() -> None:
+    found = study("arm.coulomb: {scale: [0.5, 2]}", "arm2_joint")
+    assert box_of(of(found), found.factors).ends == {}
+    assert proofs_of(found, [""])[0].proved
+
+
+def test_paths_within_reach_are_decided_for_the_whole_box() -> None:
+    found = study("path.radius: {uniform: [0.1, 0.2]}\npath.rate: {scale: [0.5, 2]}", "known_tracking_pi")
+    assert proofs_of(found, [""])[0].proved
 
 
 def test_margins_are_of_the_point_and_not_of_the_graph() -> None:
@@ -248,6 +261,7 @@ def test_the_first_line_of_a_study_is_the_verdict(
         ("arm2_joint", "inverse.w: {scale: [0.2, 2]}"),
         ("arm2_joint", "start.a_d_hat: {uniform: [-30, 30], per: element}"),
         ("pendulum", "arm.coulomb: {uniform: [0, 1]}"),  # zero in the graph, and no column of the regressor
+        ("known_tracking_pi", "path.radius: {uniform: [0.1, 1.4]}"),  # out of reach from some 0.57 m on
     ],
 )
 def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: str) -> None:
@@ -261,3 +275,13 @@ def test_whatever_a_box_and_a_count_say_single_proofs_say(graph: str, sample: st
     assert not told.proved
     for sample, own in enumerate(proved):
         assert told.drawn.unknown[sample] or told.drawn.fulfil[sample] == own
+
+
+def test_a_divisor_that_is_zero_in_a_sample_is_no_large_margin() -> None:
+    """1 / (K_I - 20)^2 is above zero at every number but at 20, where it is nothing, and no float above zero."""
+    claim = verify(of(study("servo.K_I: {scale: [1, 2]}"))).claim
+    assert claim is not None
+    (K_I,) = (item.symbol for item in claim.loop.parameters if item.label == "servo.K_I")
+    item = Elsewhere(Checked("toy", "", 1.0, True, "a test"), 1 / (K_I - 20) ** 2)
+    samples = _Samples(claim, {"servo.K_I": np.array([[20.0, 21.0, 40.0]])}, 3)
+    assert samples.judged([item]).tolist() == [OPEN, HOLDS, HOLDS]
