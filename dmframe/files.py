@@ -158,12 +158,12 @@ def forced(file: IO[bytes]) -> None:
 def sync(folder: Path) -> None:
     """Force the names in a folder to the disk, where the system can."""
     if hasattr(os, "O_DIRECTORY"):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            with suppress(OSError):  # some network drives refuse it of folders
+        with suppress(OSError):  # some network drives refuse it of folders, and a user may write to one and not read it
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+            try:
                 os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+            finally:
+                os.close(descriptor)
 
 
 def sync_below(folder: Path) -> None:

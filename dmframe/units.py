@@ -52,6 +52,8 @@ _PREFIXES_OF: Final = {
 _DIVIDING: Final = ("s", "m")
 _BASES: Final = ("m", "s", "g", "rad", "A", "K")
 _SPELLINGS = ("m", "mm", "s", "ms", "min", "h", "rad", "deg", "turn", "rpm", "Hz", "kg", "N", "J", "W", "V", "A", "%")
+_WORDS = {"sec": "s", "newton": "N", "volt": "V", "ampere": "A", "joule": "J", "watt": "W"}
+"""Words that are no spelling here, with the unit that is meant."""
 
 _NUMBER = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(.*)", re.DOTALL)
 _NOT_FINITE = re.compile(r"\s*[+-]?\.?(nan|inf|infinity)\b", re.IGNORECASE)
@@ -244,6 +246,7 @@ def _named(name: str) -> tuple[Fraction, dict[str, int]]:
     if known is None:
         pairs = ((name[:cut], name[cut:]) for cut in range(1, len(name)))
         right = [spelling for spelling in _SPELLINGS if spelling.lower() == name.lower()]
+        right += [short for long, short in _WORDS.items() if name.lower() in (long, f"{long}s")]
         right += [
             " ".join(pair) for pair in pairs if all(map(_known, pair)) and _named(pair[0])[1] != _named(pair[1])[1]
         ]

@@ -76,12 +76,14 @@ def _from_samples(file: Path, needed: Sequence[str], fields: Mapping[str, str]) 
     try:
         head, columns = read_samples(file)
         own, drive, engine = str(head["command"]), dict(head["drive"]), str(head["engine"])
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise MissingError("expected a record as dmframe writes it, found another file", location=str(file)) from None
+        time, sent, command = columns["reference"][:, 0], columns["sent"], columns["command"]
+        beside = {f"robot.{name}": columns[name] for name in ("time", "scale", "missed")}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        text = f"expected a record as dmframe writes it, found another file, or a damaged one: {error}"
+        raise MissingError(text, location=str(file)) from None
     values = {label: columns[name] for label, name in fields.items() if name in columns}
     values |= {name.partition(":")[2]: rows for name, rows in columns.items() if name.startswith("state:")}
-    values |= {"time": columns["reference"][:, 0], own: columns["command"], "robot.sent": columns["sent"]}
-    values |= {f"robot.{name}": columns[name] for name in ("time", "scale", "missed")}
+    values |= {"time": time, own: command, "robot.sent": sent, **beside}
     if lacking := [name for name in needed if name not in values]:
         text = f"expected a record with {lacking[0]}, which this controller needs, found none"
         raise MissingError(text, location=str(file))

@@ -28,6 +28,8 @@ from dmframe.units import plain
 
 APART: Final = 0.4
 """How far from a whole number of periods samples may be apart, in periods."""
+MOST_MISSED: Final = 2**31
+"""Samples that can be lost in a row; a record with more of them is damaged."""
 SENT: Final = "robot.sent"
 _USUAL: Final = {"robot.scale": 1.0, "robot.missed": 0.0}
 """Of a record without them, a simulation's."""
@@ -51,7 +53,13 @@ class Compared:
     @property
     def largest(self) -> float:
         """The largest difference."""
-        return float(np.nanmax(np.abs(self.now - self.then), initial=0.0))
+        return float(np.nanmax(self.apart, initial=0.0))
+
+    @property
+    def apart(self) -> np.ndarray:
+        """How far the numbers are apart; nan for two infinite ones."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.asarray(np.abs(self.now - self.then))
 
 
 @final
@@ -152,7 +160,7 @@ class Replay:
     def _lines(self, label: str) -> list[str]:
         """Where a signal is another first, and where most."""
         item = self.compared[label]
-        first, apart = int(item.rows[0]), np.abs(item.now - item.then)
+        first, apart = int(item.rows[0]), item.apart
         names = self.joints if apart.shape[1] == len(self.joints) else tuple(map(str, range(1, apart.shape[1] + 1)))
         place = int(np.argmax(item.then[first] != item.now[first]))
         row, most = np.unravel_index(int(np.nanargmax(apart)), apart.shape) if np.isfinite(apart).any() else (first, 0)
@@ -183,10 +191,13 @@ def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engin
     known = ["robot.time", SENT, *_USUAL, *own, *states]
     fields = {**own, **steered.fields}
     held = read_log(Path(log), [*steered.fields, steered.label], known, fields)
+    notices = list(held.notices)
     expected = {**steered.controller.measured, steered.label: steered.command}
     count = held.values["time"].size
     _check_sizes(held.values, expected, count, str(log))
     kept = [label for label in states if label in held.values]
+    if lost := [label for label, item in states.items() if item.recorded and label not in held.values]:
+        notices.append(f"{listed(lost)} {'are' if len(lost) > 1 else 'is'} not compared: not in the record")
     now, refused, notice = _computed(steered, held, fields, kept, str(log))
     units = {steered.label: "rad/s", SENT: "rad/s", **{label: item.unit for label, item in states.items()}}
     compared = {
@@ -207,7 +218,7 @@ def replayed(experiment: Experiment, diagram: Diagram, log: str | Path, *, engin
         compared,
         refused,
         (held.engine, steered.controller.engine),
-        (*held.notices, *notice),
+        (*notices, *notice),
     )
 
 
@@ -220,12 +231,12 @@ def _computed(
     scale, missed = (held.values.get(label, np.full(count, usual)).ravel() for label, usual in _USUAL.items())
     since = held.values.get("robot.time", time).ravel()
     _check_whole(since, missed, steered.controller.clock, log)
-    gate, notice = _gate(held, n, log)
+    gate, ramp, notice = _gate(held, n, log)
     now = {steered.label: np.full((count, n), np.nan)}
     if gate is not None:
         now[SENT] = np.full((count, n), np.nan)
     now |= {label: np.full((count, steered.controller.states[label].size), np.nan) for label in states}
-    ramp, sent, refused = float(held.drive.get("ramp", 0)), np.zeros(n), 0
+    sent, refused = np.zeros(n), 0
     for k in range(count):
         sample = _sample(held.values, fields, n, k, int(missed[k]))
         if k == 0:
@@ -245,19 +256,22 @@ def _computed(
     return now, refused, notice
 
 
-def _gate(held: Log, n: int, log: str) -> tuple[Gate | None, tuple[str, ...]]:
-    """The gate of then; None for a simulation, and with a notice for a drive whose limits are not recorded."""
+def _gate(held: Log, n: int, log: str) -> tuple[Gate | None, float, tuple[str, ...]]:
+    """The gate of then and how long it gathered speed; no gate for a simulation, and with a notice for a drive whose
+    limits, or what was sent, are not recorded.
+    """
     if SENT not in held.values:
-        return None, ()
+        return None, 0.0, (f"{SENT} is not compared: the record does not hold it",) if held.drive else ()
     if not held.drive:
-        return None, (f"{SENT} is not compared: the record does not hold the limits of its drive",)
+        return None, 0.0, (f"{SENT} is not compared: the record does not hold the limits of its drive",)
     try:
         limits, period = Limits.of(held.drive["limits"]), float(held.drive["period"])
+        ramp = float(held.drive.get("ramp", 0))
     except (KeyError, TypeError, ValueError) as error:
         raise MissingError(f"expected the limits of the drive in the record: {error}", location=log) from None
     if limits.speed.shape != (n,) or held.values[SENT].shape[1:] != (n,):
         raise MissingError(f"{SENT}: expected {n} joints, as this controller has; the record has others", location=log)
-    return Gate(limits, period), ()
+    return Gate(limits, period), ramp, ()
 
 
 def _check_sizes(held: Mapping[str, np.ndarray], expected: Mapping[str, np.ndarray], count: int, log: str) -> None:
@@ -287,6 +301,9 @@ def _rows(values: np.ndarray, shape: tuple[int, ...], label: str, log: str) -> n
 
 def _check_whole(time: np.ndarray, missed: np.ndarray, clock: float, log: str) -> None:
     """Between two samples each state goes on: without one of them the next commands are others, and say nothing."""
+    if (wrong := np.flatnonzero(~((missed >= 0) & (missed < MOST_MISSED) & (missed == np.floor(missed))))).size:
+        k = int(wrong[0])
+        raise MissingError(f"expected a count of lost samples, found {missed[k]:g} in sample {k + 1}", location=log)
     steps = np.diff(time)
     odd = np.flatnonzero(~(np.abs(steps - clock * (1 + missed[1:])) <= APART * clock))
     if odd.size:

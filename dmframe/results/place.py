@@ -7,7 +7,7 @@ import os
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, final
 
@@ -36,11 +36,14 @@ class Place:
         As the user names it, and where it really lies.
     new
         It was made for them.
+    locks
+        Held until the place is given back: of what was renamed to the folder, too.
     """
 
     path: Path
     folder: Path
     new: bool
+    locks: list[int] = field(default_factory=list, compare=False, repr=False)
 
 
 @contextmanager
@@ -66,7 +69,12 @@ def reserved(path: str | Path, *, force: bool = False, folders: Collection[str] 
     with held(path) as (folder, locked, made):
         with writing(path, "folder"):
             _check_usable(folder, path, folders, ours=locked, force=force)
-        yield Place(path, folder, folder in made)
+        place = Place(path, folder, folder in made)
+        try:
+            yield place
+        finally:
+            while place.locks:
+                os.close(place.locks.pop())
 
 
 @contextmanager
@@ -163,6 +171,13 @@ def _locked(folder: Path, path: Path) -> int | None:
     except OSError:  # some network drives have no locks
         os.close(lock)
         return None
+    try:
+        same = os.path.samestat(os.fstat(lock), folder.stat())
+    except FileNotFoundError:
+        same = False
+    if not same:  # its results came between the look at it and the lock
+        os.close(lock)
+        raise OutputError(f"{path}: another process writes there; name another folder")
     return lock
 
 
@@ -179,8 +194,12 @@ def built(place: Place) -> Iterator[Path]:
             yield building
             _seal_data(building)
             sync_below(building)
+            lock = _locked(building, place.path)  # a lock is that of a folder, not of its name
+            if lock is not None:
+                place.locks.append(lock)
             with contextlib.suppress(OSError):
                 os.rename(building, place.folder)  # noqa: PTH104 - Path.rename would do the same; this one replaces an empty folder
+            if not building.exists():
                 sync(place.folder.parent)
                 return
             (place.folder / SEAL).unlink(missing_ok=True)  # until all files are there, there is no seal

@@ -17,6 +17,7 @@ from dmframe.errors import OutputError
 from dmframe.files import encoded, forced, reason, sync
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.steered import Steered
+from dmframe.seal import digest
 
 BLOCK: Final = 512
 """Rows that are handed over together."""
@@ -27,7 +28,9 @@ MOST_PENDING: Final = 64 * 2**20
 NUMBERS: Final = ("time", "reference", "scale", "answer", "age", "missed")
 """Columns of one number: the robot's time and the controller's [s], how fast that ran, how long the answer took [s]."""
 SHOWN: Final = ("q", "dq", "q_c", "x")
-_VERSION: Final = 1
+_VERSION: Final = 2
+_DIGEST: Final = "sha256"
+"""Of the first line, which names what the rows hold: a slip in it would make other signals of them."""
 
 
 @final
@@ -80,7 +83,7 @@ class Spool:
     def open(self, columns: Columns) -> None:
         """Begin the file; called from the loop of a drive, so that the thread does it."""
         head = {"dmframe-samples": _VERSION, "columns": columns.widths, **self.about}
-        line = encoded(json.dumps(head) + "\n")
+        line = _signed(head)
         self._begin = len(line)
         self._thread = threading.Thread(target=self._work, name="dmframe record", daemon=True)
         self._thread.start()
@@ -256,6 +259,11 @@ class Journal:
         return Sample(time=float(row[0]), **parts, age=age, missed=int(row[5]))
 
 
+def _signed(head: Mapping[str, Any]) -> bytes:
+    """The first line of a file of samples, with its own digest."""
+    return encoded(json.dumps({**head, _DIGEST: digest(encoded(json.dumps(head)))}) + "\n")
+
+
 def read_samples(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The first line of a `Spool` and its rows by column, mapped from the file; a row that was cut off is left out.
 
@@ -264,13 +272,15 @@ def read_samples(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     OSError
         It cannot be read.
     ValueError, KeyError
-        It is none.
+        It is none, or its first line is not as it was written.
     """
     with path.open("rb") as file:
         line = file.readline(2**20)
     head = json.loads(line.decode("utf-8"))
-    if head.get("dmframe-samples") != _VERSION:
+    if not isinstance(head, dict) or head.get("dmframe-samples") != _VERSION:
         raise ValueError("it is of another version")
+    if line != _signed({name: value for name, value in head.items() if name != _DIGEST}):
+        raise ValueError("its first line is not what was written: its digest is another")
     columns = Columns({str(name): int(width) for name, width in head["columns"].items()})
     count = (path.stat().st_size - len(line)) // (8 * columns.width)
     shape = (count, columns.width)

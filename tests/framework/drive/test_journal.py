@@ -18,7 +18,7 @@ import pytest
 import dmframe as dm
 from dmframe.drive import record
 from dmframe.errors import MissingError, OutputError
-from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, read_samples
+from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, _signed, read_samples
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
 
@@ -74,6 +74,58 @@ def test_a_row_that_was_cut_off_is_left_out(tmp_path: Path) -> None:
         path.write_bytes(content)
         with pytest.raises(MissingError, match="expected a record as dmframe writes it"):
             GRAPH.replay(path)
+
+
+def test_a_damaged_first_line_is_no_other_record(tmp_path: Path) -> None:
+    path = tmp_path / "samples.bin"
+    GRAPH.drive("sim", until="0.02 s", engine="interpreted", record=path)
+    assert GRAPH.replay(path, engine="interpreted").identical
+    line, _, rows = path.read_bytes().partition(b"\n")
+    head = json.loads(line)
+    state = next(name for name in head["columns"] if name.startswith("state:"))
+    for other in (
+        line.replace(state.encode(), state[:-1].encode() + b"!"),  # a state that would not be compared
+        line.replace(b'"ramp"', b'"rqmp"'),
+        line.replace(b'"sent"', b'"sgnt"'),
+        line.replace(b'"reference"', b'"ruference"'),
+        json.dumps({**head, "columns": {}}).encode(),
+        json.dumps({**head, "columns": dict.fromkeys(head["columns"], 0)}).encode(),
+        json.dumps([head]).encode(),
+    ):
+        assert other != line
+        path.write_bytes(other + b"\n" + rows)
+        with pytest.raises(MissingError, match="or a damaged one"):
+            GRAPH.replay(path, engine="interpreted")
+
+
+@pytest.mark.parametrize("value", [np.nan, -1.0, 0.5, 1e300])
+def test_a_count_of_lost_samples_is_a_count(tmp_path: Path, value: float) -> None:
+    path = tmp_path / "samples.bin"
+    GRAPH.drive("sim", until="0.02 s", engine="interpreted", record=path)
+    line, _, rows = path.read_bytes().partition(b"\n")
+    numbers = np.frombuffer(rows).copy()
+    numbers[list(json.loads(line)["columns"]).index("missed")] = value
+    path.write_bytes(line + b"\n" + numbers.tobytes())
+    with pytest.raises(MissingError, match="expected a count of lost samples"):
+        GRAPH.replay(path, engine="interpreted")
+
+
+def test_a_state_that_the_record_lacks_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "samples.bin"
+    GRAPH.drive("sim", until="0.02 s", engine="interpreted", record=path)
+    line, _, rows = path.read_bytes().partition(b"\n")
+    head = json.loads(line)
+    head.pop("sha256")
+    label = next(name for name in head["columns"] if name.startswith("state:"))
+    head["columns"] = {name.replace(label, "state:other"): size for name, size in head["columns"].items()}
+    head["columns"] = {"away" if name == "sent" else name: size for name, size in head["columns"].items()}
+    path.write_bytes(_signed(head) + rows)
+    with pytest.raises(MissingError, match="or a damaged one"):
+        GRAPH.replay(path, engine="interpreted")
+    head["columns"] = {"sent" if name == "away" else name: size for name, size in head["columns"].items()}
+    path.write_bytes(_signed(head) + rows)
+    found = GRAPH.replay(path, engine="interpreted")
+    assert f"{label.partition(':')[2]} is not compared: not in the record" in str(found)
 
 
 def test_memory_does_not_grow_with_what_is_on_the_disk(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,10 +14,11 @@ import xarray
 import dmframe.results.folder as folder_module
 from dmframe.config.experiment import load_experiment
 from dmframe.errors import OutputError
-from dmframe.files import hidden_name
+from dmframe.files import hidden_name, write_bytes
 from dmframe.results import Run, reserved, write_run
-from dmframe.results.folder import safe_name
+from dmframe.results.folder import safe_name, write_data
 from dmframe.results.resolved import resolved_text
+from dmframe.seal import seal_of
 from dmframe.simulate import simulate
 
 
@@ -201,6 +203,31 @@ def test_a_folder_that_is_held_is_nobody_elses(tmp_path, kinematic):
         write_run(place, [kinematic], plots=False)
     with pytest.raises(OutputError, match="found one with files"):
         reserve(tmp_path / "out")
+
+
+def test_a_folder_is_held_until_figures_are_there_too(tmp_path, kinematic):
+    with reserved(tmp_path / "out") as place:
+        write_data(place, [kinematic])
+        with pytest.raises(OutputError, match="another process writes there"):
+            write_run(tmp_path / "out", [kinematic], plots=False, force=True)
+    write_run(tmp_path / "out", [kinematic], plots=False, force=True)
+
+
+def test_results_in_a_folder_that_cannot_be_read_keep_their_seal(tmp_path, kinematic, monkeypatch):
+    opened = os.open
+
+    def denied(path, flags, *rest, **more):
+        if flags & os.O_DIRECTORY and Path(path) == tmp_path:
+            raise PermissionError(13, "Permission denied")
+        return opened(path, flags, *rest, **more)
+
+    monkeypatch.setattr(os, "open", denied)
+    write_run(tmp_path / "out", [kinematic], plots=False)
+    seal = seal_of(tmp_path / "out")
+    assert seal is not None
+    assert seal.complete
+    write_bytes(tmp_path / "page.html", b"x")
+    assert (tmp_path / "page.html").read_bytes() == b"x"
 
 
 def test_what_a_killed_run_left_is_in_nobodys_way(tmp_path, kinematic):
