@@ -67,21 +67,23 @@ class Analysis:
             slowest = max((float(pole.real) for pole in poles), default=0.0)
             if slowest < 0:
                 least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)
-                until = "" if math.isinf(least.unstable) else f", and sampled up to {plain(least.stable, 's', 4)}"
+                most = plain(least.stable, "s", 4)
+                until = "" if math.isinf(least.unstable) else f", and at the sampling periods looked at up to {most}"
                 return f"Near the set-point the loop is stable in continuous time{until};"
             return f"Near the set-point the loop is unstable: a pole has the real part {slowest:.3g} 1/s;"
         radius = max(linear.spectral_radius(found.clock) for linear in (found.at_rest, found.moving))
         least = min(found.periods.at_rest, found.periods.moving, key=lambda bracket: bracket.stable)
         clock = plain(found.clock, "s")
         if radius > 1:
-            until = "on no clock that was looked at" if least.stable == 0 else f"up to {plain(least.stable, 's', 4)}"
+            most = plain(least.stable, "s", 4)
+            until = "on no clock that was looked at" if least.stable == 0 else f"at the periods looked at up to {most}"
             return f"Sampled every {clock} the loop is unstable near its set-point; it is stable {until};"
         if math.isinf(least.unstable):
             return f"Sampled every {clock} the loop is stable near its set-point, as on every clock looked at;"
         room = least.stable / found.clock
         return (
-            f"Sampled every {clock} the loop is stable near its set-point, and would be up to "
-            f"{plain(least.stable, 's', 4)}, {room:.2g} times as long;"
+            f"Sampled every {clock} the loop is stable near its set-point, and at each longer period that was looked at up "
+            f"to {plain(least.stable, 's', 4)}, {room:.2g} times as long;"
         )
 
     @property
