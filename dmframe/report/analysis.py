@@ -82,8 +82,8 @@ class Analysis:
             return f"Sampled every {clock} the loop is stable near its set-point, as on every clock looked at;"
         room = least.stable / found.clock
         return (
-            f"Sampled every {clock} the loop is stable near its set-point, and at each longer period that was looked at "
-            f"up to {plain(least.stable, 's', 4)}, {room:.2g} times as long;"
+            f"Sampled every {clock} the loop is stable near its set-point, and at each longer period looked at up "
+            f"to {plain(least.stable, 's', 4)}, {room:.2g} times as long;"
         )
 
     @property
