@@ -70,6 +70,8 @@ _PREFIXED = {"m": (-9, 3), "s": (-9, 0), "rad": (-6, 0), "Hz": (0, 6), **_LARGE}
 def to_unit(value: str | float, unit: str) -> float:
     """Give `value` as a number of `unit`; a bare number is in `unit` already.
 
+    A bandwidth in 1/s may be given as an angular frequency: ``15 rad/s`` is 15 1/s.
+
     Raises `UnitError` where a unit is unknown or cannot be converted, `ValueFault` where there is no finite number.
     """
     wanted = f"a quantity in {unit}" if unit else "a plain number"
@@ -183,7 +185,7 @@ def _converted(text: str, unit: str, expected: str) -> float:
         (scale, dimension), (target_scale, target) = _size(found), _size(unit)
     except UnitError as fault:
         raise UnitError(f"{expected}: {fault.text}") from None
-    if dimension != target:
+    if dimension != target and not (target == {"s": -1} and dimension == {"s": -1, "rad": 1}):
         why = _why_not(found, unit, dimension, target)
         if dimension and {key: -power for key, power in dimension.items()} == target:
             inverse = 1 / number if (number := float(digits) * float(scale * target_scale)) else math.inf

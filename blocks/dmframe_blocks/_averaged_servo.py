@@ -80,9 +80,10 @@ class AveragedServo:
         self._used = _used(chain)
         self.joints, self.elements = list[slice](), list[Element]()
         inertial = DynamicParameters(chain).elements
+        units = _UNITS if servo == "pid" else {**_UNITS, "k_I": "1/s"}  # K_I/K_D, K_I/K_P
         for i, used in enumerate(self._used, start=1):
             first = len(self.elements)
-            self.elements += [Element(f"{name}{i}", _UNITS[name]) for name in self.servo]
+            self.elements += [Element(f"{name}{i}", units[name]) for name in self.servo]
             self.elements += [Element(f"w{i}_{inertial[k].name}") for k in used]
             self.elements += [Element(f"w{i}_{_FRICTION[kind]}") for kind in self.friction]
             self.joints.append(slice(first, len(self.elements)))

@@ -108,7 +108,7 @@ class SampledInverse(AbstractBlock):
     w_0 : diagonal (n,), rad/(N m s), > 0
         A guess of 1/(K K_D), right to a factor of ten: by it the elements of theta count alike.
     k_P, k_I : (n,), 1/s, 1/s^2, > 0
-        Where these two elements start; all others start at zero.
+        Where these two elements start; all others start at zero. With a PI servo k_I, K_I/K_P, is in 1/s.
     k_P_size, k_I_size : scalar, 1/s, 1/s^2, > 0
         How far from their start these elements may well be: Gamma holds the squares.
     offset_size, inertia_size, friction_size : scalar, N m, kg m^2, N m s/rad, > 0
@@ -203,14 +203,14 @@ class SampledInverse(AbstractBlock):
     nu: Scalar = Positive("", "rad^2/s^2", default=1e-5)
     w_0: Diagonal = Positive("n", "rad/(N m s)")
     k_P: Diagonal = Positive("n", "1/s", default=1.8)
-    k_I: Diagonal = Positive("n", "1/s^2", default=1.2)
+    k_I: Diagonal = Positive("n", "1/s^2", default=1.2, several=True)  # 1/s with a PI servo
     k_P_size: Scalar = Positive("", "1/s", default=1.0)
-    k_I_size: Scalar = Positive("", "1/s^2", default=1.0)
+    k_I_size: Scalar = Positive("", "1/s^2", default=1.0, several=True)
     offset_size: Scalar = Positive("", "N m", default=30.0)
     inertia_size: Scalar = Positive("", "kg m^2", default=5.0, several=True)
     friction_size: Scalar = Positive("", "N m s/rad", default=5.0, several=True)
     k_P_box: Box = Interval("", "1/s", default=(0.2, 6.0))
-    k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0))
+    k_I_box: Box = Interval("", "1/s^2", default=(0.05, 4.0), several=True)
     offset_box: Box = Interval("", "rad/s", default=(-1.0, 1.0))
     inertia_box: Box = Interval("", "kg m^2", default=(-20.0, 20.0), several=True)
     friction_box: Box = Interval("", "N m s/rad", default=(0.0, 50.0), several=True)

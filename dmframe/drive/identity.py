@@ -55,7 +55,7 @@ def identity(experiment: Experiment, steered: Steered, limits: Limits, payload: 
         "graph": dict(_flat(resolved(experiment.with_duration(1.0)))),
         "block source": files,
         "robot model": _model(experiment),
-        "limits": {key: repr(value) for key, value in limits.data.items()},
+        "limits": {key: str(value) for key, value in limits.data.items()},
         "payload": {"at the tool [kg]": repr(float(payload))},
         "engine": _engine(steered.controller.engine),
         "dmframe": {"version": own_version(), "source": _framework()},

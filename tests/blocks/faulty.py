@@ -14,7 +14,7 @@ from dmframe.diagram import Diagram
 def faulty(block: type[Any], **functions: Callable[..., Any]) -> type[Any]:
     """The class with `functions` under the names that its methods call, and those that compose its law."""
     members: dict[str, Any] = {"__module__": block.__module__, "__doc__": "With a fault, and no law in prose."}
-    for name in ("equations", "certificate", "composed_equations", "_weighed"):
+    for name in ("equations", "certificate", "_with_rates", "_with_terms", "_weighed"):
         method = getattr(block, name, None)
         if method is None:
             continue

@@ -245,7 +245,8 @@ def driven(inputs: Any, otherwise: Any = BOUNDED) -> Callable[..., Certificate]:
 
 
 @pytest.mark.parametrize(
-    "inputs", [lambda u, p: (), lambda u, p: (0, 2 * u.f_ext / p.M_a), lambda u, p: (u.f_ext, 0 * u.f_ext)]
+    "inputs",
+    [lambda u, p: (), lambda u, p: (0, 2 * u.f_ext / p.M_a), lambda u, p: (u.f_ext / p.D_a, 0 * u.f_ext / p.M_a)],
 )
 def test_without_the_right_input_nothing_bounds_the_goal(inputs: Any) -> None:
     verdict = without(certificate=driven(inputs))

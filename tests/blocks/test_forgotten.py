@@ -154,7 +154,7 @@ def test_an_export_on_a_full_disk_is_told_as_one(tmp_path: Path, monkeypatch: py
     def full(*_: Any, **__: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("dmframe.files._replace", full)
+    monkeypatch.setattr("dmframe.files.put", full)
     with pytest.raises(DmframeError, match="cannot be written: no space left on device; free some space"):
         graph().export(tmp_path / "out", "c")
     assert not list(tmp_path.iterdir())

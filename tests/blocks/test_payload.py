@@ -215,13 +215,6 @@ def test_a_servo_that_carries_the_links_is_refuted_where_the_controller_takes_th
     assert proof(arm=carried, model=PayloadRegressor(gravity="share")).outcome == "proved"
 
 
-def test_a_controller_without_columns_for_the_load_is_refuted() -> None:
-    graph = small()
-    model = type(load_experiment("arm2_joint").blocks["model"])(friction=["viscous"])
-    verdict = verify(Diagram.build({**graph.blocks, "model": model}, graph.file.wires, graph.robot))
-    assert verdict.outcome == "refuted"
-
-
 @final
 class Ramp(AbstractBlock):
     """A load that grows, and says that it steps."""

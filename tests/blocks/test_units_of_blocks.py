@@ -54,7 +54,7 @@ RADIANS: Final[Mapping[str, str]] = {
     "payload_estimate": "least",
     "regressor": "nominal",
     "reset_compensator": "clearing leak error_leak",
-    "sampled_inverse": "tau nu w_0 k_P k_I k_P_size k_I_size offset_size k_P_box k_I_box offset_box u_max margin",
+    "sampled_inverse": "tau nu w_0 k_P k_P_size offset_size k_P_box offset_box u_max margin",
     "sampled_supervisor": "hysteresis trip",
     "sampled_tracking": "gamma Lambda damping",
     "sinusoid": "amplitude",

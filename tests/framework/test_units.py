@@ -51,6 +51,14 @@ def test_a_bare_number_is_in_the_unit_expected_already() -> None:
     assert isinstance(to_unit(3, "rad/s"), float)
 
 
+def test_a_bandwidth_may_be_given_as_an_angular_frequency_and_not_the_other_way_round() -> None:
+    assert to_unit("15 rad/s", "1/s") == 15.0
+    with pytest.raises(UnitError, match="differ by an angle"):
+        to_unit("15 1/s", "rad/s")
+    with pytest.raises(UnitError, match="differ by an angle"):
+        to_unit("15 rad/s^2", "1/s^2")
+
+
 def test_everything_after_the_slash_divides() -> None:
     assert to_unit("1 J/kg K", "m^2/s^2 K") == 1.0
     assert compatible("J/kg K", "J/(kg K)")

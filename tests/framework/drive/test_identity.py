@@ -41,6 +41,7 @@ dmframe: 1
 robot: arm.urdf
 clock: 2 ms
 duration: 0.1 s
+tolerance: 0.1 rad
 start: {arm.q: [0.7, 1.0]}
 blocks:
   path: {type: sinusoid, center: [45 deg, 60 deg], amplitude: [3 deg, 4 deg], rate: [0.9 rad/s, 1.4 rad/s]}
@@ -131,7 +132,7 @@ FILES: dict[str, tuple[Callable[[Bench], None], str]] = {
     "a comment": (lambda b: b.edit("my.py", "@final", "# final\n@final"), r"block source: my.py"),
     "what the block imports": (lambda b: b.edit(f"{b.helper}.py", "1.0", "1.5"), r"block source: helper_"),
     "masses": (masses, r"robot model: arm.urdf"),
-    "speed": (lambda b: b.edit("limits.yaml", "speed: 2", "speed: 1.9"), r"limits: speed was \[.*is \[1.9, 1.9\]"),
+    "speed": (lambda b: b.edit("limits.yaml", "speed: 2", "speed: 1.9"), r"limits: speed was \[.*is \['1.9', '1.9'\]"),
     "acceleration": (lambda b: b.edit("limits.yaml", "500", "501"), r"limits: acceleration"),
     "halt": (lambda b: b.limits.write_text(f"{LIMITS}halt: 10 rad/s^2\n"), r"limits: halt was 20.0, is 10.0"),
     "deviation": (lambda b: b.limits.write_text(f"{LIMITS}deviation: 0.3\n"), r"limits: deviation was 0.2, is 0.3"),

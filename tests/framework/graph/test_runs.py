@@ -69,7 +69,7 @@ def test_a_table_has_a_row_a_run_with_the_error_in_each_eighth() -> None:
 def test_runs_are_saved_side_by_side(tmp_path: Path) -> None:
     runs = dm.compare(dm.load("pendulum").variants({"dynamics.Gamma": [1, 10]}), until="0.1 s")
     runs.save(tmp_path / "out", plots=False)
-    names = sorted(item.name for item in (tmp_path / "out").iterdir())
+    names = sorted(item.name for item in (tmp_path / "out").iterdir() if item.is_dir())
     assert names == ["pendulum_Gamma_1", "pendulum_Gamma_10"]
     for name, gamma in zip(names, (1.0, 10.0), strict=True):
         assert dm.load(tmp_path / "out" / name / "graph.yaml").blocks["dynamics"].Gamma == gamma  # type: ignore[attr-defined]
