@@ -17,7 +17,7 @@ from dmframe.errors import OutputError
 from dmframe.files import encoded, forced, reason, sync
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.steered import Steered
-from dmframe.seal import digest
+from dmframe.seal import SEAL, digest
 
 BLOCK: Final = 512
 """Rows that are handed over together."""
@@ -117,6 +117,7 @@ class Spool:
     def _work(self) -> None:
         try:
             with self.path.open("wb") as file:
+                self.path.with_name(SEAL).unlink(missing_ok=True)  # of results of before, which had another record
                 sync(self.path.parent)
                 last = False
                 while not last:

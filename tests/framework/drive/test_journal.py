@@ -21,6 +21,7 @@ from dmframe.errors import MissingError, OutputError
 from dmframe.runtime.journal import BLOCK, Columns, Journal, Spool, _signed, read_samples
 from dmframe.runtime.robot import Sample
 from dmframe.runtime.simulated import SimulatedRobot
+from dmframe.seal import FolderSeal, digest_of
 
 GRAPH = dm.load("arm2_joint")
 
@@ -126,6 +127,18 @@ def test_a_state_that_the_record_lacks_is_named(tmp_path: Path) -> None:
     path.write_bytes(_signed(head) + rows)
     found = GRAPH.replay(path, engine="interpreted")
     assert f"{label.partition(':')[2]} is not compared: not in the record" in str(found)
+
+
+def test_a_new_record_is_not_judged_by_the_seal_of_an_older_one(tmp_path: Path) -> None:
+    path = tmp_path / "samples.bin"
+    path.write_bytes(b"older")
+    (tmp_path / "seal.json").write_text(FolderSeal({path.name: digest_of(path)}, complete=True).text, encoding="utf-8")
+    with pytest.raises(MissingError):
+        GRAPH.replay(path, engine="interpreted")
+    GRAPH.drive("sim", until="0.02 s", engine="interpreted", record=path)
+    found = GRAPH.replay(path, engine="interpreted")
+    assert found.identical
+    assert "has no seal.json" in str(found)
 
 
 def test_memory_does_not_grow_with_what_is_on_the_disk(tmp_path: Path) -> None:
