@@ -11,6 +11,7 @@ The cost is about 0.1 s for a weight of few states; one that needs more than `FE
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -64,25 +65,52 @@ def contradicted(
 
 
 def kept_above(claim: Claim, numbers: Numbers) -> Iterator[tuple[str, SX]]:
-    """Of each assumed quantity that `contradicted` looks at: its name, and the parameters and starts that decide."""
+    """Of each assumed quantity that `contradicted` may refuse: its name, and the parameters and starts that decide.
+
+    Where neither the motion of few states nor what goes to zero can decide a quantity, it is refused at no numbers,
+    but for single ones at which its rate becomes a constant share of it.
+    """
     loop = claim.loop
+    # what goes to zero is made of the vectors of V and of its derivative
+    terms = [term for part in claim.parts for term in (*part.certificate.storage, *part.certificate.dissipation)]
+    values = stack(loop.joined([ca.vec(ca.densify(ca.SX(term.value)))])[0] for term in terms)
     for item in assumed_positive(claim, numbers):
-        rows = [row for row in ca.vertsplit(item.column) if not symbols_in([row]) <= numbers.known]
-        if not rows:
-            continue
-        seen, starts = list(rows), list[Any]()
-        # what goes to zero is made of the vectors of V and of its derivative
-        for part in claim.parts:
-            terms = [*part.certificate.storage, *part.certificate.dissipation]
-            seen += [loop.joined([ca.vec(ca.densify(ca.SX(term.value)))])[0] for term in terms]
-        for row in rows:
-            rate, states = slope(claim, row), _needed(claim, row) or []
-            seen += [] if rate is None else [rate]
+        seen, starts = list[SX](), list[SX]()
+        for row in (row for row in ca.vertsplit(item.column) if not symbols_in([row]) <= numbers.known):
+            states = _needed(claim, row)
+            if states is None and not _may_vanish(claim, row):
+                continue
+            rate = slope(claim, row)
+            seen += [row, values, *([] if rate is None else [rate])]
             seen += [stack(loop.rates_of(states))] if states else []
-            starts += [ca.vec(claim.starts[variable.label]) for variable in states]
-        symbols = ca.symvar(loop.on_path(loop.acting([stack(seen)])[0]))
-        known = [symbol for symbol in symbols if symbol.element_hash() in numbers.known]
-        yield f"{item.text} stays above a positive constant", ca.vertcat(ca.SX(0, 1), *known, *starts)
+            starts += [ca.vec(claim.starts[variable.label]) for variable in states or ()]
+        if seen:
+            symbols = ca.symvar(loop.on_path(loop.acting([stack(seen)])[0]))
+            known = [symbol for symbol in symbols if symbol.element_hash() in numbers.known]
+            yield f"{item.text} stays above a positive constant", ca.vertcat(ca.SX(0, 1), *known, *starts)
+
+
+def _may_vanish(claim: Claim, row: SX) -> bool:
+    """Whether vectors of V and its derivative, where they are zero, may leave a quantity of parameters alone.
+
+    So they do where each state in it is, times a constant, in an element whose other states are so determined.
+    """
+    terms = [term for part in claim.parts for term in (*part.certificate.storage, *part.certificate.dissipation)]
+    parts = [getattr(term, each.name) for term in terms for each in dataclasses.fields(term)]
+    vectors = claim.loop.joined([stack(part for part in parts if isinstance(part, ca.SX))])[0]
+    known = symbols_in([claim.loop.p])
+    elements = [
+        [symbol for symbol in ca.symvar(element) if symbol.element_hash() not in known]
+        for element in ca.vertsplit(vectors)
+    ]
+    found, before = set[int](), -1
+    while before != len(found):
+        before = len(found)
+        for element, symbols in zip(ca.vertsplit(vectors), elements, strict=True):
+            left = [symbol for symbol in symbols if symbol.element_hash() not in found]
+            if len(left) == 1 and ca.jacobian(element, left[0]).is_constant():
+                found.add(left[0].element_hash())
+    return all(symbol.element_hash() in found | known for symbol in ca.symvar(row))
 
 
 def _in_the_limit(claim: Claim, row: SX, vanishing: Sequence[Vanishing]) -> str:
