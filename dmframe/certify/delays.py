@@ -8,7 +8,7 @@ what is measured, to the position. So no block needs to be known by name. The co
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, final
 
 import casadi as ca
@@ -35,10 +35,14 @@ SOURCE: Final = "the means over a sample"
 @final
 @dataclass(frozen=True)
 class Late:
-    """By how many samples a signal may be late, and the blocks through whose memories it passed."""
+    """By how many samples a signal may be late, and the blocks through whose memories it passed.
+
+    `copied`: it is the signal itself, element by element, and nothing else.
+    """
 
     by: tuple[int, ...]
     through: tuple[str, ...]
+    copied: bool
 
     @property
     def words(self) -> str:
@@ -61,6 +65,8 @@ def delay_conditions(claim: SampledClaim, part: SampledPart) -> Iterator[Checked
             f"{command.words} and measurements by {measured.words}"
         )
         wrong = max(abs(taken - there - back) for there in command.by for back in measured.by)
+        if not (wrong or (command.copied and measured.copied)):
+            continue  # another signal with the same delay: what acted is left to an assumption
         expression = "what rows take = from the command to the robot + from the robot back"
         yield Checked(text, expression, -float(wrong), not wrong, SOURCE, strict=False, margin=ca.SX(0, 1))
 
@@ -85,25 +91,32 @@ def _taken(claim: SampledClaim, item: Acted) -> int | None:
 
 def _of_command(claim: SampledClaim, item: Acted) -> Late | None:
     """By how many samples what the plant applies is behind what it was commanded."""
-    return _late(claim, item.command, symbols_in(leaf.symbol for leaf in claim.base.loop.commanded))
+    return _late(claim, item.command, [leaf.symbol for leaf in claim.base.loop.commanded])
 
 
 def _of_position(claim: SampledClaim, item: Acted) -> Late | None:
     """By how many samples what is measured is behind the position."""
     if not all(row.is_symbolic() for row in ca.vertsplit(ca.SX(item.position))):
         return None
-    return _late(claim, item.seen, symbols_in([item.position]))
+    return _late(claim, item.seen, [item.position])
 
 
-def _late(claim: SampledClaim, expression: SX, wanted: set[int]) -> Late | None:
+def _late(claim: SampledClaim, expression: SX, signals: Sequence[SX]) -> Late | None:
+    """By how many samples a column is behind one of the signals; None where it is made of none of them."""
     loop = claim.base.loop
-    memories = _memories(loop, loop.plant)
+    found = _followed(loop, ca.SX(expression), symbols_in(signals))
+    elements = [ca.vertsplit(ca.vec(ca.SX(signal))) for signal in signals]
+    for place, row in enumerate(ca.vertsplit(ca.SX(expression))):
+        own = [each[place] for each in elements if len(each) == expression.numel()]
+        if found is None or not _copied(loop, row, own):
+            return found
+    return None if found is None else replace(found, copied=True)
 
-    def leaves(expression: SX) -> list[SX]:
-        """At the graph's numbers: a share of 0 takes nothing of the sample before."""
-        return list(ca.symvar(ca.substitute(expression, loop.p, ca.DM(loop.p_values))))
 
-    found, through, here = list[int](), dict[str, None](), leaves(expression)
+def _followed(loop: ClosedLoop, expression: SX, wanted: set[int]) -> Late | None:
+    """At which samples one of the wanted symbols is in what an expression is made of, through memories of the plant."""
+    memories, found, through = _memories(loop, loop.plant), list[int](), dict[str, None]()
+    here = _leaves(loop, expression)
     for lag in range(MOST):
         if any(symbol.element_hash() in wanted for symbol in here):
             found.append(lag)
@@ -111,8 +124,41 @@ def _late(claim: SampledClaim, expression: SX, wanted: set[int]) -> Late | None:
         if not held:
             break
         through |= dict.fromkeys(block for _, block in held)
-        here = leaves(ca.vertcat(*(then for then, _ in held)))
-    return Late(tuple(found), tuple(through)) if found else None
+        here = _leaves(loop, ca.vertcat(*(then for then, _ in held)))
+    return Late(tuple(found), tuple(through), copied=False) if found else None
+
+
+def _leaves(loop: ClosedLoop, expression: SX) -> list[SX]:
+    """At the graph's numbers: a share of 0 takes nothing of the sample before."""
+    return list(ca.symvar(ca.substitute(expression, loop.p, ca.DM(loop.p_values))))
+
+
+def _copied(loop: ClosedLoop, row: SX, own: Sequence[SX]) -> bool:
+    """True for an element that is its own signal, now or earlier, but for what is drawn and rounded."""
+    memories, others = _memories(loop, loop.plant), symbols_in([*own, loop.drawn, loop.time, loop.period])
+    here, passed = _leaves(loop, row), dict[int, SX]()
+    while here:
+        if any(symbol.element_hash() not in others | memories.keys() for symbol in here):
+            return False  # another joint's signal, or a state that moves between samples
+        new = {x.element_hash(): x for x in here if x.element_hash() in memories.keys() - passed.keys()}
+        passed |= new
+        here = _leaves(loop, ca.vertcat(ca.SX(0, 1), *(memories[key][0] for key in new)))
+    return _kept(loop, [row, *(memories[key][0] for key in passed)], [*own, *passed.values()])
+
+
+def _kept(loop: ClosedLoop, kept: Sequence[SX], signals: Sequence[SX]) -> bool:
+    """True where a constant signal comes through as it is, small, or large beside what rounds it."""
+    drawn, value = loop.drawn, ca.SX.sym("value")
+    own = ca.substitute(stack(kept), loop.p, ca.DM(loop.p_values))
+    same = ca.substitute(own, stack(signals), value * ca.SX.ones(len(signals)))
+    function = ca.Function("kept", [value, drawn, loop.time, loop.period], [same])
+    rng = np.random.default_rng(0)
+    for size, near in ((1.0, NEAR), (1e6, 1e-6)):
+        given = size * rng.uniform(0.1, 0.5, POINTS)
+        rows = [function(x, rng.uniform(0, 1, drawn.numel()), 1.0, 0.1).full() for x in given]
+        if all(np.all(np.abs(row - x) <= near * abs(x)) for row, x in zip(rows, given, strict=True)):
+            return True
+    return False
 
 
 def _memories(loop: ClosedLoop, states: Sequence[Variable]) -> Mapping[int, tuple[SX, str]]:

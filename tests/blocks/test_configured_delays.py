@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
+import casadi as ca
 import pytest
 from sampled_arm2 import sampled_arm2
 
 import dmframe as dm
-from dmframe.block import Signals
+from dmframe.block import AbstractBlock, Equations, Signals
 from dmframe.certify import Verdict, verify
+from dmframe.certify.delays import decided_delays
+from dmframe.certify.samples import sampled_claim_of
+from dmframe.diagram import Diagram
+from dmframe.parameter import Positive, Scalar
+from dmframe.port import Port, Side, State
 from dmframe_blocks.sampled_inverse import SampledInverse
 
 
@@ -84,3 +90,44 @@ def test_a_command_that_is_none_of_the_blocks_own_is_left_to_an_assumption(monke
     assert found.outcome == "proved"
     assert not any("delays commands by" in item.name for item in found.conditions)
     assert any("a delay is as told, or echoed" in item.text for item in found.assumptions)
+
+
+class Changed(AbstractBlock):
+    """A plant's signal that is passed on as another."""
+
+    side: ClassVar[Side] = Side.PLANT
+    inputs: ClassVar[tuple[Port, ...]] = (Port("dq_c", "n", "rad/s"),)
+    outputs: ClassVar[tuple[Port, ...]] = (Port("dq_c_other", "n", "rad/s", instead_of="dq_c"),)
+    states: ClassVar[tuple[State, ...]] = (State("lag", "n", "rad/s"), State("old", "n", "rad/s", sampled=True))
+    way: str = ""
+    k: Scalar = Positive("", "1/s", default=20.0)
+
+    def equations(self, u: Signals, x: Signals, p: Signals) -> Equations:
+        c, ways = u.dq_c, {
+            "as it is": u.dq_c,
+            "late": x.old,
+            "half of it late": (u.dq_c + x.lag) / 2,
+            "joints exchanged": ca.vertcat(u.dq_c[1], u.dq_c[0]),
+            "exchanged and late": ca.vertcat(x.old[1], x.old[0]),
+            "larger": 1.1 * u.dq_c,
+        }  # fmt: skip
+        rates, later = {"lag": p.k * (c - x.lag)}, {"old": c}
+        return Equations(outputs={"dq_c_other": ways[self.way]}, rates=rates, next=later)
+
+
+@pytest.mark.parametrize(
+    ("way", "delay", "copied"),
+    [
+        ("as it is", 0, True),
+        ("late", 1, True),
+        ("half of it late", 0, False),
+        ("joints exchanged", 0, False),
+        ("exchanged and late", 1, False),
+        ("larger", 0, False),
+    ],
+)
+def test_another_signal_with_the_same_delay_is_left_to_an_assumption(way: str, delay: int, copied: bool) -> None:
+    graph = dm.load(sampled_arm2(servo="pid", replay=2, delay=delay))
+    blocks = {**graph.experiment.blocks, "changed": Changed(way=way)}
+    claim = sampled_claim_of(Diagram.build(blocks, graph.experiment.file.wires, graph.experiment.robot))
+    assert [decided_delays(claim, part) for part in claim.parts if part.acted] == [copied]
