@@ -381,7 +381,7 @@ def test_a_graph_of_a_path_alone_says_that_there_is_nothing_to_draw(tab: Browser
     text = f"dmframe: 1\nclock: 2 ms\nduration: 1 s\nblocks:\n  path: {path}\n"
     tab.opened(saved(tmp_path, dm.load(text, name="path").page().html))
     assert "nothing to draw" in tab.until("document.getElementById('first').textContent")
-    assert tab.value(COMMAND).startswith("dmframe run path.yaml --set duration=1 ")
+    assert tab.until(COMMAND).startswith("dmframe run path.yaml --set duration=1 ")
     assert tab.said == []
 
 
